@@ -161,7 +161,12 @@ class PortBusy(LinkError):
     """
 
     def __init__(
-        self, seen: str, *, owners: tuple[tuple[int, str], ...] = (), cause: str = "", remedy: str = ""
+        self,
+        seen: str,
+        *,
+        owners: tuple[tuple[int, str], ...] = (),
+        cause: str = "",
+        remedy: str = "",
     ) -> None:
         super().__init__(seen, cause=cause, remedy=remedy)
         self.owners = owners
@@ -256,7 +261,13 @@ class BadAck(M100Error):
     """
 
     def __init__(
-        self, seen: str, *, command: str = "", payload: bytes = b"", cause: str = "", remedy: str = ""
+        self,
+        seen: str,
+        *,
+        command: str = "",
+        payload: bytes = b"",
+        cause: str = "",
+        remedy: str = "",
     ) -> None:
         super().__init__(seen, cause=cause, remedy=remedy)
         self.command = command
@@ -402,5 +413,5 @@ class TelemetryStalled(TelemetryError, TimeoutError):
     """An item that was arriving, or is needed, stopped arriving."""
 
 
-class LayoutMismatch(TelemetryError):
+class LayoutMismatch(TelemetryError, ValueError):
     """The length of a telemetry packet does not fit its flags under the firmware profile."""

@@ -38,7 +38,7 @@ class Key:
 
     def __init__(self, value: bytes | bytearray | str | Key) -> None:
         if isinstance(value, Key):
-            self._value = value._value
+            self._value: bytes = value.reveal()
         elif isinstance(value, str):
             self._value = _from_hex(value.strip())
         elif isinstance(value, bytes | bytearray):
@@ -60,7 +60,7 @@ class Key:
         return self._value
 
     def __eq__(self, other: object) -> bool:
-        return self._value == other._value if isinstance(other, Key) else NotImplemented
+        return self._value == other.reveal() if isinstance(other, Key) else NotImplemented
 
     def __hash__(self) -> int:
         return hash(self._value)
@@ -114,7 +114,7 @@ class Cipher:
 
         self._key = Key(key)
         self._random_padding = random_padding
-        block_cipher = BlockCipher(algorithms.AES(self._key.reveal()), modes.ECB())  # noqa: S305
+        block_cipher = BlockCipher(algorithms.AES(self._key.reveal()), modes.ECB())
         self._encryptor: CipherContext = block_cipher.encryptor()
         self._decryptor: CipherContext = block_cipher.decryptor()
 

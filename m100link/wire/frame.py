@@ -123,12 +123,7 @@ def encode_frame(
             cause=f"a frame carries at most {limit} bytes{' encrypted' if padding else ''}",
             remedy="split the data",
         )
-    word = (
-        SOF
-        | length << 8
-        | (session | is_ack << 5) << 24
-        | (padding | encryption << 5) << 32
-    )
+    word = SOF | length << 8 | (session | is_ack << 5) << 24 | (padding | encryption << 5) << 32
     crc16 = header_crc16_of_word(_WORD.pack(word)) ^ sequence_crc16(sequence)
     header = _HEADER.pack(word, sequence, crc16)
     if not data:

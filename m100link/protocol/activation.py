@@ -1,0 +1,319 @@
+"""Command set 0x00: version, activation, data to the mobile device (document 2.2.1)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from struct import Struct
+from typing import Any, ClassVar, Self
+
+from m100link.errors import BadAck, PayloadTooLarge, UsageError
+from m100link.protocol.codes import (
+    ActivationCode,
+    MobileDataCode,
+    RatesCode,
+    VersionCode,
+)
+from m100link.protocol.command import Address, Command, read_code
+from m100link.protocol.firmware import (
+    FIRMWARE_1_0,
+    FIRMWARE_2_3,
+    FIRMWARE_3_1,
+    ITEM_NAMES,
+    FirmwareProfile,
+)
+from m100link.wire.cipher import Key
+from m100link.wire.crc import frame_crc32
+
+__all__ = [
+    "MOBILE_DATA_LIMIT",
+    "RATES_HZ",
+    "Activate",
+    "Credentials",
+    "GetVersion",
+    "SendToMobile",
+    "SetTelemetryRates",
+    "Version",
+    "check_mobile_data",
+]
+
+MOBILE_DATA_LIMIT = 100
+"""Bytes of one transparent message, either way (document 2.2.1.3, 2.2.3.3)."""
+
+BUNDLE_ID_SIZE = 32
+_NAME_SIZE = 32
+_SERIAL_SIZE = 11
+_VERSION_PLAIN = Struct(f"<HI{_NAME_SIZE}s")
+_VERSION_WITH_SERIAL = Struct(f"<HI{_SERIAL_SIZE}s{_NAME_SIZE}s")
+_ACTIVATE = Struct(f"<III{BUNDLE_ID_SIZE}s")
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """What DJI's developer site gives an app (document, "Command Authorization Levels").
+
+    Args:
+        app_id: The app id, 0 to 2³²−1.
+        key: The AES key: 32 bytes or 64 hex digits. It is never sent and never shown.
+        level: Authorization level 0, 1 or 2; flight control needs 2.
+        app_version: Version of the app, chosen by the developer (firmware 1.0 only).
+        bundle_id: Name of the app, at most 32 bytes of ASCII.
+
+    Raises:
+        UsageError, BadKey: A value that cannot be right, found before anything is sent.
+    """
+
+    app_id: int
+    key: Key
+    level: int = 2
+    app_version: int = 1
+    bundle_id: str = "12345678901234567890123456789012"
+
+    def __init__(
+        self,
+        app_id: int,
+        key: bytes | str | Key,
+        *,
+        level: int = 2,
+        app_version: int = 1,
+        bundle_id: str = "12345678901234567890123456789012",
+    ) -> None:
+        for name, number in (("app_id", app_id), ("app_version", app_version)):
+            if not 0 <= number < 1 << 32:
+                raise UsageError(f"{name} {number} does not fit into 32 bits")
+        if level not in (0, 1, 2):
+            raise UsageError(f"level {level} does not exist", remedy="levels are 0, 1 and 2")
+        if not bundle_id.isascii() or len(bundle_id) > BUNDLE_ID_SIZE:
+            raise UsageError(f"a bundle id is at most {BUNDLE_ID_SIZE} ASCII characters")
+        object.__setattr__(self, "app_id", app_id)
+        object.__setattr__(self, "key", Key(key))
+        object.__setattr__(self, "level", level)
+        object.__setattr__(self, "app_version", app_version)
+        object.__setattr__(self, "bundle_id", bundle_id)
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """Answer to the version query.
+
+    Attributes:
+        code: Whether the aircraft is activated; the rest is filled in either way.
+        crc: Checksum that the aircraft gives for ``name``.
+        name: Version text, such as ``SDK-v1.0 BETA M100-03.01.01.00``.
+        serial: Hardware serial, firmware 3.1 only.
+    """
+
+    code: VersionCode
+    crc: int
+    name: str
+    serial: str | None = None
+
+    @property
+    def is_activated(self) -> bool:
+        """Whether the aircraft is activated for some app."""
+        return self.code == VersionCode.ACTIVATED
+
+    @property
+    def crc_matches(self) -> bool:
+        """Whether ``crc`` is the frame CRC32 of the name and one NUL."""
+        return frame_crc32(self.name.encode("latin-1") + b"\0") == self.crc
+
+    @property
+    def profile(self) -> FirmwareProfile | None:
+        """The firmware profile that this answer calls for; None for an unknown firmware."""
+        hardware = re.search(r"(\S+)-(\d\d)\.(\d\d)\.\d+\.\d+", self.name)
+        if hardware is None:
+            # Only the first firmware is known to name itself in another form (errata 16).
+            return FIRMWARE_1_0 if self.serial is None else None
+        if hardware[1] != "M100":
+            return None
+        numbers = hardware[2], hardware[3]
+        if self.serial is not None:
+            return FIRMWARE_3_1 if numbers == ("03", "01") else None
+        if numbers == ("02", "03"):
+            return FIRMWARE_2_3
+        return FIRMWARE_1_0 if hardware[2] == "01" else None
+
+    def encode(self) -> bytes:
+        """The data of the ack, with or without a serial."""
+        name = self.name.encode("latin-1")
+        if self.serial is None:
+            return _VERSION_PLAIN.pack(self.code, self.crc, name)
+        return _VERSION_WITH_SERIAL.pack(self.code, self.crc, self.serial.encode("latin-1"), name)
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0", 1)[0].decode("latin-1")
+
+
+@dataclass(frozen=True, slots=True)
+class GetVersion(Command):
+    """0x00/0x00, get API version. The one byte of its value is arbitrary."""
+
+    ADDRESS: ClassVar[Address] = Address(0x00, 0x00)
+    NAME: ClassVar[str] = "get_version"
+    CODES: ClassVar[type[VersionCode]] = VersionCode
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """One zero byte."""
+        return b"\0"
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """Any value will do (errata 13)."""
+        return cls()
+
+    @classmethod
+    def parse_ack(cls, payload: bytes) -> Version:
+        """38 bytes, or 49 with a hardware serial."""
+        code = VersionCode(read_code(cls.NAME, payload))
+        if len(payload) >= _VERSION_WITH_SERIAL.size:
+            _, crc, serial, name = _VERSION_WITH_SERIAL.unpack_from(payload)
+            return Version(code, crc, _text(name), _text(serial))
+        if len(payload) >= _VERSION_PLAIN.size:
+            _, crc, name = _VERSION_PLAIN.unpack_from(payload)
+            return Version(code, crc, _text(name))
+        raise BadAck(
+            f"the ack of {cls.NAME} has {len(payload)} bytes, it takes 38 or 49",
+            command=cls.NAME,
+            payload=payload,
+            cause="an aircraft newer than the Matrice 100",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Activate(Command):
+    """0x00/0x01, activate API; always sent plain.
+
+    Attributes:
+        app_id: App id.
+        level: Authorization level; firmware 3.1 ignores it.
+        version: The app's own version, or the firmware's version word (``activation_version``).
+        bundle_id: 32 bytes, NUL padded.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x00, 0x01)
+    NAME: ClassVar[str] = "activate"
+    CODES: ClassVar[type[ActivationCode]] = ActivationCode
+
+    app_id: int
+    level: int
+    version: int
+    bundle_id: str
+
+    @classmethod
+    def from_credentials(cls, credentials: Credentials, profile: FirmwareProfile) -> Self:
+        """The request that this firmware expects of that app."""
+        version = profile.activation_version
+        return cls(
+            app_id=credentials.app_id,
+            level=credentials.level if profile.has_level else 2,
+            version=credentials.app_version if version is None else version,
+            bundle_id=credentials.bundle_id,
+        )
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """44 bytes."""
+        return _ACTIVATE.pack(
+            self.app_id, self.level, self.version, self.bundle_id.encode("latin-1")
+        )
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """Exactly 44 bytes (errata 19)."""
+        if len(value) != _ACTIVATE.size:
+            raise ValueError(f"activation takes {_ACTIVATE.size} bytes, there are {len(value)}")
+        app_id, level, version, bundle_id = _ACTIVATE.unpack(value)
+        return cls(app_id, level, version, _text(bundle_id))
+
+
+RATES_HZ = (0, 1, 10, 50, 100)
+"""Rates of a telemetry item, by their code on the wire."""
+
+KEEP_RATE = 5
+
+
+@dataclass(frozen=True, slots=True)
+class SetTelemetryRates(Command):
+    """0x00/0x10, telemetry rates (firmware 3.1; earlier ones are set in the PC assistant).
+
+    Attributes:
+        rates_hz: Rate per item name, 0, 1, 10, 50 or 100 Hz; an item left out keeps its rate.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x00, 0x10)
+    NAME: ClassVar[str] = "set_telemetry_rates"
+    CODES: ClassVar[type[RatesCode]] = RatesCode
+
+    rates_hz: dict[str, int] = field(default_factory=dict)
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """16 bytes, one per item, the last four zero."""
+        for name, rate in self.rates_hz.items():
+            if name not in ITEM_NAMES:
+                raise UsageError(
+                    f"no telemetry item is called {name!r}",
+                    remedy=f"items: {', '.join(ITEM_NAMES)}",
+                )
+            if rate not in RATES_HZ:
+                raise UsageError(f"{name} cannot be sent at {rate} Hz", remedy=f"rates: {RATES_HZ}")
+        codes = [
+            RATES_HZ.index(self.rates_hz[name]) if name in self.rates_hz else KEEP_RATE
+            for name in ITEM_NAMES
+        ]
+        return bytes(codes) + bytes(4)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """16 bytes with codes 0 to 5."""
+        if len(value) != 16:
+            raise ValueError(f"the rates take 16 bytes, there are {len(value)}")
+        codes = value[: len(ITEM_NAMES)]
+        if max(codes) > KEEP_RATE:
+            raise ValueError(f"rate code {max(codes)} does not exist")
+        pairs = zip(ITEM_NAMES, codes, strict=True)
+        return cls({name: RATES_HZ[code] for name, code in pairs if code != KEEP_RATE})
+
+
+def check_mobile_data(data: bytes) -> bytes:
+    """Data that fit into one transparent message.
+
+    Raises:
+        PayloadTooLarge: More than 100 bytes.
+        UsageError: None at all.
+    """
+    if not data:
+        raise UsageError("a message to the mobile device needs at least one byte")
+    if len(data) > MOBILE_DATA_LIMIT:
+        raise PayloadTooLarge(
+            f"{len(data)} bytes are too many for one message to the mobile device",
+            cause=f"the aircraft passes on 1 to {MOBILE_DATA_LIMIT} bytes at a time",
+            remedy="split the data",
+        )
+    return bytes(data)
+
+
+@dataclass(frozen=True, slots=True)
+class SendToMobile(Command):
+    """0x00/0xFE, transparent data to the mobile device, 1 to 100 bytes, about 8 kB/s."""
+
+    ADDRESS: ClassVar[Address] = Address(0x00, 0xFE)
+    NAME: ClassVar[str] = "send_to_mobile"
+    CODES: ClassVar[type[MobileDataCode]] = MobileDataCode
+
+    data: bytes
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """The data, checked."""
+        return check_mobile_data(self.data)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """1 to 100 bytes."""
+        if not 1 <= len(value) <= MOBILE_DATA_LIMIT:
+            raise ValueError(f"a message has 1 to {MOBILE_DATA_LIMIT} bytes, not {len(value)}")
+        return cls(value)
+
+    def fields(self) -> dict[str, Any]:
+        """The data under a name of their own: ``data`` is the whole payload of a frame."""
+        return {"mobile_data": self.data.hex()}

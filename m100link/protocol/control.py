@@ -1,0 +1,172 @@
+"""Command set 0x01: authority, flight mode commands, movement (document 2.2.2 and 3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from struct import Struct
+from typing import Any, ClassVar, Self
+
+from m100link.protocol.codes import ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
+from m100link.protocol.command import Address, Command
+from m100link.protocol.firmware import FirmwareProfile
+
+__all__ = ["Arm", "Move", "QueryTask", "RequestAuthority", "StartTask", "Task"]
+
+
+def _exactly(value: bytes, size: int, name: str) -> bytes:
+    if len(value) != size:
+        raise ValueError(f"{name} takes {size} byte(s), there are {len(value)}")
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class RequestAuthority(Command):
+    """0x01/0x00, obtain (True) or release (False) control authority."""
+
+    ADDRESS: ClassVar[Address] = Address(0x01, 0x00)
+    NAME: ClassVar[str] = "request_authority"
+    CODES: ClassVar[type[AuthorityCode]] = AuthorityCode
+
+    obtain: bool
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """1 obtains, 0 releases."""
+        return bytes((self.obtain,))
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """One byte, 0 or 1."""
+        (request,) = _exactly(value, 1, cls.NAME)
+        if request > 1:
+            raise ValueError(f"authority request {request} does not exist")
+        return cls(bool(request))
+
+
+class Task(IntEnum):
+    """The flight mode commands of the document. Earlier lists name more; none was ever allowed."""
+
+    GO_HOME = 1
+    TAKE_OFF = 4
+    LAND = 6
+
+
+@dataclass(frozen=True, slots=True)
+class StartTask(Command):
+    """0x01/0x01, begin take-off, landing or go-home.
+
+    Attributes:
+        task_sequence: Number of this command, 0 to 255; the result is asked for by it.
+        task: The task as its number; numbers outside :class:`Task` are kept and rejected.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x01, 0x01)
+    NAME: ClassVar[str] = "start_task"
+    CODES: ClassVar[type[TaskStartCode]] = TaskStartCode
+    ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
+
+    task_sequence: int
+    task: int
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """Two bytes."""
+        return bytes((self.task_sequence, self.task))
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """Two bytes."""
+        task_sequence, task = _exactly(value, 2, cls.NAME)
+        return cls(task_sequence, task)
+
+    def fields(self) -> dict[str, Any]:
+        """With the name of the task."""
+        known = self.task in Task.__members__.values()
+        return {
+            "task_sequence": self.task_sequence,
+            "task": Task(self.task).name.lower() if known else int(self.task),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class QueryTask(Command):
+    """0x01/0x02, ask for the result of the task with that number."""
+
+    ADDRESS: ClassVar[Address] = Address(0x01, 0x02)
+    NAME: ClassVar[str] = "query_task"
+    CODES: ClassVar[type[TaskResultCode]] = TaskResultCode
+    ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
+
+    task_sequence: int
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """One byte."""
+        return bytes((self.task_sequence,))
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """One byte."""
+        return cls(_exactly(value, 1, cls.NAME)[0])
+
+
+_MOVE = Struct("<B4f")
+
+
+@dataclass(frozen=True, slots=True)
+class Move(Command):
+    """0x01/0x03, movement: a control flag and four raw values, without an ack.
+
+    What flag and values mean is :mod:`m100link.protocol.setpoint`'s business. On the wire the
+    order is flag, roll/x, pitch/y, throttle/z, yaw; under ``1.0-document`` yaw comes before
+    throttle, as the document prints it (errata 1).
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x01, 0x03)
+    NAME: ClassVar[str] = "move"
+
+    control_flag: int
+    roll_or_x: float
+    pitch_or_y: float
+    throttle_or_z: float
+    yaw: float
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """17 bytes."""
+        third, fourth = self.throttle_or_z, self.yaw
+        if not profile.throttle_before_yaw:
+            third, fourth = fourth, third
+        return _MOVE.pack(self.control_flag, self.roll_or_x, self.pitch_or_y, third, fourth)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """17 bytes."""
+        flag, x, y, third, fourth = _MOVE.unpack(_exactly(value, _MOVE.size, cls.NAME))
+        if not profile.throttle_before_yaw:
+            third, fourth = fourth, third
+        return cls(flag, x, y, third, fourth)
+
+    def fields(self) -> dict[str, Any]:
+        """All five under ``movement``."""
+        return {"movement": {name: getattr(self, name) for name in self.__dataclass_fields__}}
+
+
+@dataclass(frozen=True, slots=True)
+class Arm(Command):
+    """0x01/0x05, motors on (True) or off (False); firmware 3.1."""
+
+    ADDRESS: ClassVar[Address] = Address(0x01, 0x05)
+    NAME: ClassVar[str] = "arm"
+    CODES: ClassVar[type[ArmCode]] = ArmCode
+
+    on: bool
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """1 arms, 0 disarms."""
+        return bytes((self.on,))
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """One byte, 0 or 1."""
+        (on,) = _exactly(value, 1, cls.NAME)
+        if on > 1:
+            raise ValueError(f"arm value {on} does not exist")
+        return cls(bool(on))

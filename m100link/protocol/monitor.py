@@ -1,0 +1,88 @@
+"""Command set 0x02: what the aircraft pushes (document 2.2.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from m100link.protocol.activation import MOBILE_DATA_LIMIT, check_mobile_data
+from m100link.protocol.command import Address, Command
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.telemetry import TelemetryPacket
+
+__all__ = ["AUTHORITY_LOST", "AuthorityChanged", "FromMobile", "PushTelemetry"]
+
+AUTHORITY_LOST = 0x04
+"""The fixed value of the authority notification."""
+
+
+@dataclass(frozen=True, slots=True)
+class PushTelemetry(Command):
+    """0x02/0x00, the telemetry package."""
+
+    ADDRESS: ClassVar[Address] = Address(0x02, 0x00)
+    NAME: ClassVar[str] = "telemetry"
+
+    packet: TelemetryPacket
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """The flag word and the items."""
+        return self.packet.value
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """A value whose length fits its flags under the profile."""
+        return cls(TelemetryPacket(value, profile))
+
+    def fields(self) -> dict[str, Any]:
+        """Items by name, raw wire values."""
+        return {"telemetry": self.packet.raw_items(), "flags": self.packet.flags}
+
+
+@dataclass(frozen=True, slots=True)
+class AuthorityChanged(Command):
+    """0x02/0x01, control authority passed away from the onboard device.
+
+    Sent once, on session 0 or on a session that wants an ack (errata 30).
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x02, 0x01)
+    NAME: ClassVar[str] = "authority_changed"
+
+    code: int = AUTHORITY_LOST
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """One byte."""
+        return bytes((self.code,))
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """One byte; the document fixes it to 4."""
+        if len(value) != 1:
+            raise ValueError(f"{cls.NAME} takes 1 byte, there are {len(value)}")
+        return cls(value[0])
+
+
+@dataclass(frozen=True, slots=True)
+class FromMobile(Command):
+    """0x02/0x02, transparent data from the mobile device, 1 to 100 bytes, about 1 kB/s."""
+
+    ADDRESS: ClassVar[Address] = Address(0x02, 0x02)
+    NAME: ClassVar[str] = "from_mobile"
+
+    data: bytes
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """The data, checked."""
+        return check_mobile_data(self.data)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """1 to 100 bytes."""
+        if not 1 <= len(value) <= MOBILE_DATA_LIMIT:
+            raise ValueError(f"a message has 1 to {MOBILE_DATA_LIMIT} bytes, not {len(value)}")
+        return cls(value)
+
+    def fields(self) -> dict[str, Any]:
+        """The data under a name of their own: ``data`` is the whole payload of a frame."""
+        return {"mobile_data": self.data.hex()}

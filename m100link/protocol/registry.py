@@ -1,0 +1,50 @@
+"""Which command an address stands for."""
+
+from __future__ import annotations
+
+from m100link.protocol.activation import Activate, GetVersion, SendToMobile, SetTelemetryRates
+from m100link.protocol.command import Address, Command, Unrecognised
+from m100link.protocol.control import Arm, Move, QueryTask, RequestAuthority, StartTask
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
+
+__all__ = ["COMMANDS", "address_of", "parse_command"]
+
+COMMANDS: dict[Address, type[Command]] = {
+    command.ADDRESS: command
+    for command in (
+        GetVersion,
+        Activate,
+        SetTelemetryRates,
+        SendToMobile,
+        RequestAuthority,
+        StartTask,
+        QueryTask,
+        Move,
+        Arm,
+        PushTelemetry,
+        AuthorityChanged,
+        FromMobile,
+    )
+}
+"""Every command and push by its address."""
+
+
+def address_of(data: bytes) -> Address | None:
+    """Command set and id of the data of a frame that is no ack; None when it is too short."""
+    return Address(data[0], data[1]) if len(data) >= 2 else None
+
+
+def parse_command(data: bytes, profile: FirmwareProfile) -> Command | Unrecognised:
+    """Read the data of a frame that is no ack. Never raises: what cannot be read says why."""
+    address = address_of(data)
+    if address is None:
+        return Unrecognised(None, data, "too short for a command set and id")
+    command = COMMANDS.get(address)
+    if command is None:
+        return Unrecognised(address, data[2:], f"{address} is no command of the document")
+    try:
+        return command.parse(data[2:], profile)
+    except ValueError as error:
+        reason = getattr(error, "seen", None) or str(error)
+        return Unrecognised(address, data[2:], reason)

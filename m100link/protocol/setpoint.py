@@ -1,0 +1,400 @@
+"""Setpoints: the 14 legal control modes and their values (document 3.2).
+
+Three constructors, one per way of steering horizontally, take the vertical and the yaw part by
+keyword; exactly the 14 combinations of the document can be built:
+
+====  ==========================  =========================  ===========================
+ No   constructor                 vertical                   yaw
+====  ==========================  =========================  ===========================
+1, 2  ``Setpoint.tilt``           ``up`` (velocity)          ``yaw_deg``, ``yaw_rate_deg_s``
+3, 4  ``Setpoint.velocity``       ``up``                     ``yaw_deg``, ``yaw_rate_deg_s``
+5, 6  ``Setpoint.position_offset``  ``up``                   ``yaw_deg``, ``yaw_rate_deg_s``
+7, 8  ``Setpoint.tilt``           ``height``                 ``yaw_deg``, ``yaw_rate_deg_s``
+9,10  ``Setpoint.velocity``       ``height``                 ``yaw_deg``, ``yaw_rate_deg_s``
+11,12 ``Setpoint.position_offset``  ``height``               ``yaw_deg``, ``yaw_rate_deg_s``
+13,14 ``Setpoint.tilt``           ``thrust_percent``         ``yaw_deg``, ``yaw_rate_deg_s``
+====  ==========================  =========================  ===========================
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
+from typing import ClassVar, NamedTuple, Self
+
+from m100link.errors import BadSetpoint
+from m100link.protocol.control import Move
+from m100link.protocol.firmware import FirmwareProfile, FlagBit0
+
+__all__ = ["LIMITS", "ControlMode", "Frame", "Horizontal", "Setpoint", "Vertical", "Yaw"]
+
+
+class Horizontal(IntEnum):
+    """Bits 7 and 6 of the control flag."""
+
+    TILT = 0
+    VELOCITY = 1
+    POSITION_OFFSET = 2
+
+
+class Vertical(IntEnum):
+    """Bits 5 and 4 of the control flag."""
+
+    VELOCITY = 0
+    HEIGHT = 1
+    THRUST = 2
+
+
+class Yaw(IntEnum):
+    """Bit 3 of the control flag."""
+
+    ANGLE = 0
+    RATE = 1
+
+
+class Frame(IntEnum):
+    """Bit 1 of the control flag: the frame of the horizontal values."""
+
+    GROUND = 0
+    BODY = 1
+
+
+class ControlMode(NamedTuple):
+    """One combination of horizontal, vertical and yaw control."""
+
+    horizontal: Horizontal
+    vertical: Vertical
+    yaw: Yaw
+
+    @property
+    def number(self) -> int:
+        """Number in the document's table, 1 to 14.
+
+        Raises:
+            KeyError: Thrust with velocity or position is not in the table.
+        """
+        return _NUMBERS[self]
+
+    @property
+    def is_legal(self) -> bool:
+        """Whether the document lists the combination."""
+        return self in _NUMBERS
+
+    @property
+    def flag(self) -> int:
+        """Control flag without the frame bits."""
+        return self.horizontal << 6 | self.vertical << 4 | self.yaw << 3
+
+
+_NUMBERS = {
+    ControlMode(horizontal, vertical, yaw): number
+    for number, (vertical, horizontal, yaw) in enumerate(
+        [
+            (vertical, horizontal, yaw)
+            for vertical in Vertical
+            for horizontal in Horizontal
+            for yaw in Yaw
+            if vertical is not Vertical.THRUST or horizontal is Horizontal.TILT
+        ],
+        start=1,
+    )
+}
+
+
+class _Range(NamedTuple):
+    low: float
+    high: float
+    unit: str
+
+
+LIMITS: dict[Enum, _Range] = {
+    Horizontal.TILT: _Range(-30, 30, "°"),
+    Horizontal.VELOCITY: _Range(-10, 10, "m/s"),
+    Horizontal.POSITION_OFFSET: _Range(-math.inf, math.inf, "m"),
+}
+"""Range per way of control (document 3.2, the table of modes)."""
+
+VERTICAL_LIMITS = {
+    Vertical.VELOCITY: _Range(-4, 4, "m/s"),
+    Vertical.HEIGHT: _Range(0, math.inf, "m"),
+    Vertical.THRUST: _Range(0, 100, "%"),
+}
+YAW_LIMITS = {Yaw.ANGLE: _Range(-180, 180, "°"), Yaw.RATE: _Range(-100, 100, "°/s")}
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """What one movement command asks for.
+
+    Build one with :meth:`tilt`, :meth:`velocity` or :meth:`position_offset`; all values are
+    checked there and again here, so a setpoint that exists can be sent.
+
+    Attributes:
+        mode: Control mode.
+        x: North or forward: velocity (m/s) or offset (m); in tilt mode the roll angle (°).
+        y: East or right: velocity (m/s) or offset (m); in tilt mode the pitch angle (°).
+        z: Climb rate (m/s, up positive), height above take-off (m) or thrust (%).
+        yaw: Heading (°, 0 north, clockwise) or yaw rate (°/s, clockwise positive).
+        frame: Frame of x and y. Tilt is always in the body frame under firmware 1.0.
+        stable: Stable mode of firmware 3.1 (bit 0): brake smoothly and hold the place.
+
+    Raises:
+        BadSetpoint: A value is not finite or outside its range, or the mode is not in the table.
+    """
+
+    EXPERT_FLAG: ClassVar[int] = -1
+
+    mode: ControlMode
+    x: float
+    y: float
+    z: float
+    yaw: float
+    frame: Frame = Frame.GROUND
+    stable: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.mode.is_legal:
+            raise BadSetpoint(
+                f"{self.mode.vertical.name} control does not go with "
+                f"{self.mode.horizontal.name} control",
+                cause="the document lists 14 modes; thrust goes with tilt only",
+            )
+        horizontal = LIMITS[self.mode.horizontal]
+        names = ("roll", "pitch") if self.mode.horizontal is Horizontal.TILT else ("x", "y")
+        _check(names[0], self.x, horizontal)
+        _check(names[1], self.y, horizontal)
+        _check(self.mode.vertical.name.lower(), self.z, VERTICAL_LIMITS[self.mode.vertical])
+        _check(f"yaw {self.mode.yaw.name.lower()}", self.yaw, YAW_LIMITS[self.mode.yaw])
+
+    @classmethod
+    def tilt(
+        cls,
+        *,
+        roll_deg: float,
+        pitch_deg: float,
+        up: float | None = None,
+        height: float | None = None,
+        thrust_percent: float | None = None,
+        yaw_deg: float | None = None,
+        yaw_rate_deg_s: float | None = None,
+        frame: Frame = Frame.BODY,
+        stable: bool = False,
+    ) -> Self:
+        """Modes 1, 2, 7, 8, 13 and 14: tilt the aircraft.
+
+        Args:
+            roll_deg: −30 to 30, positive to the right.
+            pitch_deg: −30 to 30, **negative flies forward**.
+            up: Climb rate, −4 to 4 m/s.
+            height: Height above take-off, 0 m and more.
+            thrust_percent: 0 to 100; direct thrust, with precaution.
+            yaw_deg: Heading, −180 to 180, 0 north, 90 east, always ground frame.
+            yaw_rate_deg_s: −100 to 100, positive clockwise from above.
+            frame: Body by default; ground is possible from firmware 2.3 on.
+            stable: Stable mode, firmware 3.1 only.
+        """
+        vertical, z = _one(up=up, height=height, thrust_percent=thrust_percent)
+        yaw_mode, yaw = _yaw(yaw_deg, yaw_rate_deg_s)
+        mode = ControlMode(Horizontal.TILT, vertical, yaw_mode)
+        return cls(mode, roll_deg, pitch_deg, z, yaw, frame, stable)
+
+    @classmethod
+    def velocity(
+        cls,
+        *,
+        north: float | None = None,
+        east: float | None = None,
+        forward: float | None = None,
+        right: float | None = None,
+        up: float | None = None,
+        height: float | None = None,
+        yaw_deg: float | None = None,
+        yaw_rate_deg_s: float | None = None,
+        stable: bool = False,
+    ) -> Self:
+        """Modes 3, 4, 9 and 10: fly at a velocity. Needs GPS health of 3 or more.
+
+        Args:
+            north: With ``east``: ground frame, −10 to 10 m/s.
+            east: See ``north``.
+            forward: With ``right``: body frame, −10 to 10 m/s.
+            right: See ``forward``.
+            up: Climb rate, −4 to 4 m/s.
+            height: Height above take-off, 0 m and more.
+            yaw_deg: Heading, −180 to 180, 0 north, 90 east, always ground frame.
+            yaw_rate_deg_s: −100 to 100, positive clockwise from above.
+            stable: Stable mode, firmware 3.1 only.
+        """
+        frame, x, y = _horizontal(north, east, forward, right)
+        vertical, z = _one(up=up, height=height)
+        yaw_mode, yaw = _yaw(yaw_deg, yaw_rate_deg_s)
+        return cls(
+            ControlMode(Horizontal.VELOCITY, vertical, yaw_mode), x, y, z, yaw, frame, stable
+        )
+
+    @classmethod
+    def position_offset(
+        cls,
+        *,
+        north: float | None = None,
+        east: float | None = None,
+        forward: float | None = None,
+        right: float | None = None,
+        up: float | None = None,
+        height: float | None = None,
+        yaw_deg: float | None = None,
+        yaw_rate_deg_s: float | None = None,
+        stable: bool = False,
+    ) -> Self:
+        """Modes 5, 6, 11 and 12: fly to an offset **from the present place**.
+
+        The offset is not a target: the sender measures what remains and sends it anew each time.
+        Needs GPS health of 3 or more.
+
+        Args:
+            north: With ``east``: ground frame, m.
+            east: See ``north``.
+            forward: With ``right``: body frame, m.
+            right: See ``forward``.
+            up: Climb rate, −4 to 4 m/s.
+            height: Height above take-off, 0 m and more.
+            yaw_deg: Heading, −180 to 180, 0 north, 90 east, always ground frame.
+            yaw_rate_deg_s: −100 to 100, positive clockwise from above.
+            stable: Stable mode, firmware 3.1 only.
+        """
+        frame, x, y = _horizontal(north, east, forward, right)
+        vertical, z = _one(up=up, height=height)
+        yaw_mode, yaw = _yaw(yaw_deg, yaw_rate_deg_s)
+        mode = ControlMode(Horizontal.POSITION_OFFSET, vertical, yaw_mode)
+        return cls(mode, x, y, z, yaw, frame, stable)
+
+    def neutral(self) -> Setpoint:
+        """Stop and stay: same horizontal mode and frame with zeros, no climb, no turn.
+
+        Height and thrust turn into a climb rate of zero: repeating either would be repeating a
+        stale command.
+        """
+        mode = ControlMode(self.mode.horizontal, Vertical.VELOCITY, Yaw.RATE)
+        return replace(self, mode=mode, x=0.0, y=0.0, z=0.0, yaw=0.0)
+
+    def control_flag(self, profile: FirmwareProfile) -> int:
+        """The flag byte under a firmware profile.
+
+        Raises:
+            BadSetpoint: Stable mode, or tilt in the ground frame, where the firmware has none.
+        """
+        flag = self.mode.flag | self.frame << 1
+        if self.stable:
+            if profile.flag_bit0 is not FlagBit0.STABLE_MODE:
+                raise BadSetpoint(
+                    f"firmware {profile} has no stable mode",
+                    cause="bit 0 of the control flag means the yaw frame before firmware 3.1",
+                    remedy="leave stable=False",
+                )
+            flag |= 1
+        is_ground_tilt = self.mode.horizontal is Horizontal.TILT and self.frame is Frame.GROUND
+        if is_ground_tilt and not profile.tilt_frame_selectable:
+            raise BadSetpoint(
+                f"firmware {profile} takes tilt angles in the body frame only",
+                remedy="use frame=Frame.BODY and turn the angles by the heading",
+            )
+        return flag
+
+    def to_move(self, profile: FirmwareProfile) -> Move:
+        """The movement command under a firmware profile.
+
+        Raises:
+            BadSetpoint: See :meth:`control_flag`.
+        """
+        return Move(self.control_flag(profile), self.x, self.y, self.z, self.yaw)
+
+    @classmethod
+    def from_move(cls, move: Move, profile: FirmwareProfile, *, clamp: bool = False) -> Self:
+        """Read a movement command, as the aircraft does.
+
+        Args:
+            move: The command.
+            profile: Firmware of the receiver.
+            clamp: Limit values to their range instead of refusing them.
+
+        Raises:
+            BadSetpoint: Illegal flag (bits that mean nothing, thrust without tilt), a value that
+                is not finite or, without ``clamp``, out of range.
+        """
+        flag = move.control_flag
+        try:
+            mode = ControlMode(Horizontal(flag >> 6), Vertical(flag >> 4 & 3), Yaw(flag >> 3 & 1))
+        except ValueError:
+            raise BadSetpoint(f"control flag 0x{flag:02X} names no control mode") from None
+        if flag & 0x04:
+            raise BadSetpoint(f"control flag 0x{flag:02X} has its reserved bit 2 set")
+        frame = Frame(flag >> 1 & 1)
+        if mode.horizontal is Horizontal.TILT and not profile.tilt_frame_selectable:
+            frame = Frame.BODY
+        values = (move.roll_or_x, move.pitch_or_y, move.throttle_or_z, move.yaw)
+        if clamp and mode.is_legal and all(map(math.isfinite, values)):
+            horizontal = LIMITS[mode.horizontal]
+            limits = (horizontal, horizontal, VERTICAL_LIMITS[mode.vertical], YAW_LIMITS[mode.yaw])
+            values = tuple(  # type: ignore[assignment]  # four floats stay four floats
+                min(max(value, limit.low), limit.high)
+                for value, limit in zip(values, limits, strict=True)
+            )
+        stable = bool(flag & 1) and profile.flag_bit0 is FlagBit0.STABLE_MODE
+        return cls(mode, *values, frame=frame, stable=stable)
+
+
+def _check(name: str, value: float, limit: _Range) -> None:
+    if not math.isfinite(value):
+        raise BadSetpoint(f"{name} is {value}", cause="a computation that went wrong upstream")
+    if not limit.low <= value <= limit.high:
+        raise BadSetpoint(
+            f"{name} {value:g} {limit.unit} is outside {limit.low:g} to {limit.high:g} {limit.unit}",
+            remedy="limit the value before it becomes a setpoint",
+        )
+
+
+def _one(
+    *, up: float | None, height: float | None, thrust_percent: float | None = None
+) -> tuple[Vertical, float]:
+    given = [
+        (mode, value)
+        for mode, value in zip(Vertical, (up, height, thrust_percent), strict=True)
+        if value is not None
+    ]
+    if len(given) != 1:
+        raise BadSetpoint(
+            f"{len(given)} vertical values were given, exactly one is needed",
+            remedy="give one of up (m/s), height (m) and, with tilt, thrust_percent",
+        )
+    return given[0]
+
+
+def _yaw(yaw_deg: float | None, yaw_rate_deg_s: float | None) -> tuple[Yaw, float]:
+    if (yaw_deg is None) == (yaw_rate_deg_s is None):
+        raise BadSetpoint(
+            "exactly one yaw value is needed", remedy="give yaw_deg or yaw_rate_deg_s"
+        )
+    if yaw_deg is not None:
+        return Yaw.ANGLE, yaw_deg
+    assert yaw_rate_deg_s is not None
+    return Yaw.RATE, yaw_rate_deg_s
+
+
+def _horizontal(
+    north: float | None, east: float | None, forward: float | None, right: float | None
+) -> tuple[Frame, float, float]:
+    ground, body = (north, east), (forward, right)
+    if None not in ground and body == (None, None):
+        frame, pair = Frame.GROUND, ground
+    elif None not in body and ground == (None, None):
+        frame, pair = Frame.BODY, body
+    else:
+        raise BadSetpoint(
+            "the horizontal values do not make one frame",
+            remedy="give north and east (ground frame), or forward and right (body frame)",
+        )
+    x, y = pair
+    assert x is not None
+    assert y is not None
+    return frame, x, y
