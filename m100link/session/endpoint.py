@@ -1,0 +1,103 @@
+"""One end of the line: decoder, sender and receiver as one machine without I/O and clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+from m100link.session.events import Event, SessionMode, SessionStatistics
+from m100link.session.receiver import Receiver
+from m100link.session.sender import Sender
+from m100link.wire.cipher import Cipher
+from m100link.wire.frame import Frame, FrameDecoder
+
+__all__ = ["Endpoint"]
+
+
+class Endpoint:
+    """Bytes and time in, bytes and events out; the same class serves both ends of the cable.
+
+    Args:
+        first_sequence: See :class:`~m100link.session.Sender`.
+        forget_after: See :class:`~m100link.session.Receiver`.
+    """
+
+    def __init__(self, *, first_sequence: int = 0, forget_after: float | None = None) -> None:
+        self.statistics = SessionStatistics()
+        self.decoder = FrameDecoder()
+        self.sender = Sender(first_sequence=first_sequence, statistics=self.statistics)
+        self.receiver = Receiver(forget_after=forget_after, statistics=self.statistics)
+        self._events: deque[Event] = deque()
+        self._pushed: deque[bytes] = deque()
+
+    @property
+    def cipher(self) -> Cipher | None:
+        """The cipher of both directions; None until there is a key."""
+        return self.decoder.cipher
+
+    @cipher.setter
+    def cipher(self, cipher: Cipher | None) -> None:
+        self.decoder.cipher = self.sender.cipher = self.receiver.cipher = cipher
+
+    def receive_data(self, data: bytes, now: float) -> None:
+        """Take bytes from the line. Nothing that arrives raises."""
+        for frame in self.decoder.feed(data):
+            event: Event | None
+            if frame.is_ack:
+                event = self.sender.receive_ack(frame, now)
+            else:
+                event = self.receiver.receive_command(frame, now)
+            if event is not None:
+                self._events.append(event)
+
+    def push(self, data: bytes, *, encrypted: bool = False) -> None:
+        """Queue a frame on session 0; see :meth:`Sender.push` for errors."""
+        self._pushed.append(self.sender.push(data, encrypted=encrypted))
+
+    def request(
+        self,
+        data: bytes,
+        *,
+        now: float,
+        mode: SessionMode = SessionMode.RELIABLE,
+        encrypted: bool = False,
+        timeout: float = 0.5,
+        tries: int = 3,
+    ) -> int:
+        """Begin a request; see :meth:`Sender.request`."""
+        return self.sender.request(
+            data, now=now, mode=mode, encrypted=encrypted, timeout=timeout, tries=tries
+        )
+
+    def abandon(self, token: int) -> None:
+        """Forget a request; see :meth:`Sender.abandon`."""
+        self.sender.abandon(token)
+
+    def acknowledge(
+        self, command: Frame, payload: bytes, *, now: float, encrypted: bool | None = None
+    ) -> None:
+        """Answer a delivered command; see :meth:`Receiver.acknowledge`."""
+        self.receiver.acknowledge(command, payload, now=now, encrypted=encrypted)
+
+    def next_wakeup(self) -> float | None:
+        """When :meth:`handle_timer` should be called at the latest."""
+        return self.sender.next_wakeup()
+
+    def handle_timer(self, now: float) -> None:
+        """Repeat or expire what is due."""
+        self.sender.handle_timer(now)
+
+    def events(self) -> Iterator[Event]:
+        """Take the events that happened, in order."""
+        while self._events:
+            yield self._events.popleft()
+        while (expired := self.sender.next_event()) is not None:
+            yield expired
+
+    def output(self) -> Iterator[bytes]:
+        """Take the frames to write: acks first, then requests, then pushes."""
+        for source in (self.receiver.next_output, self.sender.next_output):
+            while (wire := source()) is not None:
+                yield wire
+        while self._pushed:
+            yield self._pushed.popleft()
