@@ -8,18 +8,18 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── BadKey                 not 32 bytes, not 64 hex digits
     │   ├── BadSetpoint            a value outside the document's table, NaN or infinity
     │   └── PayloadTooLarge        more than 1007 bytes, or 100 to the mobile device
-    ├── LinkError                  the cable and what is at its end                    (ConnectionError)
-    │   ├── PortNotFound           no such device                                      (FileNotFoundError)
-    │   ├── PortPermissionDenied   the device is there but not for this user           (PermissionError)
+    ├── LinkError                  the cable and what is at its end (ConnectionError)
+    │   ├── PortNotFound           no such device (FileNotFoundError)
+    │   ├── PortPermissionDenied   the device is there but not for this user (PermissionError)
     │   ├── PortBusy               another program has it
     │   ├── PortFailed             the system refused for another reason
     │   ├── LinkLost               the port went away under us
     │   ├── LinkClosed             we closed it
-    │   └── NoAircraft             opened, but no usable answer came                   (TimeoutError)
+    │   └── NoAircraft             opened, but no usable answer came (TimeoutError)
     │       ├── SilentLine         not one byte arrived
     │       ├── NoValidFrame       bytes, but no frame: baud rate or noise
     │       └── NoAnswer           frames arrive, our request is not answered
-    ├── AckTimeout                 no ack after all tries: the outcome is unknown      (TimeoutError)
+    ├── AckTimeout                 no ack after all tries: the outcome is unknown (TimeoutError)
     │   └── KeyRejected            plain requests are answered, encrypted ones are not
     ├── BadAck                     an ack that is too short for its command
     ├── CommandRefused             the aircraft answered, and the answer was no
@@ -30,7 +30,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── AuthorityRefused
     │   ├── TaskRefused            take-off, landing or go-home was not begun
     │   └── TaskFailed             it was begun and the aircraft reports failure
-    ├── NotObserved                begun, but telemetry never showed the result        (TimeoutError)
+    ├── NotObserved                begun, but telemetry never showed the result (TimeoutError)
     ├── AuthorityError
     │   ├── NoAuthority            movement was asked for without authority
     │   └── AuthorityLost          the pilot, the app or the link took it away

@@ -152,7 +152,7 @@ _ITEMS_1_0_DOCUMENT = _with(
 
 FIRMWARE_1_0 = FirmwareProfile(
     name="1.0",
-    summary="first public firmware, June 2015: the document, as DJI's sample of that month reads it",
+    summary="first public firmware, June 2015: the document as DJI's own sample reads it",
     version_name="SDK-v1.0 BETA M100-01.00.00.00",
     has_serial=False,
     activation_version=None,
@@ -172,7 +172,7 @@ FIRMWARE_1_0 = FirmwareProfile(
 FIRMWARE_2_3 = replace(
     FIRMWARE_1_0,
     name="2.3",
-    summary="September 2015 to early 2016: velocity gains a status byte, authority takes two requests",
+    summary="September 2015 to early 2016: velocity status byte, authority takes two requests",
     version_name="SDK-v1.0 BETA M100-02.03.10.00",
     activation_version=0x02030A00,
     items=_ITEMS_2_3,
@@ -183,7 +183,7 @@ FIRMWARE_2_3 = replace(
 FIRMWARE_3_1 = replace(
     FIRMWARE_2_3,
     name="3.1",
-    summary="2016 on, most aircraft still flying: longer time, gimbal and control items, 400 Hz tick",
+    summary="2016 on, most aircraft still flying: longer telemetry items, 400 Hz tick",
     version_name="SDK-v1.0 BETA M100-03.01.01.00",
     has_serial=True,
     activation_version=0x03010A00,

@@ -1,0 +1,15 @@
+"""The line itself: transports, and futures that acks resolve."""
+
+from m100link.link.link import Link, LinkStatistics, open_link
+from m100link.link.memory import MemoryTransport, connect_in_memory
+from m100link.link.url import DEFAULT_BAUD_RATE, parse_url
+
+__all__ = [
+    "DEFAULT_BAUD_RATE",
+    "Link",
+    "LinkStatistics",
+    "MemoryTransport",
+    "connect_in_memory",
+    "open_link",
+    "parse_url",
+]

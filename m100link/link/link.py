@@ -1,0 +1,443 @@
+"""The link: an :class:`asyncio.Protocol` around the session layer, futures and one timer.
+
+No task of its own runs here. Bytes come in by ``data_received``; requests are futures that acks
+resolve; one ``call_at`` wakes the session layer when it asked to be woken.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
+from m100link.link.transport import open_transport
+from m100link.link.url import Address, parse_url
+from m100link.session.endpoint import Endpoint
+from m100link.session.events import Acked, Expired, Received, SessionMode
+from m100link.wire.cipher import Cipher
+from m100link.wire.frame import Frame
+
+__all__ = ["Link", "LinkStatistics", "open_link"]
+
+_logger = logging.getLogger("m100link.link")
+
+CLOSE_TIMEOUT = 1.0
+"""Seconds that closing waits for written bytes to leave."""
+
+_LOGGED_BYTES = 64
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatistics:
+    """Counters of a link since it was opened.
+
+    Attributes:
+        bytes_received: Bytes read.
+        bytes_sent: Bytes written.
+        frames_received: Frames with good checksums.
+        frames_sent: Frames written.
+        discards: Discarded starts and frames per cause.
+        discarded_bytes: Bytes that were part of no frame.
+        dropped_writes: Frames not written because the line did not drain.
+        acks: Acks that answered a request.
+        duplicate_acks: Acks of a request answered before.
+        late_acks: Acks that came after their request had ended.
+        foreign_acks: Acks of nothing that was sent here.
+        repeats: Transmissions beyond the first of a request.
+        expired: Requests that ran out of tries.
+    """
+
+    bytes_received: int
+    bytes_sent: int
+    frames_received: int
+    frames_sent: int
+    discards: dict[str, int]
+    discarded_bytes: int
+    dropped_writes: int
+    acks: int
+    duplicate_acks: int
+    late_acks: int
+    foreign_acks: int
+    repeats: int
+    expired: int
+
+
+class _Pending:
+    """A request that somebody awaits."""
+
+    __slots__ = ("future", "name")
+
+    def __init__(self, future: asyncio.Future[bytes], name: str) -> None:
+        self.future = future
+        self.name = name
+
+
+def _ignore(*_: object) -> None:
+    """The default of the callbacks."""
+
+
+class Link(asyncio.Protocol):
+    """One end of an open line.
+
+    Use :func:`open_link`, or give an instance to any transport as its protocol.
+
+    Args:
+        on_received: Called with each command or push frame and the time it arrived.
+        on_lost: Called once with the typed reason when the line is gone.
+        first_sequence: First sequence number; random by default.
+    """
+
+    def __init__(
+        self,
+        *,
+        on_received: Callable[[Frame, float], None] = _ignore,
+        on_lost: Callable[[LinkError], None] = _ignore,
+        first_sequence: int | None = None,
+    ) -> None:
+        self._loop = asyncio.get_running_loop()
+        if first_sequence is None:
+            first_sequence = secrets.randbits(16)
+        self._endpoint = Endpoint(first_sequence=first_sequence)
+        self.on_received = on_received
+        self.on_lost = on_lost
+        self.name = "link"
+        self._transport: asyncio.Transport | None = None
+        self._pending: dict[int, _Pending] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self._is_writable = True
+        self._is_closed_by_us = False
+        self._failure: LinkError | None = None
+        self._connected: asyncio.Future[None] = self._loop.create_future()
+        self._disconnected = asyncio.Event()
+        self._bytes_sent = self._frames_sent = self._dropped_writes = 0
+        self.last_received_at: float | None = None
+
+    # -- what users of a link call ---------------------------------------------------------------
+
+    @property
+    def cipher(self) -> Cipher | None:
+        """Encrypts and decrypts in both directions; None until there is a key."""
+        return self._endpoint.cipher
+
+    @cipher.setter
+    def cipher(self, cipher: Cipher | None) -> None:
+        self._endpoint.cipher = cipher
+
+    @property
+    def is_open(self) -> bool:
+        """Whether bytes can be sent."""
+        return self._transport is not None and self._failure is None
+
+    @property
+    def failure(self) -> LinkError | None:
+        """Why the link is not open any more."""
+        return self._failure
+
+    def statistics(self) -> LinkStatistics:
+        """The counters as they are now."""
+        decoder, sessions = self._endpoint.decoder, self._endpoint.statistics
+        return LinkStatistics(
+            bytes_received=decoder.bytes,
+            bytes_sent=self._bytes_sent,
+            frames_received=decoder.frames,
+            frames_sent=self._frames_sent,
+            discards={str(cause): count for cause, count in decoder.discards.items() if count},
+            discarded_bytes=decoder.discarded_bytes,
+            dropped_writes=self._dropped_writes,
+            acks=sessions.acks,
+            duplicate_acks=sessions.duplicate_acks,
+            late_acks=sessions.late_acks,
+            foreign_acks=sessions.foreign_acks,
+            repeats=sessions.transmissions - sessions.requests,
+            expired=sessions.expired,
+        )
+
+    async def request(
+        self,
+        data: bytes,
+        *,
+        name: str = "request",
+        mode: SessionMode = SessionMode.RELIABLE,
+        encrypted: bool = False,
+        timeout: float = 0.5,
+        tries: int = 3,
+    ) -> bytes:
+        """Send a command and await its ack.
+
+        Args:
+            data: Data of the frame.
+            name: Word for the command in errors.
+            mode: ``RELIABLE`` or ``ACK_ONCE``.
+            encrypted: Encrypt the data.
+            timeout: Seconds to wait after each transmission.
+            tries: Transmissions in all; 1 with ``ACK_ONCE``.
+
+        Returns:
+            The data of the ack.
+
+        Raises:
+            AckTimeout: No ack after the last try; the outcome is unknown.
+            LinkLost, LinkClosed: The line went away before the ack came.
+            UsageError: See :meth:`Sender.request`.
+        """
+        self._check_open()
+        token = self._endpoint.request(
+            data,
+            now=self._loop.time(),
+            mode=mode,
+            encrypted=encrypted,
+            timeout=timeout,
+            tries=tries,
+        )
+        future: asyncio.Future[bytes] = self._loop.create_future()
+        self._pending[token] = _Pending(future, name)
+        self._flush()
+        try:
+            return await future
+        finally:
+            # After a cancellation nobody waits: the session core keeps the slot as long as needed.
+            if self._pending.pop(token, None) is not None:
+                self._endpoint.abandon(token)
+
+    def push(self, data: bytes, *, encrypted: bool = False) -> bool:
+        """Send a frame on session 0.
+
+        Returns:
+            False when the line does not drain and the frame was dropped: it would arrive stale.
+
+        Raises:
+            LinkLost, LinkClosed: There is no line.
+        """
+        self._check_open()
+        if not self._is_writable:
+            self._dropped_writes += 1
+            return False
+        self._endpoint.push(data, encrypted=encrypted)
+        self._flush()
+        return True
+
+    def acknowledge(self, command: Frame, payload: bytes, *, encrypted: bool | None = None) -> None:
+        """Answer a command frame that ``on_received`` got; nothing is sent on session 0."""
+        if not self.is_open:
+            return
+        if encrypted is None and command.encrypted and self.cipher is None:
+            encrypted = False
+        self._endpoint.acknowledge(command, payload, now=self._loop.time(), encrypted=encrypted)
+        self._flush()
+
+    async def close(self) -> None:
+        """Close the line: pending requests fail with :class:`LinkClosed`.
+
+        Bytes already written get up to a second to leave. May be called any number of times.
+        """
+        if self._transport is not None and self._failure is None:
+            self._is_closed_by_us = True
+            self._fail(LinkClosed("the link was closed by this side"))
+            await self._drain()
+            self._transport.abort()
+        elif self._transport is None:
+            self._fail(LinkClosed("the link was closed before it was open"))
+            return
+        try:
+            async with asyncio.timeout(CLOSE_TIMEOUT):
+                await self._disconnected.wait()
+        except TimeoutError:
+            _logger.warning("%s: the port did not report its end within a second", self.name)
+
+    async def wait_connected(self) -> None:
+        """Wait until the transport is attached (pyserial-asyncio returns before it is)."""
+        await self._connected
+
+    # -- what the transport calls ----------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The transport is attached."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        if not self._connected.done():
+            self._connected.set_result(None)
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes from the line."""
+        now = self._loop.time()
+        self.last_received_at = now
+        self._endpoint.receive_data(data, now)
+        self._dispatch(now)
+        self._flush()
+
+    def pause_writing(self) -> None:
+        """The other end does not drain."""
+        self._is_writable = False
+
+    def resume_writing(self) -> None:
+        """It drains again."""
+        self._is_writable = True
+
+    def eof_received(self) -> bool:
+        """The other end of a socket closed; close this one too."""
+        return False
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The line is gone."""
+        self._disconnected.set()
+        if self._failure is None:
+            error = LinkLost(
+                f"{self.name} went away" + (f": {exc}" if exc else ""),
+                cause="unplugged, powered off, or the other end closed",
+                remedy="check cable and power, then connect again",
+            )
+            error.__cause__ = exc
+            self._fail(error)
+
+    # -- inside ----------------------------------------------------------------------------------
+
+    def _check_open(self) -> None:
+        if self._failure is not None:
+            raise _again(self._failure)
+        if self._transport is None:
+            raise LinkClosed("the link is not open yet")
+
+    def _dispatch(self, now: float) -> None:
+        debug = _logger.isEnabledFor(logging.DEBUG)
+        for event in self._endpoint.events():
+            match event:
+                case Received(frame):
+                    if debug:
+                        _logger.debug(
+                            "< session %d seq %d %s",
+                            frame.session,
+                            frame.sequence,
+                            _excerpt(frame.data),
+                        )
+                    self.on_received(frame, now)
+                case Acked(token, payload, _):
+                    pending = self._pending.get(token)
+                    if pending is not None and not pending.future.done():
+                        pending.future.set_result(payload)
+                case Expired(token, session, sequence, tries):
+                    pending = self._pending.get(token)
+                    if pending is not None and not pending.future.done():
+                        pending.future.set_exception(
+                            self._timeout(pending.name, session, sequence, tries)
+                        )
+
+    def _timeout(self, name: str, session: int, sequence: int, tries: int) -> AckTimeout:
+        cause = "the frame or its ack was lost, or the aircraft ignores the command"
+        if not self._is_writable:
+            cause = "the other end of the line does not take bytes"
+        elif self.last_received_at is None:
+            cause = "nothing arrives from the aircraft at all"
+        return AckTimeout(
+            f"no ack of {name} after {tries} tries; its outcome is unknown",
+            command=name,
+            session=session,
+            sequence=sequence,
+            tries=tries,
+            cause=cause,
+            remedy="look at telemetry before repeating the command",
+        )
+
+    def _flush(self) -> None:
+        """Write what is ready and keep the one timer right."""
+        transport = self._transport
+        debug = _logger.isEnabledFor(logging.DEBUG)
+        for wire in self._endpoint.output():
+            if transport is None or self._failure is not None or not self._is_writable:
+                self._dropped_writes += 1
+                continue
+            if debug:
+                _logger.debug("> %s", _excerpt(wire))
+            self._bytes_sent += len(wire)
+            self._frames_sent += 1
+            transport.write(wire)
+        wakeup = self._endpoint.next_wakeup()
+        if wakeup is None or self._failure is not None:
+            return
+        # An armed timer that is early stays: waking once too often is cheaper than re-arming for
+        # every request.
+        if self._timer is not None:
+            if self._timer.when() <= wakeup:
+                return
+            self._timer.cancel()
+        self._timer = self._loop.call_at(wakeup, self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        now = self._loop.time()
+        self._endpoint.handle_timer(now)
+        self._dispatch(now)
+        self._flush()
+
+    async def _drain(self) -> None:
+        """Give written bytes a bounded time to leave."""
+        assert self._transport is not None
+        deadline = self._loop.time() + CLOSE_TIMEOUT
+        while not self._disconnected.is_set() and self._loop.time() < deadline:
+            port = self._transport.get_extra_info("serial")
+            try:
+                waiting = self._transport.get_write_buffer_size() + (
+                    port.out_waiting if port else 0
+                )
+            except OSError:
+                return  # the port is gone: nothing will leave any more
+            if not waiting:
+                return
+            await asyncio.sleep(0.005)
+
+    def _fail(self, error: LinkError) -> None:
+        self._failure = error
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for pending in list(self._pending.values()):
+            if not pending.future.done():
+                pending.future.set_exception(_again(error))
+        if not self._connected.done():
+            self._connected.set_exception(_again(error))
+            self._connected.exception()  # read, so that nobody is told it never was
+        if isinstance(error, LinkLost):
+            _logger.warning("%s", error.seen)
+        self.on_lost(error)
+
+
+def _again(error: LinkError) -> LinkError:
+    """The same error to raise in another place: one exception object has one traceback."""
+    copy = type(error)(error.seen, cause=error.cause, remedy=error.remedy)
+    copy.__cause__ = error.__cause__
+    return copy
+
+
+def _excerpt(data: bytes) -> str:
+    more = "…" if len(data) > _LOGGED_BYTES else ""
+    return data[:_LOGGED_BYTES].hex() + more
+
+
+async def open_link(
+    url: str | Address,
+    *,
+    baud_rate: int | None = None,
+    on_received: Callable[[Frame, float], None] = _ignore,
+    on_lost: Callable[[LinkError], None] = _ignore,
+    first_sequence: int | None = None,
+) -> Link:
+    """Open a line and return the link on it.
+
+    Args:
+        url: Connection string, see :func:`~m100link.link.url.parse_url`.
+        baud_rate: Rate when the string has none.
+        on_received: See :class:`Link`.
+        on_lost: See :class:`Link`.
+        first_sequence: See :class:`Link`.
+
+    Raises:
+        BadURL, PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
+    """
+    address = url if isinstance(url, Address) else parse_url(url, baud_rate=baud_rate)
+    link = Link(on_received=on_received, on_lost=on_lost, first_sequence=first_sequence)
+    link.name = str(address)
+    await open_transport(address, link)
+    await link.wait_connected()
+    return link

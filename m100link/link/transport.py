@@ -1,0 +1,179 @@
+"""Opening the line: serial ports (ptys included), TCP, and transports that plug themselves in.
+
+The only importer of pyserial and pyserial-asyncio. Their known faults end here: each override in
+:class:`_SerialTransport` names the one it is for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import functools
+import logging
+import os
+from collections.abc import Awaitable, Callable
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import serial
+import serial_asyncio
+
+from m100link.errors import (
+    BadURL,
+    LinkError,
+    PortBusy,
+    PortFailed,
+    PortNotFound,
+    PortPermissionDenied,
+)
+from m100link.link.url import EXAMPLES, Address
+
+__all__ = ["Opener", "open_transport", "port_owners", "serial_ports"]
+
+_logger = logging.getLogger("m100link.link")
+
+Opener = Callable[[Address, asyncio.Protocol], Awaitable[asyncio.Transport]]
+"""What a plug-in transport provides, by an entry point in the group ``m100link.transports``."""
+
+CONNECT_TIMEOUT = 5.0
+
+# Two hundred milliseconds of a 115200-baud line. More would only make setpoints old.
+_WRITE_HIGH_WATER = 2048
+
+
+class _SerialTransport(serial_asyncio.SerialTransport):
+    """pyserial-asyncio 0.6 without the faults that its users suffer from."""
+
+    def abort(self) -> None:
+        # A second abort, or one after the port was lost, raises AttributeError there.
+        if self._loop is not None and not (self._closing and self.get_write_buffer_size() == 0):
+            super().abort()
+
+    def _fatal_error(self, exc: BaseException, message: str = "") -> None:
+        # There, pulling the plug during a write also reports to the loop's exception handler.
+        # The same exception reaches connection_lost, which is report enough.
+        _logger.debug("%s: %s", message or "serial port failed", exc)
+        self._abort(exc)
+
+    def _call_connection_lost(self, exc: BaseException | None) -> None:
+        # There, tcdrain() runs here on the event loop and blocks it until the other end has read
+        # everything. Who wanted the bytes sent has waited for them already (Link.close).
+        if self._serial is None:
+            return
+        try:
+            self._serial.reset_output_buffer()
+        except (OSError, serial.SerialException) as error:
+            _logger.debug("the port was gone before its output could be dropped: %s", error)
+        super()._call_connection_lost(exc)
+
+
+async def open_transport(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+    """Open the line and attach a protocol to it.
+
+    Raises:
+        PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
+        BadURL: No transport of that scheme is installed.
+    """
+    if address.scheme == "serial":
+        return await _open_serial(address, protocol)
+    if address.scheme == "tcp":
+        return await _open_tcp(address, protocol)
+    for entry_point in entry_points(group="m100link.transports", name=address.scheme):
+        opener: Opener = entry_point.load()
+        return await opener(address, protocol)
+    raise BadURL(
+        f"there is no transport called {address.scheme!r}",
+        remedy="write it like one of these:" + "".join(f"\n      {text}" for text in EXAMPLES),
+    )
+
+
+async def _open_serial(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+    loop = asyncio.get_running_loop()
+    device = _expanded(address.target)
+    open_port = functools.partial(
+        serial.Serial, device, baudrate=address.number or 0, exclusive=True, timeout=0
+    )
+    try:
+        # Opening can take a second on some adapters: not on the event loop.
+        port = await loop.run_in_executor(None, open_port)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise _translate(device, address, error) from error
+    transport = _SerialTransport(loop, protocol, port)
+    transport.set_write_buffer_limits(high=_WRITE_HIGH_WATER)
+    return transport
+
+
+def _expanded(path: str) -> str:
+    return str(Path(path).expanduser())
+
+
+def _translate(device: str, address: Address, error: Exception) -> LinkError:
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        ports = serial_ports()
+        return PortNotFound(
+            f"there is no device {device}",
+            cause="the adapter is not plugged in, or has another name",
+            remedy=f"ports on this machine: {', '.join(ports)}"
+            if ports
+            else "plug it in and look at what `dmesg | tail` says",
+        )
+    if number in (errno.EACCES, errno.EPERM):
+        return PortPermissionDenied(
+            f"this user may not open {device}",
+            cause="serial ports belong to a group, usually dialout",
+            remedy="sudo usermod -aG dialout $USER, then log out and in again",
+        )
+    if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
+        owners = port_owners(device)
+        names = ", ".join(f"{name} (process {pid})" for pid, name in owners)
+        return PortBusy(
+            f"{device} is in use" + (f" by {names}" if names else ""),
+            owners=owners,
+            cause="only one program can talk to the aircraft",
+            remedy="end the other program, or have it share the aircraft",
+        )
+    if number in (errno.ENOTTY, errno.EINVAL) or isinstance(error, ValueError):
+        return PortFailed(
+            f"{device} cannot be used at {address.number} baud: {error}",
+            cause="not a serial port, or an adapter that does not know this rate",
+            remedy="check the device name and the baud rate set in the PC assistant",
+        )
+    return PortFailed(f"{device} cannot be opened: {error}")
+
+
+def port_owners(device: str) -> tuple[tuple[int, str], ...]:
+    """Processes that hold a device open, as ``(pid, name)``, where the system tells."""
+    wanted = os.path.realpath(device)
+    owners = []
+    for process in sorted(Path("/proc").glob("[0-9]*")):
+        try:
+            held = any(os.path.realpath(fd) == wanted for fd in (process / "fd").iterdir())
+            if held:
+                owners.append((int(process.name), (process / "comm").read_text().strip()))
+        except OSError:
+            continue  # gone meanwhile, or not ours to look into
+    return tuple(owners)
+
+
+def serial_ports() -> list[str]:
+    """Serial devices that this machine shows."""
+    from serial.tools.list_ports import comports
+
+    return sorted(port.device for port in comports())
+
+
+async def _open_tcp(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+    loop = asyncio.get_running_loop()
+    try:
+        async with asyncio.timeout(CONNECT_TIMEOUT):
+            transport, _ = await loop.create_connection(
+                lambda: protocol, address.target, address.number or 0
+            )
+    except (OSError, TimeoutError) as error:
+        raise PortFailed(
+            f"nothing answers at {address}: {error or 'no connection in time'}",
+            cause="the program that should listen there is not running",
+            remedy="start it, and check host and port",
+        ) from error
+    return transport

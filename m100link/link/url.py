@@ -1,0 +1,98 @@
+"""Connection strings."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from m100link.errors import BadURL
+
+__all__ = ["DEFAULT_BAUD_RATE", "EXAMPLES", "Address", "parse_url"]
+
+DEFAULT_BAUD_RATE = 230_400
+"""Rate of the document's launch file; the PC assistant can change it (errata 50)."""
+
+EXAMPLES = (
+    "serial:///dev/ttyUSB0:230400",
+    "/dev/ttyUSB0",
+    "tcp://192.168.1.5:7000",
+)
+"""Three strings that work, for error messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """A parsed connection string.
+
+    Attributes:
+        scheme: ``serial``, ``tcp``, or the name of another transport.
+        target: Device path, host, or whatever stands behind ``scheme://``.
+        number: Baud rate or port number; None for other schemes.
+    """
+
+    scheme: str
+    target: str
+    number: int | None = None
+
+    def __str__(self) -> str:
+        if self.scheme == "serial":
+            return f"{self.target} at {self.number} baud"
+        number = "" if self.number is None else f":{self.number}"
+        return f"{self.scheme}://{self.target}{number}"
+
+
+def _bad(url: str, why: str) -> BadURL:
+    examples = "".join(f"\n      {example}" for example in EXAMPLES)
+    return BadURL(f"{url!r} {why}", remedy=f"write it like one of these:{examples}")
+
+
+def parse_url(url: str, *, baud_rate: int | None = None) -> Address:
+    """Read a connection string.
+
+    Accepted: ``serial:///dev/ttyUSB0:230400``, a bare device path or ``COM3`` with an optional
+    ``:baud`` or ``,baud`` behind it, ``tcp://host:port``, and ``name://…`` of any other transport.
+
+    Args:
+        url: The string.
+        baud_rate: Rate when the string has none; 230400 by default.
+
+    Raises:
+        BadURL: It is none of these; the message shows three that work.
+    """
+    text = url.strip()
+    scheme, separator, rest = text.partition("://")
+    if not separator:
+        if not re.match(r"(/|\./|\.\./|~|COM\d)", text):
+            raise _bad(url, "names neither a device path nor a transport")
+        scheme, rest = "serial", text
+    if scheme == "serial":
+        return _serial(url, rest, baud_rate or DEFAULT_BAUD_RATE)
+    if scheme == "tcp":
+        return _tcp(url, text)
+    if not re.fullmatch(r"[a-z][a-z0-9+.-]*", scheme):
+        raise _bad(url, "has no readable scheme before ://")
+    return Address(scheme, rest)
+
+
+def _serial(url: str, rest: str, baud_rate: int) -> Address:
+    match = re.fullmatch(r"(?P<device>.+?)(?:[:,](?P<baud>[^:,/]*))?", rest)
+    if match is None:
+        raise _bad(url, "has no device")
+    device, baud = match["device"], match["baud"]
+    if baud is not None:
+        if not baud.isdecimal() or int(baud) == 0:
+            raise _bad(url, f"has the baud rate {baud!r}, which is no number")
+        baud_rate = int(baud)
+    return Address("serial", device, baud_rate)
+
+
+def _tcp(url: str, text: str) -> Address:
+    try:
+        parts = urlsplit(text)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if not host or port is None:
+        raise _bad(url, "has no host or no port number")
+    return Address("tcp", host, port)
