@@ -20,7 +20,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │       ├── NoValidFrame       bytes, but no frame: baud rate or noise
     │       └── NoAnswer           frames arrive, our request is not answered
     ├── AckTimeout                 no ack after all tries: the outcome is unknown (TimeoutError)
-    │   └── KeyRejected            plain requests are answered, encrypted ones are not
+    ├── KeyRejected                plain requests are answered, encrypted ones are not
     ├── BadAck                     an ack that is too short for its command
     ├── CommandRefused             the aircraft answered, and the answer was no
     │   ├── ActivationRefused
@@ -248,8 +248,18 @@ class AckTimeout(M100Error, TimeoutError):
         self.tries = tries
 
 
-class KeyRejected(AckTimeout):
-    """Plain requests are answered and encrypted ones are not: the keys differ."""
+class KeyRejected(M100Error):
+    """Plain requests are answered and encrypted ones are not: the keys on both sides differ.
+
+    Attributes:
+        command: Name of the encrypted command.
+    """
+
+    def __init__(
+        self, seen: str, *, command: str = "", cause: str = "", remedy: str = ""
+    ) -> None:
+        super().__init__(seen, cause=cause, remedy=remedy)
+        self.command = command
 
 
 class BadAck(M100Error):

@@ -349,7 +349,7 @@ def _check(name: str, value: float, limit: _Range) -> None:
         raise BadSetpoint(f"{name} is {value}", cause="a computation that went wrong upstream")
     if not limit.low <= value <= limit.high:
         raise BadSetpoint(
-            f"{name} {value:g} {limit.unit} is outside {limit.low:g} to {limit.high:g} {limit.unit}",
+            f"{name} {value:g} {limit.unit} is outside {limit.low:g} to {limit.high:g}",
             remedy="limit the value before it becomes a setpoint",
         )
 

@@ -511,6 +511,11 @@ class TelemetryPacket:
         if len(value) != plan.size:
             raise _mismatch(value, profile)
 
+    @property
+    def indices(self) -> Iterable[int]:
+        """Bit numbers of the items that the packet carries, ascending."""
+        return self._plan.items
+
     def get(self, record: type[R]) -> R | None:
         """The record of that class, None when the packet does not carry it."""
         found: R | None = self._read(_INDEX[record])

@@ -1,0 +1,172 @@
+"""Control authority as a table of states and inputs.
+
+Everything that can happen to authority is an input; what it leads to stands in one table. A pair
+that is not in the table cannot happen or changes nothing: :meth:`Authority.feed` counts it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from enum import Enum
+
+from m100link.protocol.telemetry import ControlDevice, Device, RcMode, RemoteControl
+
+__all__ = ["TRANSITIONS", "Authority", "AuthorityInput", "AuthorityState"]
+
+
+class AuthorityState(Enum):
+    """Who controls the aircraft, as this program knows it."""
+
+    NONE = "none"  # never asked, refused, or released
+    OBTAINING = "obtaining"  # a request is on its way
+    HELD = "held"  # setpoints are obeyed
+    PAUSED = "paused"  # the pilot left F; going back to F gives authority back
+    LOST = "lost"  # the app took it, or the link is gone; a new request is needed
+    RELEASING = "releasing"  # a release is on its way
+
+
+class AuthorityInput(Enum):
+    """What can happen."""
+
+    OBTAIN = "we send a request"
+    OBTAINED = "its ack says obtained"
+    REFUSED = "its ack says refused, or none came"
+    RELEASE = "we send a release"
+    RELEASED = "its ack says released, or none came"
+    NOTIFIED = "the aircraft notifies that authority passed away (0x02/0x01)"
+    RC_LEFT_F = "the mode switch is not in F"
+    RC_IN_F = "the mode switch is in F"
+    DEVICE_RC = "CTRL_DEVICE says remote controller"
+    DEVICE_APP = "CTRL_DEVICE says mobile app"
+    DEVICE_ONBOARD = "CTRL_DEVICE says onboard device"
+    LINK_LOST = "the link is gone"
+
+
+_S, _I = AuthorityState, AuthorityInput
+
+TRANSITIONS: dict[AuthorityState, dict[AuthorityInput, AuthorityState]] = {
+    _S.NONE: {
+        _I.OBTAIN: _S.OBTAINING,
+        _I.RELEASE: _S.RELEASING,
+    },
+    _S.OBTAINING: {
+        _I.OBTAINED: _S.HELD,
+        _I.REFUSED: _S.NONE,
+        _I.RELEASE: _S.RELEASING,
+        _I.LINK_LOST: _S.LOST,
+    },
+    _S.HELD: {
+        # The notification does not say who took it. Until the items tell, it is the pilot: that
+        # is the usual case, and it too stops everything.
+        _I.NOTIFIED: _S.PAUSED,
+        _I.RC_LEFT_F: _S.PAUSED,
+        _I.DEVICE_RC: _S.PAUSED,
+        _I.DEVICE_APP: _S.LOST,
+        _I.LINK_LOST: _S.LOST,
+        _I.OBTAIN: _S.OBTAINING,
+        _I.RELEASE: _S.RELEASING,
+    },
+    _S.PAUSED: {
+        _I.DEVICE_ONBOARD: _S.HELD,
+        _I.RC_IN_F: _S.HELD,
+        _I.DEVICE_APP: _S.LOST,
+        _I.LINK_LOST: _S.LOST,
+        _I.OBTAIN: _S.OBTAINING,
+        _I.RELEASE: _S.RELEASING,
+    },
+    _S.LOST: {
+        _I.OBTAIN: _S.OBTAINING,
+        _I.RELEASE: _S.RELEASING,
+    },
+    _S.RELEASING: {
+        _I.RELEASED: _S.NONE,
+        _I.LINK_LOST: _S.LOST,
+    },
+}
+"""State, input, next state."""
+
+_REASONS = {
+    _I.NOTIFIED: "unknown",
+    _I.RC_LEFT_F: "mode_switch",
+    _I.DEVICE_RC: "mode_switch",
+    _I.DEVICE_APP: "app",
+    _I.LINK_LOST: "link",
+    _I.RELEASED: "released",
+}
+
+
+class Authority:
+    """The authority of one connection: its state, how it came to it, and who wants to know.
+
+    Args:
+        on_change: Called after each change with the old and the new state.
+
+    Attributes:
+        state: The present state.
+        reason: Why it was paused or lost: ``"mode_switch"``, ``"app"``, ``"link"``, ``"released"``
+            or ``"unknown"``; an empty string otherwise.
+    """
+
+    def __init__(
+        self, on_change: Callable[[AuthorityState, AuthorityState], None] | None = None
+    ) -> None:
+        self.state = AuthorityState.NONE
+        self.reason = ""
+        self._on_change = on_change
+        self._waiters: list[tuple[AuthorityState, asyncio.Future[None]]] = []
+        self._left_f_since_pause = False
+
+    def feed(self, what: AuthorityInput) -> bool:
+        """Something happened. Returns whether the state changed."""
+        before = self.state
+        after = TRANSITIONS[before].get(what)
+        if after is None:
+            if before in (_S.PAUSED, _S.LOST) and self.reason == "unknown":
+                self.reason = _REASONS.get(what, self.reason)
+            return False
+        self.state = after
+        self.reason = _REASONS.get(what, "") if after in (_S.PAUSED, _S.LOST, _S.NONE) else ""
+        for wanted, waiter in self._waiters:
+            if wanted is after and not waiter.done():
+                waiter.set_result(None)
+        if self._on_change is not None and after is not before:
+            self._on_change(before, after)
+        return after is not before
+
+    def observe_remote_control(self, rc: RemoteControl) -> None:
+        """Cross-check with the mode switch.
+
+        In F right after a notification is not yet "back in F": the notification can overtake the
+        channel values, so the switch must have been seen outside F first.
+        """
+        if rc.mode_switch is not RcMode.F:
+            self._left_f_since_pause = True
+            self.feed(_I.RC_LEFT_F)
+        elif self.state is not _S.PAUSED:
+            self._left_f_since_pause = False
+        elif self._left_f_since_pause:
+            self._left_f_since_pause = False
+            self.feed(_I.RC_IN_F)
+
+    def observe_control_device(self, item: ControlDevice) -> None:
+        """Cross-check with the CTRL_DEVICE item (0 Hz by default: it may never come)."""
+        what = {
+            Device.RC: _I.DEVICE_RC,
+            Device.APP: _I.DEVICE_APP,
+            Device.ONBOARD: _I.DEVICE_ONBOARD,
+        }.get(item.device)  # type: ignore[arg-type]  # an unknown device is in no table
+        if what is not None:
+            self.feed(what)
+
+    async def wait_for(self, state: AuthorityState) -> None:
+        """Wait until the state is that one."""
+        if self.state is state:
+            return
+        waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        entry = (state, waiter)
+        self._waiters.append(entry)
+        try:
+            await waiter
+        finally:
+            self._waiters.remove(entry)
