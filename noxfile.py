@@ -1,0 +1,126 @@
+"""What `nox` runs. Every session reads its packages from the dependency groups of pyproject.toml.
+
+`nox` alone runs the sessions that must be green: lint, types, docs, examples, tests. They use the
+Python that runs nox. `nox --list` names the others.
+"""
+
+from __future__ import annotations
+
+import re
+import tarfile
+import zipfile
+from pathlib import Path
+
+import nox
+
+nox.needs_version = ">=2025.2.9"
+# Tests come last, so that a run ends with what they have to say.
+nox.options.sessions = ["lint", "types", "docs", "examples", "tests"]
+nox.options.reuse_venv = "yes"
+
+PYPROJECT = nox.project.load_toml("pyproject.toml")
+DOCS_OUTPUT = "docs/_build"
+
+
+def group(*names: str) -> list[str]:
+    """The packages of some dependency groups."""
+    return list(nox.project.dependency_groups(PYPROJECT, *names))
+
+
+def existing(*names: str) -> list[str]:
+    """Those of the paths that exist."""
+    return [name for name in names if Path(name).exists()]
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Style, formatting, and the arrows of the architecture."""
+    session.install(*group("lint"))
+    session.run("ruff", "check", ".")
+    session.run("ruff", "format", "--check", ".")
+    session.run("lint-imports")
+
+
+@nox.session
+def types(session: nox.Session) -> None:
+    """mypy --strict and pyright."""
+    session.install("-e", ".[cli]", *group("types", "test", "docs", "bench"))
+    checked = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
+    session.run("mypy", *checked)
+    session.run("pyright")
+
+
+@nox.session
+def docs(session: nox.Session) -> None:
+    """The manual: every warning is an error, every example in it is run."""
+    session.install(".[cli]", *group("docs"))
+    options = ("--nitpicky", "--fail-on-warning", "--keep-going", "--quiet")
+    for builder in ("html", "doctest"):
+        session.run("sphinx-build", *options, "-b", builder, "docs", f"{DOCS_OUTPUT}/{builder}")
+
+
+@nox.session
+def examples(session: nox.Session) -> None:
+    """Every example program flies, against a virtual aircraft."""
+    session.install(".[cli]")
+    for example in sorted(Path("examples").glob("*.py")):
+        session.run("python", "-W", "error", str(example))
+
+
+@nox.session
+def tests(session: nox.Session) -> None:
+    """The test suite on the installed package, with branch coverage."""
+    run_tests(session, "--cov", "--cov-report=term")
+
+
+@nox.session(python=["3.11", "3.12", "3.13", "3.14"], default=False)
+def pythons(session: nox.Session) -> None:
+    """The test suite on other Pythons, where they are installed."""
+    run_tests(session)
+
+
+@nox.session(default=False)
+def minimum(session: nox.Session) -> None:
+    """The test suite on the lowest versions that pyproject.toml allows."""
+    project = PYPROJECT["project"]
+    declared = [*project["dependencies"], *project["optional-dependencies"]["cli"]]
+    lowest = [re.sub(r">=\s*", "==", requirement) for requirement in declared]
+    run_tests(session, constrained_to=lowest)
+
+
+def run_tests(session: nox.Session, *options: str, constrained_to: list[str] | None = None) -> None:
+    """Install as a user would, with the extras, and run pytest."""
+    session.install(".[cli]", *group("test"), *(constrained_to or []))
+    session.run("pytest", *options, *session.posargs)
+
+
+@nox.session(default=False)
+def bench(session: nox.Session) -> None:
+    """The benchmarks, beside their rivals on the same machine."""
+    session.install(".[cli]", *group("bench"))
+    session.run("python", "benchmarks/run.py", *session.posargs)
+
+
+@nox.session(default=False)
+def build(session: nox.Session) -> None:
+    """Source archive and wheel, and whether the right files are in them."""
+    session.install("build")
+    output = Path(session.create_tmp()) / "dist"
+    for old in output.glob("m100link-*"):
+        old.unlink()
+    session.run("python", "-m", "build", "--outdir", str(output), silent=True)
+    (wheel,) = output.glob("*.whl")
+    (archive,) = output.glob("*.tar.gz")
+    with zipfile.ZipFile(wheel) as packed:
+        in_wheel = packed.namelist()
+    with tarfile.open(archive) as tarred:
+        in_archive = [name.partition("/")[2] for name in tarred.getnames()]
+    strangers = [n for n in in_wheel if not re.match(r"m100link(-[^/]+\.dist-info)?/", n)]
+    if "m100link/py.typed" not in in_wheel:
+        session.error("the wheel has no py.typed")
+    if strangers:
+        session.error(f"the wheel holds more than the package: {strangers}")
+    missing = {"LICENSE", "README.md", "CHANGELOG.md", "noxfile.py"} - set(in_archive)
+    if missing:
+        session.error(f"the source archive lacks {missing}")
+    session.log(f"{wheel.name}: {len(in_wheel)} files; {archive.name}: {len(in_archive)} entries")
