@@ -1,0 +1,60 @@
+"""The virtual Matrice 100: the other end of the cable, as far as the document describes it.
+
+:class:`VirtualAircraft` is the aircraft as one object, :class:`Driver` lets time pass for it on an
+event loop. ``m100link sim`` runs it for people and other programs, :mod:`m100link.testing` hands it
+to test suites.
+"""
+
+from m100link.sim.autopilot import Autopilot, Counters, LogEntry
+from m100link.sim.clock import ScaledEventLoop, VirtualClockEventLoop, loop_factory
+from m100link.sim.commands import LastCommand
+from m100link.sim.dynamics import Airframe, Dynamics
+from m100link.sim.faults import NO_FAULTS, Line, LineFaults
+from m100link.sim.mobile import (
+    DEMO_APP_ID,
+    DEMO_KEY,
+    ActivationServer,
+    MobileApp,
+    RegisteredApp,
+)
+from m100link.sim.pty import PtyPort
+from m100link.sim.remote import RemoteControl
+from m100link.sim.serve import Driver, TcpServer, open_sim, serve_tcp
+from m100link.sim.settings import (
+    DEFAULT_RATES_HZ,
+    AircraftSettings,
+    AssistantSettings,
+    Undecodable,
+)
+from m100link.sim.virtual import VirtualAircraft
+
+__all__ = [
+    "DEFAULT_RATES_HZ",
+    "DEMO_APP_ID",
+    "DEMO_KEY",
+    "NO_FAULTS",
+    "ActivationServer",
+    "AircraftSettings",
+    "Airframe",
+    "AssistantSettings",
+    "Autopilot",
+    "Counters",
+    "Driver",
+    "Dynamics",
+    "LastCommand",
+    "Line",
+    "LineFaults",
+    "LogEntry",
+    "MobileApp",
+    "PtyPort",
+    "RegisteredApp",
+    "RemoteControl",
+    "ScaledEventLoop",
+    "TcpServer",
+    "Undecodable",
+    "VirtualAircraft",
+    "VirtualClockEventLoop",
+    "loop_factory",
+    "open_sim",
+    "serve_tcp",
+]

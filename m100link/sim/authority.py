@@ -1,0 +1,142 @@
+"""Who may fly: remote control before mobile app before onboard device.
+
+(Document, *Remote Controller, Onboard API & Mobile API*, and 2.2.2.1.) The remote control decides
+whether the other two may ask at all; the mobile app may take control from the onboard device.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from m100link.protocol.codes import AuthorityCode
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.telemetry import Device, RcMode
+from m100link.sim.mobile import MobileApp
+from m100link.sim.remote import RemoteControl
+from m100link.sim.settings import AircraftSettings, AssistantSettings
+
+__all__ = ["Authority", "Obstacle"]
+
+
+class Obstacle(Enum):
+    """Why the API is kept out."""
+
+    API_DISABLED = "API control is not enabled in the assistant"
+    RC_LOST = "the remote control is lost"
+    NOT_IN_F = "the mode switch is not in F"
+    F_NOT_TOGGLED = "the mode switch stood in F at power-on and was not moved since"
+    IOC_ON = "IOC is on"
+    APP_HOLDS = "the mobile app holds control"
+
+
+class Authority:
+    """The state of control authority; :meth:`update` after anything that may change it.
+
+    Attributes:
+        device: Who holds control now.
+        is_requested: The onboard device has obtained control and not given it back. Leaving F keeps
+            this, so that coming back to F needs no new request.
+        is_pending: A first request of two was answered "in progress".
+        failsafe: The flight controller has taken over for want of a remote control.
+    """
+
+    __slots__ = (
+        "_app",
+        "_profile",
+        "_remote",
+        "_settings",
+        "assistant",
+        "device",
+        "failsafe",
+        "is_pending",
+        "is_releasing",
+        "is_requested",
+    )
+
+    def __init__(
+        self,
+        profile: FirmwareProfile,
+        settings: AircraftSettings,
+        assistant: AssistantSettings,
+        remote: RemoteControl,
+        app: MobileApp,
+    ) -> None:
+        self._profile = profile
+        self._settings = settings
+        self._remote = remote
+        self._app = app
+        self.assistant = assistant
+        self.device = Device.RC
+        self.is_requested = self.is_pending = self.is_releasing = self.failsafe = False
+
+    def obstacle(self) -> Obstacle | None:
+        """What keeps the API out, or None; the app is not looked at."""
+        if not self.assistant.api_control_enabled:
+            return Obstacle.API_DISABLED
+        if self.failsafe or not self._remote.is_on:
+            return Obstacle.RC_LOST
+        if self._remote.mode is not RcMode.F:
+            return Obstacle.NOT_IN_F
+        if self._profile.needs_f_toggle and not self._remote.moved_since_power_on:
+            return Obstacle.F_NOT_TOGGLED
+        if self._profile.ioc_must_be_off and self.assistant.ioc_on:
+            return Obstacle.IOC_ON
+        return None
+
+    def update(self) -> bool:
+        """Decide anew. Returns True when the onboard device has just lost control to another."""
+        obstacle = self.obstacle()
+        if obstacle is Obstacle.RC_LOST and not self.failsafe:
+            return False  # the link to the remote may come back; the failsafe decides
+        before = self.device
+        if obstacle is not None:
+            self.device = Device.RC
+            self.is_pending = False
+        elif self._app.wants_control:
+            self.device = Device.APP
+            if not self._settings.authority_resumes_after_app:
+                self.is_requested = self.is_pending = False
+        elif self.is_requested:
+            self.device = Device.ONBOARD
+        else:
+            self.device = Device.RC
+        return before is Device.ONBOARD and self.device is not before
+
+    @property
+    def refusal(self) -> AuthorityCode:
+        """Answer to a request that cannot be granted or is none."""
+        one_request = self._profile.authority_requests == 1
+        return AuthorityCode.NOT_CHANGED if one_request else AuthorityCode.NOT_IN_F
+
+    def request(self, obtain: bool) -> AuthorityCode:
+        """Answer a request of the onboard device (0x01/0x00)."""
+        code = self._obtain() if obtain else self._release()
+        self.update()
+        return code
+
+    def _obtain(self) -> AuthorityCode:
+        two_requests = self._profile.authority_requests > 1
+        obstacle = self.obstacle()
+        if obstacle is None and self._app.wants_control:
+            obstacle = Obstacle.APP_HOLDS
+        self.is_releasing = False
+        if obstacle is not None:
+            self.is_pending = False
+            ioc_code = two_requests and obstacle is Obstacle.IOC_ON
+            return AuthorityCode.IOC_ON if ioc_code else self.refusal
+        if two_requests and not self.is_requested and not self.is_pending:
+            self.is_pending = True
+            return AuthorityCode.NOT_CHANGED  # 3: in progress, ask again
+        self.is_pending = False
+        self.is_requested = True
+        return AuthorityCode.OBTAINED
+
+    def _release(self) -> AuthorityCode:
+        two_requests = self._profile.authority_requests > 1
+        self.is_pending = False
+        if two_requests and self.is_requested and not self.is_releasing:
+            self.is_releasing = True
+            return AuthorityCode.RELEASING
+        self.is_releasing = False
+        self.is_requested = False
+        return AuthorityCode.RELEASED

@@ -1,0 +1,104 @@
+"""Event loops with a time of their own: N times faster, or virtual.
+
+The virtual aircraft takes its time from the event loop, so a faster loop is a faster aircraft::
+
+    with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
+        runner.run(minutes_of_flight())            # takes milliseconds
+
+The **virtual** clock never waits: when nothing is ready to run, time jumps to the next timer. It is
+exact and repeatable, for everything that stays inside the process. Threads and other processes do
+not know about it: while one of them works, virtual time may run on for hours. For real ports use
+the **scaled** clock, which waits, only shorter.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import time
+from collections.abc import Callable
+
+__all__ = ["ScaledEventLoop", "VirtualClockEventLoop", "loop_factory", "virtual_clock_loop"]
+
+_Events = list[tuple[selectors.SelectorKey, int]]
+
+
+class _ScaledSelector(selectors.DefaultSelector):
+    """Waits a fraction of the time it is asked to wait."""
+
+    speed = 1.0
+
+    def select(self, timeout: float | None = None) -> _Events:
+        return super().select(None if timeout is None else timeout / self.speed)
+
+
+class ScaledEventLoop(asyncio.SelectorEventLoop):
+    """An event loop whose seconds are shorter (speed above 1) or longer (below 1).
+
+    Args:
+        speed: Loop seconds per real second, above 0.
+    """
+
+    def __init__(self, speed: float) -> None:
+        if not speed > 0.0:
+            raise ValueError(f"speed must be above 0, got {speed}")
+        selector = _ScaledSelector()
+        selector.speed = speed
+        self._speed = speed
+        self._start: float | None = None
+        super().__init__(selector)
+        self._start = super().time()
+        # Timers due within one tick of the clock count as due; the tick is scaled, too.
+        self._clock_resolution = time.get_clock_info("monotonic").resolution * speed
+
+    @property
+    def speed(self) -> float:
+        """Loop seconds per real second."""
+        return self._speed
+
+    def time(self) -> float:
+        """Loop seconds; equal to the monotonic clock when the loop was made."""
+        now = super().time()
+        return now if self._start is None else self._start + (now - self._start) * self._speed
+
+
+class _JumpingSelector(selectors.DefaultSelector):
+    """Instead of waiting, lets the clock jump over the time it was asked to wait."""
+
+    now = 0.0
+
+    def select(self, timeout: float | None = None) -> _Events:
+        if timeout is None:  # no timer at all: only a thread or a file can end this wait
+            return super().select(None)
+        events = super().select(0)
+        if not events and timeout > 0.0:
+            self.now += timeout
+        return events
+
+
+class VirtualClockEventLoop(asyncio.SelectorEventLoop):
+    """An event loop without waiting: idle, its time jumps to the next timer. It starts at 0."""
+
+    def __init__(self) -> None:
+        self._jumping = _JumpingSelector()
+        super().__init__(self._jumping)
+
+    def time(self) -> float:
+        """Virtual seconds since the loop was made."""
+        return self._jumping.now
+
+
+def virtual_clock_loop() -> asyncio.AbstractEventLoop:
+    """A new loop with a virtual clock, as ``loop_factory`` for :class:`asyncio.Runner`."""
+    return VirtualClockEventLoop()
+
+
+def loop_factory(speed: float = 1.0) -> Callable[[], asyncio.AbstractEventLoop]:
+    """A ``loop_factory`` for a speed: 1 is the ordinary loop, infinity the virtual clock."""
+    if speed == 1.0:
+        return asyncio.new_event_loop
+    if speed == float("inf"):
+        return virtual_clock_loop
+    if not speed > 0.0:
+        raise ValueError(f"speed must be above 0, got {speed}")
+    return lambda: ScaledEventLoop(speed)

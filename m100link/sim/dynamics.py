@@ -1,0 +1,485 @@
+"""How the virtual Matrice 100 moves: a quadrotor reduced to what its autopilot lets one notice.
+
+Plain Python, fixed step, no clock and no randomness of its own: equal inputs give equal flights on
+every machine. What keeps the parts consistent:
+
+* Horizontal force exists only through tilt. Velocity and position control work by asking for a
+  tilt, attitude follows as a second-order system, tilt and vertical thrust make the acceleration.
+* Velocity is the running sum of exactly that acceleration, position the trapezoid sum of velocity.
+* The quaternion is built from the same three angles, the body rates from their derivatives.
+
+Conventions (document 3.1): north, east, metres; *up* is positive for height, vertical velocity and
+vertical acceleration; angles in radians, yaw clockwise from north, forward flight is a *negative*
+pitch angle, flight to the right a *positive* roll angle.
+
+The numbers in :class:`Airframe` are chosen to look like a Matrice 100 (velocity lag of about a
+second, 17 m/s at most), they are not measured on one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from math import atan, cos, exp, pi, sin, sqrt, tan
+
+__all__ = ["GRAVITY", "STEP_S", "Airframe", "Dynamics", "Guidance", "Horizontal", "Vertical", "Yaw"]
+
+GRAVITY = 9.80665
+STEP_S = 0.01
+"""One step is one period of the fastest telemetry rate, 100 Hz."""
+
+
+class Horizontal(IntEnum):
+    """What the two horizontal values of a :class:`Guidance` mean."""
+
+    TILT = 0
+    """Roll and pitch in radians."""
+    VELOCITY = 1
+    """m/s."""
+    POSITION = 2
+    """A place: metres north and east of the origin."""
+    BRAKE = 3
+    """Stop, then hold the place where it stopped."""
+
+
+class Vertical(IntEnum):
+    """What the vertical value of a :class:`Guidance` means."""
+
+    VELOCITY = 0
+    """m/s, up."""
+    HEIGHT = 1
+    """Metres above the ground at the origin."""
+    THRUST = 2
+    """Percent of full thrust."""
+
+
+class Yaw(IntEnum):
+    """What the yaw value of a :class:`Guidance` means."""
+
+    ANGLE = 0
+    """Radians from north, clockwise."""
+    RATE = 1
+    """Radians per second, clockwise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Airframe:
+    """The numbers of the model. Replace some of them to fly a heavier or livelier aircraft."""
+
+    tilt_frequency: float = 10.0
+    """Natural frequency of the critically damped attitude response, rad/s."""
+    maximum_tilt_deg: float = 30.0
+    """Limit of commanded tilt (document 3.2)."""
+    cruise_tilt_deg: float = 25.0
+    """Tilt that velocity and position control allow themselves."""
+    drag: float = 0.30
+    """Horizontal deceleration per m/s of airspeed, 1/s."""
+    vertical_drag: float = 0.35
+    """Vertical deceleration per m/s in thrust control, 1/s."""
+    velocity_gain: float = 1.6
+    """Horizontal acceleration asked for per m/s of velocity error, 1/s."""
+    position_gain: float = 0.8
+    """Velocity asked for per metre of position error, 1/s."""
+    position_speed: float = 3.0
+    """Fastest approach in position control, m/s. Users of the real one report about this value."""
+    vertical_time_constant: float = 0.35
+    """First-order lag of vertical velocity, s."""
+    vertical_acceleration: float = 5.0
+    """Limit of vertical acceleration in velocity and height control, m/s²."""
+    height_gain: float = 1.2
+    """Vertical velocity asked for per metre of height error, 1/s."""
+    vertical_speed: float = 4.0
+    """Limit of vertical velocity in velocity and height control, m/s (document 3.2)."""
+    yaw_time_constant: float = 0.15
+    """First-order lag of the yaw rate, s."""
+    yaw_gain: float = 2.0
+    """Yaw rate asked for per radian of yaw error, 1/s."""
+    yaw_rate_deg: float = 100.0
+    """Limit of the yaw rate, degrees per second (document 3.2)."""
+    hover_thrust: float = 45.0
+    """Percent of full thrust that carries the aircraft."""
+
+
+class Guidance:
+    """What the aircraft is to do now. Values are of the kinds that the three modes name.
+
+    Attributes:
+        horizontal: Kind of ``a`` and ``b``.
+        a: Roll, or north / forward.
+        b: Pitch, or east / right.
+        body: Measure ``a`` and ``b`` along the nose (True) or along north (False).
+        vertical: Kind of ``up``.
+        up: Vertical velocity, height or thrust.
+        yaw_mode: Kind of ``yaw``.
+        yaw: Yaw angle or rate.
+    """
+
+    __slots__ = ("a", "b", "body", "horizontal", "up", "vertical", "yaw", "yaw_mode")
+
+    def __init__(
+        self,
+        horizontal: Horizontal = Horizontal.BRAKE,
+        a: float = 0.0,
+        b: float = 0.0,
+        *,
+        body: bool = False,
+        vertical: Vertical = Vertical.VELOCITY,
+        up: float = 0.0,
+        yaw_mode: Yaw = Yaw.RATE,
+        yaw: float = 0.0,
+    ) -> None:
+        self.horizontal = horizontal
+        self.a = a
+        self.b = b
+        self.body = body
+        self.vertical = vertical
+        self.up = up
+        self.yaw_mode = yaw_mode
+        self.yaw = yaw
+
+    def __repr__(self) -> str:
+        return (
+            f"Guidance({self.horizontal.name}, {self.a:g}, {self.b:g}, body={self.body}, "
+            f"{self.vertical.name}={self.up:g}, yaw {self.yaw_mode.name}={self.yaw:g})"
+        )
+
+
+class Dynamics:
+    """The state of motion and :meth:`step`, which moves it on by :data:`STEP_S`.
+
+    Attributes:
+        north, east, height: Place in metres from the origin; the ground is at height 0.
+        velocity_north, velocity_east, velocity_up: m/s.
+        acceleration_north, acceleration_east, acceleration_up: m/s², without gravity: the
+            derivative of the velocity.
+        roll, pitch, yaw: Radians; yaw in -pi to pi.
+        rate_x, rate_y, rate_z: Body rates (forward, right, down axes) in rad/s.
+        motors_on: With motors off nothing moves; in the air, it falls.
+        on_ground: True while the landing gear carries it.
+        thrust: Percent of full thrust now.
+        wind_north, wind_east: Velocity of the air in m/s; set at any time.
+        touchdown_speed: Vertical speed of the last contact with the ground, m/s, positive.
+    """
+
+    __slots__ = (
+        "_brake",
+        "_hold_east",
+        "_hold_north",
+        "_pitch_rate",
+        "_roll_rate",
+        "_tilt_damping",
+        "_tilt_decay",
+        "_tilt_pull",
+        "_tilt_stretch",
+        "_vertical_gain",
+        "_yaw_rate",
+        "_yaw_settle",
+        "acceleration_east",
+        "acceleration_north",
+        "acceleration_up",
+        "airframe",
+        "east",
+        "height",
+        "motors_on",
+        "north",
+        "on_ground",
+        "pitch",
+        "rate_x",
+        "rate_y",
+        "rate_z",
+        "roll",
+        "thrust",
+        "touchdown_speed",
+        "velocity_east",
+        "velocity_north",
+        "velocity_up",
+        "wind_east",
+        "wind_north",
+        "yaw",
+    )
+
+    def __init__(self, airframe: Airframe | None = None, *, yaw_deg: float = 0.0) -> None:
+        """Stand on the ground at the origin, motors off, the nose towards ``yaw_deg``."""
+        self.airframe = airframe or Airframe()
+        self.wind_north = self.wind_east = 0.0
+        self.yaw = _wrap(math.radians(yaw_deg))
+        self.north = self.east = self.height = 0.0
+        self.touchdown_speed = 0.0
+        self.motors_on = False
+        self.on_ground = True
+        self._settle()
+        # Exact solutions over one step: of the critically damped attitude (the pair of decay and
+        # stretch), of the first-order lags of climb and yaw rate. A step response measured at
+        # the sample times is therefore the closed form, whatever the step.
+        w = self.airframe.tilt_frequency
+        decay = exp(-w * STEP_S)
+        self._tilt_decay = decay * (1.0 + w * STEP_S)
+        self._tilt_stretch = decay * STEP_S
+        self._tilt_pull = -decay * w * w * STEP_S
+        self._tilt_damping = decay * (1.0 - w * STEP_S)
+        lag = self.airframe.vertical_time_constant
+        self._vertical_gain = (1.0 - exp(-STEP_S / lag)) / STEP_S
+        self._yaw_settle = exp(-STEP_S / self.airframe.yaw_time_constant)
+
+    def _settle(self) -> None:
+        """At rest and level where it is."""
+        self.velocity_north = self.velocity_east = self.velocity_up = 0.0
+        self.acceleration_north = self.acceleration_east = self.acceleration_up = 0.0
+        self.roll = self.pitch = 0.0
+        self.rate_x = self.rate_y = self.rate_z = 0.0
+        self._roll_rate = self._pitch_rate = self._yaw_rate = 0.0
+        self.thrust = 0.0
+        self._brake = False
+        self._hold_north = self.north
+        self._hold_east = self.east
+
+    def place(self, north: float, east: float, height: float = 0.0, yaw_deg: float = 0.0) -> None:
+        """Put the aircraft somewhere, at rest and level (hovering if height is above 0)."""
+        self.north, self.east, self.height = north, east, max(0.0, height)
+        self.yaw = _wrap(math.radians(yaw_deg))
+        self._settle()
+        self.on_ground = height <= 0.0
+        self.motors_on = not self.on_ground
+
+    def step(self, guidance: Guidance) -> None:
+        """Move on by :data:`STEP_S` towards ``guidance``."""
+        if not self.motors_on:
+            if not self.on_ground:
+                self._fall()
+            return
+        self._turn(guidance)
+        lift = self._lift(guidance)
+        if self.on_ground:
+            if lift <= GRAVITY:  # too little to leave the ground, which also takes every side force
+                self._stand()
+                return
+            self.on_ground = False
+        cos_yaw, sin_yaw = cos(self.yaw), sin(self.yaw)
+        if guidance.horizontal == Horizontal.TILT:
+            roll, pitch = self._commanded_tilt(guidance, cos_yaw, sin_yaw)
+        else:
+            roll, pitch = self._tilt_for(guidance, lift, cos_yaw, sin_yaw)
+        self._tilt(roll, pitch)
+        self._move(lift, cos_yaw, sin_yaw)
+
+    # --- the three axes ---------------------------------------------------------------------
+
+    def _turn(self, guidance: Guidance) -> None:
+        airframe = self.airframe
+        limit = airframe.yaw_rate_deg * (pi / 180.0)
+        wanted = guidance.yaw
+        if guidance.yaw_mode == Yaw.ANGLE:
+            wanted = airframe.yaw_gain * _wrap(wanted - self.yaw)
+        if wanted > limit:
+            wanted = limit
+        elif wanted < -limit:
+            wanted = -limit
+        if self.on_ground:
+            wanted = 0.0
+        lead = (self._yaw_rate - wanted) * self._yaw_settle
+        rate = wanted + lead
+        before = self._yaw_rate
+        if rate or before:
+            lag = airframe.yaw_time_constant
+            self.yaw = _wrap(self.yaw + wanted * STEP_S + (before - wanted - lead) * lag)
+            self._yaw_rate = rate
+
+    def _lift(self, guidance: Guidance) -> float:
+        """Vertical part of the thrust per mass, m/s²: gravity when the height is to stay."""
+        airframe = self.airframe
+        level = cos(self.roll) * cos(self.pitch)
+        vertical = guidance.vertical
+        if vertical == Vertical.THRUST:
+            self.thrust = min(100.0, max(0.0, guidance.up))
+            lift = GRAVITY * self.thrust / airframe.hover_thrust * level
+            return lift - airframe.vertical_drag * self.velocity_up
+        limit = airframe.vertical_speed
+        wanted = guidance.up
+        if vertical == Vertical.HEIGHT:
+            wanted = airframe.height_gain * (wanted - self.height)
+        if wanted > limit:
+            wanted = limit
+        elif wanted < -limit:
+            wanted = -limit
+        acceleration = (wanted - self.velocity_up) * self._vertical_gain
+        limit = airframe.vertical_acceleration
+        if acceleration > limit:
+            acceleration = limit
+        elif acceleration < -limit:
+            acceleration = -limit
+        self.thrust = airframe.hover_thrust * (acceleration / GRAVITY + 1.0) / level
+        return GRAVITY + acceleration
+
+    def _commanded_tilt(
+        self, guidance: Guidance, cos_yaw: float, sin_yaw: float
+    ) -> tuple[float, float]:
+        roll, pitch = guidance.a, guidance.b
+        if not guidance.body:
+            # Ground frame: roll tilts to the east, pitch about the axis that points east.
+            roll, pitch = (
+                roll * cos_yaw + pitch * sin_yaw,
+                pitch * cos_yaw - roll * sin_yaw,
+            )
+        limit = self.airframe.maximum_tilt_deg * (pi / 180.0)
+        return min(limit, max(-limit, roll)), min(limit, max(-limit, pitch))
+
+    def _tilt_for(
+        self, guidance: Guidance, lift: float, cos_yaw: float, sin_yaw: float
+    ) -> tuple[float, float]:
+        """Roll and pitch that make the acceleration which velocity and position control want."""
+        airframe = self.airframe
+        north, east = self._wanted_velocity(guidance, cos_yaw, sin_yaw)
+        gain, drag = airframe.velocity_gain, airframe.drag
+        north = gain * (north - self.velocity_north) + drag * (
+            self.velocity_north - self.wind_north
+        )
+        east = gain * (east - self.velocity_east) + drag * (self.velocity_east - self.wind_east)
+        limit = GRAVITY * tan(airframe.cruise_tilt_deg * (pi / 180.0))
+        square = north * north + east * east
+        if square > limit * limit:
+            shrink = limit / sqrt(square)
+            north *= shrink
+            east *= shrink
+        if lift < 1.0:
+            lift = 1.0
+        forward = north * cos_yaw + east * sin_yaw
+        right = east * cos_yaw - north * sin_yaw
+        pitch = -atan(forward / lift)
+        return atan(right * cos(pitch) / lift), pitch
+
+    def _wanted_velocity(
+        self, guidance: Guidance, cos_yaw: float, sin_yaw: float
+    ) -> tuple[float, float]:
+        airframe = self.airframe
+        horizontal = guidance.horizontal
+        if horizontal == Horizontal.VELOCITY:
+            self._brake = False
+            a, b = guidance.a, guidance.b
+            if guidance.body:
+                return a * cos_yaw - b * sin_yaw, a * sin_yaw + b * cos_yaw
+            return a, b
+        if horizontal == Horizontal.POSITION:
+            self._brake = False
+            target_north, target_east = guidance.a, guidance.b
+        else:
+            if not self._brake:
+                # Aim for where it will stand: braking from speed v takes about v / gain.
+                square = self.velocity_north**2 + self.velocity_east**2
+                if square > 0.09:
+                    return 0.0, 0.0
+                self._brake = True
+                stop = 1.0 / airframe.velocity_gain
+                self._hold_north = self.north + self.velocity_north * stop
+                self._hold_east = self.east + self.velocity_east * stop
+            target_north, target_east = self._hold_north, self._hold_east
+        north = airframe.position_gain * (target_north - self.north)
+        east = airframe.position_gain * (target_east - self.east)
+        limit = airframe.position_speed
+        square = north * north + east * east
+        if square > limit * limit:
+            shrink = limit / sqrt(square)
+            return north * shrink, east * shrink
+        return north, east
+
+    # --- motion -----------------------------------------------------------------------------
+
+    def _tilt(self, roll: float, pitch: float) -> None:
+        decay, stretch = self._tilt_decay, self._tilt_stretch
+        pull, damping = self._tilt_pull, self._tilt_damping
+        error, rate = self.roll - roll, self._roll_rate
+        self.roll = roll + decay * error + stretch * rate
+        self._roll_rate = roll_rate = pull * error + damping * rate
+        error, rate = self.pitch - pitch, self._pitch_rate
+        self.pitch = pitch + decay * error + stretch * rate
+        self._pitch_rate = pitch_rate = pull * error + damping * rate
+        cos_roll, sin_roll = cos(self.roll), sin(self.roll)
+        yaw_rate = self._yaw_rate
+        sideways = yaw_rate * cos(self.pitch)
+        self.rate_x = roll_rate - yaw_rate * sin(self.pitch)
+        self.rate_y = pitch_rate * cos_roll + sideways * sin_roll
+        self.rate_z = sideways * cos_roll - pitch_rate * sin_roll
+
+    def _move(self, lift: float, cos_yaw: float, sin_yaw: float) -> None:
+        drag = self.airframe.drag
+        forward = -lift * tan(self.pitch)
+        right = lift * tan(self.roll) / cos(self.pitch)
+        velocity = self.velocity_north
+        acceleration = forward * cos_yaw - right * sin_yaw - drag * (velocity - self.wind_north)
+        self.acceleration_north = acceleration
+        self.velocity_north = after = velocity + acceleration * STEP_S
+        self.north += (velocity + after) * (0.5 * STEP_S)
+        velocity = self.velocity_east
+        acceleration = forward * sin_yaw + right * cos_yaw - drag * (velocity - self.wind_east)
+        self.acceleration_east = acceleration
+        self.velocity_east = after = velocity + acceleration * STEP_S
+        self.east += (velocity + after) * (0.5 * STEP_S)
+        velocity = self.velocity_up
+        acceleration = lift - GRAVITY
+        self.acceleration_up = acceleration
+        self.velocity_up = after = velocity + acceleration * STEP_S
+        self.height += (velocity + after) * (0.5 * STEP_S)
+        if self.height <= 0.0:
+            self._touch_down()
+
+    def _touch_down(self) -> None:
+        self.touchdown_speed = max(0.0, -self.velocity_up)
+        self.height = 0.0
+        thrust = self.thrust
+        self._settle()
+        self.thrust = thrust
+        self.on_ground = True
+
+    def _stand(self) -> None:
+        thrust = self.thrust
+        self._settle()
+        self.thrust = thrust
+
+    def _fall(self) -> None:
+        """Motors off in the air: ballistic, with drag, as it was tilted."""
+        drag = self.airframe.drag
+        self.thrust = 0.0
+        self._roll_rate = self._pitch_rate = self._yaw_rate = 0.0
+        self.rate_x = self.rate_y = self.rate_z = 0.0
+        north, east, up = self.velocity_north, self.velocity_east, self.velocity_up
+        self.acceleration_north = -drag * (north - self.wind_north)
+        self.acceleration_east = -drag * (east - self.wind_east)
+        self.acceleration_up = -GRAVITY
+        self.velocity_north = north + self.acceleration_north * STEP_S
+        self.velocity_east = east + self.acceleration_east * STEP_S
+        self.velocity_up = up - GRAVITY * STEP_S
+        self.north += (north + self.velocity_north) * (0.5 * STEP_S)
+        self.east += (east + self.velocity_east) * (0.5 * STEP_S)
+        self.height += (up + self.velocity_up) * (0.5 * STEP_S)
+        if self.height <= 0.0:
+            self._touch_down()
+
+    # --- views ------------------------------------------------------------------------------
+
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """Scalar first, ground (north, east, down) to body (forward, right, down), z-y-x angles.
+
+        Level and facing north is (1, 0, 0, 0); facing east (0.7071, 0, 0, 0.7071).
+        """
+        half_roll, half_pitch, half_yaw = 0.5 * self.roll, 0.5 * self.pitch, 0.5 * self.yaw
+        cr, sr = cos(half_roll), sin(half_roll)
+        cp, sp = cos(half_pitch), sin(half_pitch)
+        cy, sy = cos(half_yaw), sin(half_yaw)
+        return (
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        )
+
+    @property
+    def speed(self) -> float:
+        """Horizontal speed over ground, m/s."""
+        return sqrt(self.velocity_north**2 + self.velocity_east**2)
+
+
+def _wrap(angle: float) -> float:
+    """The same direction in -pi to pi."""
+    if -pi <= angle <= pi:
+        return angle
+    return math.remainder(angle, 2.0 * pi)

@@ -1,0 +1,286 @@
+"""A line that loses, damages, delays and repeats, between the aircraft and whoever talks to it.
+
+No I/O and no clock: bytes go in with the present time, bytes come out when they are due. Every
+random choice comes from the one :class:`random.Random` that is passed in, so a seed repeats a bad
+day exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
+
+if TYPE_CHECKING:
+    from random import Random
+
+__all__ = ["NO_FAULTS", "Direction", "Line", "LineFaults", "split_frames"]
+
+_BITS_PER_BYTE = 10  # 8N1
+_BUFFER_S = 0.5  # what a slow sender keeps waiting; beyond it frames are dropped
+_RADIO_TURNAROUND_S = 0.002
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineFaults:
+    """What is wrong with a line. Probabilities are per frame.
+
+    Attributes:
+        loss: Probability that a frame does not arrive, 0 to 1.
+        damage: Probability that one to four of its bits are flipped.
+        duplicate: Probability that it arrives twice.
+        delay: Seconds that everything takes.
+        jitter: Up to so many seconds more, differently for each frame; the order stays.
+        noise: Bursts of random bytes per second.
+        noise_bytes: Longest burst.
+        baud_rate: Bits per second that the line carries (8N1); None is unlimited. What a sender
+            cannot place within half a second is dropped.
+        radio: The half-duplex 433 MHz modules of the document's quick start: while one side
+            transmits, the other cannot, and half of what starts in that time is lost.
+    """
+
+    loss: float = 0.0
+    damage: float = 0.0
+    duplicate: float = 0.0
+    delay: float = 0.0
+    jitter: float = 0.0
+    noise: float = 0.0
+    noise_bytes: int = 32
+    baud_rate: int | None = None
+    radio: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        for name in ("loss", "damage", "duplicate"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} is a probability: 0 to 1, not {getattr(self, name)}")
+        for name in ("delay", "jitter", "noise"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is not negative, {getattr(self, name)} is")
+        if self.noise_bytes < 1:
+            raise ValueError("a burst of noise has at least one byte")
+        if self.baud_rate is not None and self.baud_rate <= 0:
+            raise ValueError(f"a line of {self.baud_rate} baud carries nothing")
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether bytes pass untouched and at once."""
+        return self == NO_FAULTS
+
+
+NO_FAULTS = LineFaults()
+
+
+def split_frames(data: bytes) -> list[bytes]:
+    """Cut a chunk of bytes where frames begin, so that faults strike frames and not reads.
+
+    Checksums are not looked at: what does not look like whole frames stays one piece.
+    """
+    pieces = []
+    start = 0
+    while len(data) - start >= HEADER_SIZE and data[start] == SOF:
+        length = data[start + 1] | (data[start + 2] & 0x03) << 8
+        if not HEADER_SIZE <= length <= min(MAX_FRAME_SIZE, len(data) - start):
+            break
+        pieces.append(data[start : start + length])
+        start += length
+    if start < len(data):
+        pieces.append(data[start:])
+    return pieces
+
+
+class Direction:
+    """One direction of a line.
+
+    Attributes:
+        faults: What is wrong with it; may be replaced at any time.
+        is_stalled: Nothing passes; what is sent waits, up to half a second's worth.
+        frames: Pieces sent into it.
+        lost: Pieces that do not arrive.
+        damaged: Pieces that arrive with flipped bits.
+        duplicated: Pieces that arrive twice.
+    """
+
+    def __init__(self, random: Random, faults: LineFaults = NO_FAULTS) -> None:
+        self._random = random
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._last_arrival = -math.inf
+        self._next_noise: float | None = None
+        self.busy_until = -math.inf
+        self.faults = faults
+        self.is_stalled = False
+        self.frames = self.lost = self.damaged = self.duplicated = 0
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether bytes pass untouched and at once, with none waiting."""
+        return not self.is_stalled and not self._waiting and self.faults is NO_FAULTS
+
+    def put(self, piece: bytes, now: float, other: Direction | None = None) -> None:
+        """Send a frame, or any piece of bytes, into the line."""
+        faults, random = self.faults, self._random
+        self.frames += 1
+        if faults.loss and random.random() < faults.loss:
+            self.lost += 1
+            return
+        if faults.damage and random.random() < faults.damage:
+            piece = self._damage(piece)
+        copies = 1
+        if faults.duplicate and random.random() < faults.duplicate:
+            copies = 2
+            self.duplicated += 1
+        for _ in range(copies):
+            sent = self._transmit(piece, now, other)
+            if sent is None:
+                self.lost += 1
+                continue
+            arrival = sent + faults.delay
+            if faults.jitter:
+                arrival += faults.jitter * random.random()
+            # A serial line has no overtaking.
+            self._last_arrival = arrival = max(arrival, self._last_arrival)
+            self._waiting.append((arrival, piece))
+
+    def _transmit(self, piece: bytes, now: float, other: Direction | None) -> float | None:
+        """When the last byte has left, or None when it never does."""
+        faults = self.faults
+        start = max(now, self.busy_until)
+        if faults.radio and other is not None and other.busy_until > now:
+            if self._random.random() < 0.5:
+                return None
+            start = max(start, other.busy_until + _RADIO_TURNAROUND_S)
+        if start - now > _BUFFER_S or (self.is_stalled and len(self._waiting) > 50):
+            return None
+        baud_rate = faults.baud_rate or (230_400 if faults.radio else None)
+        if baud_rate is None:
+            return now
+        self.busy_until = start + len(piece) * _BITS_PER_BYTE / baud_rate
+        return self.busy_until
+
+    def _damage(self, piece: bytes) -> bytes:
+        damaged = bytearray(piece)
+        for _ in range(self._random.randint(1, 4)):
+            bit = self._random.randrange(8 * len(damaged))
+            damaged[bit // 8] ^= 1 << bit % 8
+        self.damaged += 1
+        return bytes(damaged)
+
+    def take(self, now: float) -> list[bytes]:
+        """What has arrived by now, in order."""
+        if self.is_stalled:
+            return []
+        self._make_noise(now)
+        waiting = self._waiting
+        if not waiting or waiting[0][0] > now + 1e-9:
+            return []
+        arrived = []
+        while waiting and waiting[0][0] <= now + 1e-9:
+            arrived.append(waiting.popleft()[1])
+        return arrived
+
+    def _make_noise(self, now: float) -> None:
+        rate = self.faults.noise
+        if not rate:
+            self._next_noise = None
+            return
+        if self._next_noise is None:
+            self._next_noise = now + self._random.expovariate(rate)
+        while self._next_noise <= now:
+            burst = self._random.randbytes(self._random.randint(1, self.faults.noise_bytes))
+            entries = [*self._waiting, (self._next_noise, burst)]
+            self._waiting = deque(sorted(entries, key=lambda entry: entry[0]))
+            self._next_noise += self._random.expovariate(rate)
+
+    def next_wakeup(self) -> float | None:
+        """When something will have arrived."""
+        if self.is_stalled:
+            return None
+        times = [self._next_noise] if self._next_noise is not None else []
+        if self._waiting:
+            times.append(self._waiting[0][0])
+        return min(times, default=None)
+
+    def clear(self) -> None:
+        """Forget what is under way, as when the plug is pulled."""
+        self.lost += len(self._waiting)
+        self._waiting.clear()
+        self.busy_until = self._last_arrival = -math.inf
+
+
+class Line:
+    """Both directions of the line between the aircraft and the onboard device.
+
+    Attributes:
+        to_host: From the aircraft.
+        to_aircraft: To the aircraft.
+        is_plugged: Unplugged, everything is lost both ways.
+    """
+
+    def __init__(
+        self,
+        random: Random,
+        faults: LineFaults = NO_FAULTS,
+        *,
+        to_aircraft: LineFaults | None = None,
+    ) -> None:
+        self.to_host = Direction(random)
+        self.to_aircraft = Direction(random)
+        self.set_faults(faults, to_aircraft=to_aircraft)
+        self.is_plugged = True
+
+    def set_faults(
+        self, faults: LineFaults = NO_FAULTS, *, to_aircraft: LineFaults | None = None
+    ) -> None:
+        """Replace what is wrong with the line, in both directions or each its own."""
+        self.to_host.faults = NO_FAULTS if faults.is_clean else faults
+        back = faults if to_aircraft is None else to_aircraft
+        self.to_aircraft.faults = NO_FAULTS if back.is_clean else back
+
+    def stall(self, *, to_host: bool = True, to_aircraft: bool = True) -> None:
+        """Stop the line, or let it go on (both False)."""
+        self.to_host.is_stalled = to_host
+        self.to_aircraft.is_stalled = to_aircraft
+
+    def unplug(self) -> None:
+        """Pull the plug; what is under way is lost."""
+        self.is_plugged = False
+        self.to_host.clear()
+        self.to_aircraft.clear()
+
+    def replug(self) -> None:
+        """Plug it in again."""
+        self.is_plugged = True
+
+    def from_aircraft(self, frames: list[bytes], now: float) -> list[bytes]:
+        """Send frames of the aircraft; returns what arrives at the host by now."""
+        return self._pass(self.to_host, frames, now, self.to_aircraft)
+
+    def from_host(self, data: bytes, now: float) -> list[bytes]:
+        """Send bytes of the host; returns what arrives at the aircraft by now."""
+        if data and not self.to_aircraft.is_clean:
+            return self._pass(self.to_aircraft, split_frames(data), now, self.to_host)
+        return self._pass(self.to_aircraft, [data] if data else [], now, self.to_host)
+
+    def _pass(
+        self, direction: Direction, pieces: list[bytes], now: float, other: Direction
+    ) -> list[bytes]:
+        if not self.is_plugged:
+            direction.frames += len(pieces)
+            direction.lost += len(pieces)
+            return []
+        if direction.is_clean:
+            direction.frames += len(pieces)
+            return pieces
+        for piece in pieces:
+            direction.put(piece, now, other)
+        return direction.take(now)
+
+    def next_wakeup(self) -> float | None:
+        """When something will have arrived at either end."""
+        if not self.is_plugged:
+            return None
+        times = (self.to_host.next_wakeup(), self.to_aircraft.next_wakeup())
+        return min((time for time in times if time is not None), default=None)

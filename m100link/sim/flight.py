@@ -1,0 +1,436 @@
+"""What the flight controller makes of orders: take-off, landing, go-home, hovering, setpoints.
+
+It owns the motion (:mod:`m100link.sim.dynamics`), the battery and the flight status, and decides
+each step which guidance the aircraft follows. Who may give orders is not its business
+(:mod:`m100link.sim.authority`).
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from math import radians
+
+from m100link.protocol import setpoint as wire
+from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
+from m100link.protocol.control import Task
+from m100link.protocol.telemetry import Device, FlightPhase, RcMode
+from m100link.sim.dynamics import STEP_S, Dynamics, Guidance, Horizontal, Vertical, Yaw
+from m100link.sim.remote import RemoteControl
+from m100link.sim.settings import AircraftSettings
+from m100link.sim.tasks import TaskMachine
+
+__all__ = ["FlightController", "Maneuver"]
+
+GOOD_GPS = 3
+"""GPS health from which position and velocity can be controlled."""
+
+_SPIN_UP_S = 1.0
+_FINISHING_S = 2.0  # flight status 5 lasts two seconds, say DJI's later documents
+_GROUND_IDLE_S = 1.0
+_GO_HOME_SPEED = 8.0
+_PILOT_SPEED = 10.0
+
+
+class Maneuver(Enum):
+    """What the flight controller does by itself; the onboard device's setpoints wait meanwhile."""
+
+    NONE = "follows orders"
+    SPIN_UP = "starts the motors"
+    TAKE_OFF = "climbs to the take-off height"
+    CLIMB_HOME = "climbs to the go-home height"
+    FLY_HOME = "flies home"
+    DESCEND = "descends to land"
+    FINISH = "stops the motors"
+
+
+class FlightController:
+    """Flight status, tasks, setpoints, battery and home point of one aircraft.
+
+    Attributes:
+        dynamics: The motion.
+        tasks: The flight mode command of the onboard device.
+        phase: Flight status as telemetry shows it.
+        maneuver: What it does by itself at the moment.
+        gps_health: 0 to 5.
+        battery_percent: 0 to 100, a float.
+        home: Metres north and east of the origin, None while not recorded.
+        setpoint: The last movement command that was accepted.
+        timeouts: How often movement commands stopped coming in the air.
+    """
+
+    __slots__ = (
+        "_forced",
+        "_guidance",
+        "_hover",
+        "_idle_since",
+        "_level",
+        "_maneuver_until",
+        "_setpoint_until",
+        "_settings",
+        "battery_percent",
+        "dynamics",
+        "gps_health",
+        "home",
+        "maneuver",
+        "now",
+        "phase",
+        "setpoint",
+        "tasks",
+        "timeouts",
+    )
+
+    def __init__(self, settings: AircraftSettings) -> None:
+        self._settings = settings
+        self.dynamics = Dynamics(settings.airframe, yaw_deg=settings.heading_deg)
+        self.tasks = TaskMachine()
+        self.phase = FlightPhase.STANDBY
+        self.maneuver = Maneuver.NONE
+        self.gps_health = 5
+        self.battery_percent = 100.0
+        self.home: tuple[float, float] | None = None
+        self.setpoint: wire.Setpoint | None = None
+        self.timeouts = 0
+        self.now = 0.0
+        self._guidance = self._hover = Guidance()
+        self._level = Guidance(Horizontal.TILT)
+        self._setpoint_until = -math.inf
+        self._maneuver_until = math.inf
+        self._idle_since: float | None = None
+        self._forced = False
+
+    # --- orders -----------------------------------------------------------------------------
+
+    def move(self, setpoint: wire.Setpoint) -> bool:
+        """Follow a setpoint for a while. Returns False where the aircraft ignores it."""
+        if self.maneuver is not Maneuver.NONE or not self.dynamics.motors_on:
+            return False
+        if setpoint.mode.horizontal is not wire.Horizontal.TILT and self.gps_health < GOOD_GPS:
+            return False
+        self._guidance = self._guidance_for(setpoint)
+        self.setpoint = setpoint
+        self._setpoint_until = self.now + self._settings.movement_timeout
+        return True
+
+    def _guidance_for(self, setpoint: wire.Setpoint) -> Guidance:
+        horizontal, vertical, yaw_mode = setpoint.mode
+        body = setpoint.frame is wire.Frame.BODY
+        a, b, up = setpoint.x, setpoint.y, setpoint.z
+        if horizontal is wire.Horizontal.TILT:
+            a, b = radians(a), radians(b)
+        elif horizontal is wire.Horizontal.POSITION_OFFSET:
+            motion = self.dynamics
+            if body:
+                cosine, sine = math.cos(motion.yaw), math.sin(motion.yaw)
+                a, b = a * cosine - b * sine, a * sine + b * cosine
+            a, b, body = motion.north + a, motion.east + b, False
+        if vertical is wire.Vertical.HEIGHT:
+            up = min(up, self._settings.height_limit)
+        elif vertical is wire.Vertical.THRUST:
+            up = max(up, self._settings.minimum_thrust)
+        return Guidance(
+            Horizontal(horizontal.value),
+            a,
+            b,
+            body=body,
+            vertical=Vertical(vertical.value),
+            up=up,
+            yaw_mode=Yaw(yaw_mode.value),
+            yaw=radians(setpoint.yaw),
+        )
+
+    @property
+    def follows_setpoint(self) -> bool:
+        """Whether a setpoint is in force."""
+        return self.now <= self._setpoint_until and self.maneuver is Maneuver.NONE
+
+    def start_task(self, task_sequence: int, number: int, has_authority: bool) -> TaskStartCode:
+        """Begin take-off, landing or go-home for the onboard device, or reject it."""
+        task = Task(number) if number in Task.__members__.values() else None
+        code = self.tasks.start(task_sequence, task, has_authority and self._can(task))
+        if code == TaskStartCode.STARTED:
+            if task is Task.TAKE_OFF:
+                self.take_off()
+            elif task is Task.LAND:
+                self.land()
+            else:
+                self.go_home()
+        return code
+
+    def query_task(self, task_sequence: int) -> TaskResultCode:
+        """Tell how a task goes or went."""
+        return self.tasks.query(task_sequence)
+
+    def _can(self, task: Task | None) -> bool:
+        if self.maneuver is not Maneuver.NONE:
+            return False
+        if task is Task.TAKE_OFF:
+            motors_on = self.dynamics.motors_on
+            enough = self.battery_percent > self._settings.critical_battery_percent
+            return self.phase is FlightPhase.STANDBY and not motors_on and enough
+        if self.phase is not FlightPhase.IN_AIR:
+            return False
+        return task is Task.LAND or (self.home is not None and self.gps_health >= GOOD_GPS)
+
+    def arm(self, on: bool, has_authority: bool) -> ArmCode:
+        """Start or stop the motors (firmware 3.1, 0x01/0x05)."""
+        if not has_authority:
+            return ArmCode.AUTHORITY_NEEDED
+        if on == self.dynamics.motors_on:
+            return ArmCode.ALREADY
+        if not on and not self.dynamics.on_ground:
+            return ArmCode.IN_THE_AIR
+        if on:
+            self.start_motors()
+        else:
+            self.stop_motors()
+        return ArmCode.DONE
+
+    def start_motors(self) -> None:
+        """Motors idle on the ground; the home point is recorded."""
+        self.dynamics.motors_on = True
+        self._idle_since = None
+        if self.gps_health >= GOOD_GPS:
+            self.home = self.dynamics.north, self.dynamics.east
+
+    def stop_motors(self) -> None:
+        """Motors off. In the air this is a crash."""
+        self.dynamics.motors_on = False
+        self.setpoint = None
+        self._setpoint_until = -math.inf
+        self._begin(Maneuver.NONE)
+        self._forced = False
+        if self.dynamics.on_ground:
+            self.phase = FlightPhase.STANDBY
+
+    def take_off(self) -> None:
+        """Start the motors and climb to the take-off height, whoever wants it."""
+        self.start_motors()
+        self.phase = FlightPhase.TAKING_OFF
+        self._begin(Maneuver.SPIN_UP, self.now + _SPIN_UP_S)
+
+    def land(self) -> None:
+        """Descend where it is and stop the motors."""
+        if self.dynamics.motors_on and self.phase is not FlightPhase.FINISHING_LANDING:
+            self.phase = FlightPhase.LANDING
+            self._begin(Maneuver.DESCEND)
+
+    def go_home(self) -> None:
+        """Climb, fly to the home point, land. Near home, or without a way there, land here."""
+        motion = self.dynamics
+        far = self.distance_home > self._settings.go_home_radius
+        if not far or self.gps_health < GOOD_GPS:
+            self.land()
+        elif motion.height < self._settings.go_home_height:
+            self._begin(Maneuver.CLIMB_HOME)
+        else:
+            self._begin(Maneuver.FLY_HOME)
+
+    def force_landing(self) -> bool:
+        """Land because the battery is nearly empty; nothing interrupts it. False when it need not.
+
+        A landing that is under way already becomes one.
+        """
+        if self._forced or self.dynamics.on_ground or not self.dynamics.motors_on:
+            return False
+        if self.phase is not FlightPhase.LANDING:
+            self.tasks.end(succeeded=False)
+        self._forced = True
+        self.land()
+        return True
+
+    @property
+    def is_forced(self) -> bool:
+        """Whether it lands because the battery is nearly empty."""
+        return self._forced
+
+    def interrupt(self) -> None:
+        """End what it does by itself and hover: control passed to somebody else."""
+        self.tasks.end(succeeded=False)
+        self._setpoint_until = -math.inf
+        self.setpoint = None
+        if self._forced or self.maneuver in (Maneuver.NONE, Maneuver.FINISH):
+            return
+        if self.dynamics.on_ground:
+            self.stop_motors()
+            return
+        self.phase = FlightPhase.IN_AIR
+        self._begin(Maneuver.NONE)
+
+    @property
+    def distance_home(self) -> float:
+        """Metres to the home point; 0 while there is none."""
+        if self.home is None:
+            return 0.0
+        return math.hypot(self.home[0] - self.dynamics.north, self.home[1] - self.dynamics.east)
+
+    def _begin(self, maneuver: Maneuver, until: float = math.inf) -> None:
+        self.maneuver = maneuver
+        self._maneuver_until = until
+
+    # --- each step --------------------------------------------------------------------------
+
+    def step(self, now: float, device: Device, remote: RemoteControl) -> None:
+        """Move on by one step of the dynamics.
+
+        Args:
+            now: Seconds since power-on at the end of the step.
+            device: Who holds control.
+            remote: The pilot's sticks, used while the pilot holds control.
+        """
+        self.now = now
+        motion = self.dynamics
+        self._drain()
+        if not motion.motors_on:
+            self._fall()
+            return
+        if self.maneuver is Maneuver.NONE:
+            guidance = self._orders(device, remote)
+        else:
+            guidance = self._own_guidance()
+        if motion.height > self._settings.height_limit and guidance.vertical != Vertical.HEIGHT:
+            guidance = self._held_down(guidance)
+        motion.step(guidance)
+        if motion.on_ground:
+            self._on_ground()
+        elif self.phase is FlightPhase.STANDBY or self.phase is FlightPhase.TAKING_OFF:
+            self.phase = FlightPhase.IN_AIR
+
+    def _fall(self) -> None:
+        if not self.dynamics.on_ground:
+            self.dynamics.step(self._hover)
+        elif self.phase is not FlightPhase.STANDBY:
+            self.phase = FlightPhase.STANDBY
+
+    def _drain(self) -> None:
+        motion = self.dynamics
+        if self.battery_percent <= 0.0:
+            if motion.motors_on:
+                self.tasks.end(succeeded=False)
+                self.stop_motors()
+            return
+        rate = 100.0 / (60.0 * self._settings.hover_minutes)
+        if not motion.motors_on:
+            rate *= 0.03
+        elif motion.on_ground:
+            rate *= 0.25
+        else:
+            rate *= 0.7 + 0.3 * motion.thrust / self._settings.airframe.hover_thrust
+        self.battery_percent = max(0.0, self.battery_percent - rate * STEP_S)
+
+    def _orders(self, device: Device, remote: RemoteControl) -> Guidance:
+        if device is Device.ONBOARD:
+            if self.now <= self._setpoint_until:
+                return self._guidance
+            if self.setpoint is not None:
+                self.setpoint = None
+                if not self.dynamics.on_ground:
+                    self.timeouts += 1
+        elif device is Device.RC and remote.is_on and remote.sticks_moved:
+            return self._by_sticks(remote)
+        return self._hover if self.gps_health >= GOOD_GPS else self._level
+
+    def _by_sticks(self, remote: RemoteControl) -> Guidance:
+        airframe = self._settings.airframe
+        up = remote.throttle * airframe.vertical_speed
+        yaw = remote.yaw * radians(airframe.yaw_rate_deg)
+        if remote.mode is RcMode.A or self.gps_health < GOOD_GPS:
+            tilt = radians(airframe.maximum_tilt_deg)
+            return Guidance(
+                Horizontal.TILT, remote.roll * tilt, -remote.pitch * tilt, body=True, up=up, yaw=yaw
+            )
+        return Guidance(
+            Horizontal.VELOCITY,
+            remote.pitch * _PILOT_SPEED,
+            remote.roll * _PILOT_SPEED,
+            body=True,
+            up=up,
+            yaw=yaw,
+        )
+
+    def _own_guidance(self) -> Guidance:
+        maneuver = self.maneuver
+        if maneuver is Maneuver.TAKE_OFF:
+            return self._climb_to_take_off_height()
+        if maneuver is Maneuver.CLIMB_HOME or maneuver is Maneuver.FLY_HOME:
+            return self._homewards()
+        if maneuver is Maneuver.DESCEND:
+            up = -1.5 if self.dynamics.height > 3.0 else -0.6
+            return self._vertically(Vertical.VELOCITY, up)
+        if maneuver is Maneuver.SPIN_UP and self.now >= self._maneuver_until:
+            self._begin(Maneuver.TAKE_OFF)
+        elif maneuver is Maneuver.FINISH and self.now >= self._maneuver_until:
+            self.stop_motors()
+            self.tasks.end(succeeded=True)
+        return self._vertically(Vertical.VELOCITY, 0.0)
+
+    def _vertically(self, vertical: Vertical, up: float) -> Guidance:
+        blind = self.gps_health < GOOD_GPS
+        horizontal = Horizontal.TILT if blind else Horizontal.BRAKE
+        return Guidance(horizontal, vertical=vertical, up=up)
+
+    def _climb_to_take_off_height(self) -> Guidance:
+        motion, height = self.dynamics, self._settings.take_off_height
+        if abs(motion.height - height) < 0.05 and abs(motion.velocity_up) < 0.1:
+            self._begin(Maneuver.NONE)
+            self.tasks.end(succeeded=True)
+        return self._vertically(Vertical.HEIGHT, height)
+
+    def _homewards(self) -> Guidance:
+        motion = self.dynamics
+        if self.home is None or self.gps_health < GOOD_GPS:
+            self.tasks.end(succeeded=False)
+            self._begin(Maneuver.NONE)
+            return self._level
+        north, east = self.home[0] - motion.north, self.home[1] - motion.east
+        distance = math.hypot(north, east)
+        bearing = math.atan2(east, north)
+        speed = min(_GO_HOME_SPEED, 0.6 * distance)
+        height = max(self._settings.go_home_height, motion.height)
+        if self.maneuver is Maneuver.CLIMB_HOME:
+            speed = 0.0
+            if motion.height > self._settings.go_home_height - 0.3:
+                self._begin(Maneuver.FLY_HOME)
+        elif distance < 0.3 and motion.speed < 0.3:
+            self.land()
+        return Guidance(
+            Horizontal.VELOCITY,
+            speed * math.cos(bearing),
+            speed * math.sin(bearing),
+            vertical=Vertical.HEIGHT,
+            up=height,
+            yaw_mode=Yaw.ANGLE if distance > 3.0 else Yaw.RATE,
+            yaw=bearing if distance > 3.0 else 0.0,
+        )
+
+    def _held_down(self, guidance: Guidance) -> Guidance:
+        if guidance.vertical == Vertical.VELOCITY and guidance.up <= 0.0:
+            return guidance
+        return Guidance(
+            guidance.horizontal,
+            guidance.a,
+            guidance.b,
+            body=guidance.body,
+            vertical=Vertical.HEIGHT,
+            up=self._settings.height_limit,
+            yaw_mode=guidance.yaw_mode,
+            yaw=guidance.yaw,
+        )
+
+    def _on_ground(self) -> None:
+        """With running motors on the ground: just landed, or about to take off."""
+        if self.maneuver is Maneuver.DESCEND:
+            self._touch_down()
+        elif self.maneuver is Maneuver.NONE and self.phase is FlightPhase.IN_AIR:
+            # Flown to the ground by setpoints or sticks: the motors stop after a moment there.
+            if self._idle_since is None:
+                self._idle_since = self.now
+            elif self.now - self._idle_since >= _GROUND_IDLE_S:
+                self._idle_since = None
+                self._touch_down()
+            return
+        self._idle_since = None
+
+    def _touch_down(self) -> None:
+        self.phase = FlightPhase.FINISHING_LANDING
+        self._begin(Maneuver.FINISH, self.now + _FINISHING_S)

@@ -1,0 +1,140 @@
+"""What can be chosen about a virtual aircraft.
+
+:class:`AssistantSettings` is what DJI's PC assistant sets on a real one (document, *Setup Steps*
+and 2.2.3.1). :class:`AircraftSettings` is everything else: the physical aircraft and its site, and
+a switch for each point on which the sources are silent or contradict each other
+(docs/explanation/errata.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from m100link.protocol.activation import RATES_HZ
+from m100link.protocol.firmware import ITEM_NAMES
+from m100link.sim.dynamics import Airframe
+
+__all__ = ["DEFAULT_RATES_HZ", "AircraftSettings", "AssistantSettings", "Undecodable"]
+
+DEFAULT_RATES_HZ: dict[str, int] = {
+    "time": 100,
+    "quaternion": 100,
+    "acceleration": 100,
+    "velocity": 100,
+    "angular_velocity": 100,
+    "position": 100,
+    "magnetometer": 0,
+    "rc": 50,
+    "gimbal": 50,
+    "flight_status": 10,
+    "battery": 1,
+    "control_device": 0,
+}
+"""Default frequency of each telemetry item (document 2.2.3.1)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssistantSettings:
+    """The settings of the PC assistant; they survive power-off.
+
+    Attributes:
+        api_control_enabled: The box *enable API control*.
+        ioc_on: Intelligent orientation control; on, it keeps the API out of the F position.
+        baud_rate: Of the serial port, 8N1.
+        rates_hz: Rate per telemetry item: 0 (absent), 1, 10, 50 or 100 Hz.
+    """
+
+    api_control_enabled: bool = True
+    ioc_on: bool = False
+    baud_rate: int = 230_400
+    rates_hz: dict[str, int] = field(default_factory=DEFAULT_RATES_HZ.copy)
+
+    def __post_init__(self) -> None:
+        """Complete the rates with the defaults and check them."""
+        for name, rate in self.rates_hz.items():
+            if name not in ITEM_NAMES:
+                raise ValueError(f"no telemetry item is called {name!r}: {', '.join(ITEM_NAMES)}")
+            if rate not in RATES_HZ:
+                raise ValueError(f"{name} cannot be sent at {rate} Hz: {RATES_HZ}")
+        if self.baud_rate <= 0:
+            raise ValueError(f"a line of {self.baud_rate} baud carries nothing")
+        object.__setattr__(self, "rates_hz", DEFAULT_RATES_HZ | self.rates_hz)
+
+
+class Undecodable(Enum):
+    """Answer to an encrypted command that cannot be read (the real one is not published)."""
+
+    NOT_SUPPORTED = "0xFF00, not encrypted"
+    SILENCE = "no answer"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AircraftSettings:
+    """The aircraft, its site, and the open questions of the protocol.
+
+    Attributes:
+        airframe: Numbers of the flight model.
+        latitude_deg, longitude_deg: Where the aircraft stands when it is switched on.
+        ground_altitude: Altitude of that place as the barometer has it, metres.
+        heading_deg: Where the nose points then.
+        wind_north, wind_east: Velocity of the air, m/s.
+        gusts: Standard deviation of what comes on top of the wind, m/s.
+        noise: Scale of the sensor noise; 0 is none, 1 that of decent sensors.
+        take_off_height: Height of the hover that ends take-off, metres (not adjustable on the
+            real one, "about 1.2 m").
+        go_home_height: Go-home climbs to this height first, metres.
+        go_home_radius: Nearer to the home point than this, go-home lands in place, metres.
+        height_limit: Nothing climbs beyond it, metres.
+        hover_minutes: How long a full battery carries the aircraft.
+        low_battery_percent: From here down the aircraft warns.
+        critical_battery_percent: From here down it lands by itself.
+        gps_seconds: Time from power-on to good GPS reception when started cold.
+        movement_timeout: Seconds without a movement command until the aircraft brakes and hovers
+            (undocumented; DJI's header says only that it hovers).
+        rc_lost_after: Seconds without remote control until it goes home by itself.
+        server_delay: Seconds that the first activation of a new aircraft takes to reach the server;
+            attempts in this time are answered 3.
+        forget_acks_after: Seconds after which a stored ack is forgotten; None keeps it, as the
+            document says (1.4).
+        undecodable: Answer to encrypted commands that cannot be read.
+        encrypted_control_only: Refuse plain commands of set 0x01, as the document's "should be
+            encrypted" may be read; off by default because DJI's own sample moves plain.
+        authority_push_session: Session of the notification 0x02/0x01: 0, or 2 with repeats until
+            it is acknowledged.
+        authority_resumes_after_app: Whether the onboard device gets authority back without a new
+            request when the mobile app lets go.
+        vertical_down: Send vertical velocity and acceleration positive downwards; the sources do
+            not settle the sign.
+        minimum_thrust: Lowest thrust that thrust control accepts; later documents say 10.
+        reboot_seconds: How long the autopilot is silent while it restarts.
+    """
+
+    airframe: Airframe = field(default_factory=Airframe)
+    latitude_deg: float = 22.5431
+    longitude_deg: float = 113.9589
+    ground_altitude: float = 12.0
+    heading_deg: float = 0.0
+    wind_north: float = 0.0
+    wind_east: float = 0.0
+    gusts: float = 0.0
+    noise: float = 0.0
+    take_off_height: float = 1.2
+    go_home_height: float = 20.0
+    go_home_radius: float = 20.0
+    height_limit: float = 120.0
+    hover_minutes: float = 22.0
+    low_battery_percent: float = 25.0
+    critical_battery_percent: float = 10.0
+    gps_seconds: float = 30.0
+    movement_timeout: float = 0.5
+    rc_lost_after: float = 3.0
+    server_delay: float = 1.0
+    forget_acks_after: float | None = None
+    undecodable: Undecodable = Undecodable.NOT_SUPPORTED
+    encrypted_control_only: bool = False
+    authority_push_session: int = 0
+    authority_resumes_after_app: bool = False
+    vertical_down: bool = False
+    minimum_thrust: float = 0.0
+    reboot_seconds: float = 2.0
