@@ -96,6 +96,13 @@ _REASONS = {
 }
 
 
+_DEVICE_INPUTS: dict[Device | None, AuthorityInput] = {
+    Device.RC: _I.DEVICE_RC,
+    Device.APP: _I.DEVICE_APP,
+    Device.ONBOARD: _I.DEVICE_ONBOARD,
+}
+
+
 class Authority:
     """The authority of one connection: its state, how it came to it, and who wants to know.
 
@@ -115,7 +122,8 @@ class Authority:
         self.reason = ""
         self._on_change = on_change
         self._waiters: list[tuple[AuthorityState, asyncio.Future[None]]] = []
-        self._left_f_since_pause = False
+        self._was_in_f: bool | None = None
+        self._was_ours = False
 
     def feed(self, what: AuthorityInput) -> bool:
         """Something happened. Returns whether the state changed."""
@@ -137,27 +145,28 @@ class Authority:
     def observe_remote_control(self, rc: RemoteControl) -> None:
         """Cross-check with the mode switch.
 
-        In F right after a notification is not yet "back in F": the notification can overtake the
-        channel values, so the switch must have been seen outside F first.
+        Only a switch that was seen to move counts: out of F after it was seen in F, and back in F
+        after it was seen outside. A notification can overtake the channel values, and no source
+        gives the values of the first firmware.
         """
-        if rc.mode_switch is not RcMode.F:
-            self._left_f_since_pause = True
-            self.feed(_I.RC_LEFT_F)
-        elif self.state is not _S.PAUSED:
-            self._left_f_since_pause = False
-        elif self._left_f_since_pause:
-            self._left_f_since_pause = False
-            self.feed(_I.RC_IN_F)
+        is_in_f = rc.mode_switch is RcMode.F
+        if is_in_f != self._was_in_f and self._was_in_f is not None:
+            self.feed(_I.RC_IN_F if is_in_f else _I.RC_LEFT_F)
+        elif self.reason == "unknown" and not is_in_f:
+            self.reason = "mode_switch"
+        self._was_in_f = is_in_f
 
     def observe_control_device(self, item: ControlDevice) -> None:
-        """Cross-check with the CTRL_DEVICE item (0 Hz by default: it may never come)."""
-        what = {
-            Device.RC: _I.DEVICE_RC,
-            Device.APP: _I.DEVICE_APP,
-            Device.ONBOARD: _I.DEVICE_ONBOARD,
-        }.get(item.device)  # type: ignore[arg-type]  # an unknown device is in no table
-        if what is not None:
-            self.feed(what)
+        """Cross-check with the CTRL_DEVICE item (0 Hz by default: it may never come).
+
+        Authority counts as taken by the pilot only after the item had shown it with us: a package
+        made before our request was granted proves nothing.
+        """
+        what = _DEVICE_INPUTS.get(item.device)
+        if what is None or (what is _I.DEVICE_RC and not self._was_ours):
+            return
+        self._was_ours = what is _I.DEVICE_ONBOARD
+        self.feed(what)
 
     async def wait_for(self, state: AuthorityState) -> None:
         """Wait until the state is that one."""

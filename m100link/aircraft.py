@@ -1,0 +1,595 @@
+"""What programs await: :func:`connect` and :class:`Aircraft`."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from m100link.authority import Authority, AuthorityInput, AuthorityState
+from m100link.control import Control, StopAction, authority_lost
+from m100link.errors import (
+    AckTimeout,
+    ActivationRefused,
+    CommandNotSupported,
+    CommandRefused,
+    KeyRejected,
+    LayoutMismatch,
+    LevelTooLow,
+    LinkError,
+    NoAnswer,
+    NotActivated,
+    NoValidFrame,
+    SilentLine,
+    TelemetryStalled,
+    UsageError,
+)
+from m100link.link import Link, LinkStatistics, open_link
+from m100link.protocol.activation import Activate, Credentials, GetVersion, SendToMobile, Version
+from m100link.protocol.codes import AckCode, ActivationCode, SystemCode
+from m100link.protocol.command import Command, encode_code
+from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfile, profile
+from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
+from m100link.protocol.telemetry import RECORDS
+from m100link.subscription import (
+    AircraftState,
+    Hub,
+    Latest,
+    Newest,
+    Policy,
+    Sample,
+    Subscription,
+)
+from m100link.wire.cipher import Cipher
+from m100link.wire.frame import Frame
+
+__all__ = ["ActivationProgress", "Aircraft", "connect"]
+
+_logger = logging.getLogger("m100link.aircraft")
+
+_PROBE_TIMEOUT = 0.3
+_VERSION_TIMEOUT, _VERSION_TRIES = 0.2, 3
+_ACTIVATION_TIMEOUT, _ACTIVATION_TRIES = 1.0, 3
+_ACTIVATION_PAUSE = 2.0
+_MOBILE_TIMEOUT, _MOBILE_TRIES = 0.5, 2
+
+
+@dataclass(frozen=True, slots=True)
+class ActivationProgress:
+    """Where an activation stands.
+
+    Attributes:
+        attempt: Number of the attempt, from 1.
+        code: What the aircraft answered to it.
+        next_attempt_in: Seconds until the next one, None after the last.
+        remaining: Seconds until the whole activation gives up.
+    """
+
+    attempt: int
+    code: ActivationCode
+    next_attempt_in: float | None
+    remaining: float
+
+
+class Aircraft:
+    """A connected aircraft. Get one from :func:`connect`.
+
+    Attributes:
+        state: Newest value and age of every telemetry item.
+        authority: Who controls the aircraft, as far as this program knows.
+        telemetry_mismatches: Telemetry packages refused because they do not fit the firmware
+            profile.
+    """
+
+    def __init__(self, *, firmware: FirmwareProfile | None = None) -> None:
+        loop = asyncio.get_running_loop()
+        self._clock = loop.time
+        self._link: Link | None = None
+        self._forced_firmware = firmware
+        self._firmware = firmware or FIRMWARE_1_0
+        self._is_known_firmware = firmware is not None
+        self._version: Version | None = None
+        self._telemetry: Hub[Sample] = Hub()
+        self._from_mobile: Hub[bytes] = Hub()
+        self._control: Control | None = None
+        self._task_sequence = secrets.randbits(8)
+        self.state = AircraftState(self._clock)
+        self.authority = Authority(self._authority_changed)
+        self.telemetry_mismatches = 0
+        self._handlers: dict[tuple[int, int], Callable[[Frame, float], None]] = {
+            PushTelemetry.ADDRESS: self._on_telemetry,
+            AuthorityChanged.ADDRESS: self._on_authority_changed,
+            FromMobile.ADDRESS: self._on_from_mobile,
+        }
+
+    # -- connection ------------------------------------------------------------------------------
+
+    async def open(self, url: str, *, baud_rate: int | None = None, timeout: float = 3.0) -> None:
+        """Open the line and ask for the version. :func:`connect` does this and closes as well."""
+        if self._link is not None:
+            raise UsageError("this aircraft was opened before; connect() makes a new one")
+        await self.attach(
+            await open_link(
+                url, baud_rate=baud_rate, on_received=self._on_received, on_lost=self._on_lost
+            ),
+            timeout=timeout,
+        )
+
+    async def attach(self, link: Link, *, timeout: float = 3.0) -> None:
+        """Use a link that is open already, and ask for the version."""
+        self._link = link
+        link.on_received, link.on_lost = self._on_received, self._on_lost
+        try:
+            await self._probe(timeout)
+        except BaseException:
+            await self.aclose()
+            raise
+
+    async def aclose(self) -> None:
+        """Close the line. May be called any number of times."""
+        if self._link is not None:
+            await self._link.close()
+
+    async def _probe(self, timeout: float) -> None:
+        """Ask for the version until the deadline; if none comes, say how far the line reaches."""
+        deadline = self._clock() + timeout
+        while (remaining := deadline - self._clock()) > 0:
+            try:
+                payload = await self.link.request(
+                    GetVersion().encode(self._firmware),
+                    name=GetVersion.NAME,
+                    timeout=min(_PROBE_TIMEOUT, remaining),
+                    tries=1,
+                )
+            except AckTimeout:
+                continue
+            self._take_version(GetVersion.parse_ack(payload))
+            return
+        raise self._silence(timeout)
+
+    def _silence(self, timeout: float) -> SilentLine | NoValidFrame | NoAnswer:
+        numbers = self.link.statistics()
+        where = f"{self.link.name}, {timeout:g} s"
+        received = {
+            "bytes_received": numbers.bytes_received,
+            "frames_received": numbers.frames_received,
+        }
+        if not numbers.bytes_received:
+            return SilentLine(
+                f"not one byte arrived ({where})",
+                cause="no power, TX and RX swapped, no common ground, or the wrong port",
+                remedy="swap TX and RX, check ground and the port name; docs: howto/silent-line",
+                **received,
+            )
+        if not numbers.frames_received:
+            return NoValidFrame(
+                f"{numbers.bytes_received} bytes arrived and not one valid frame ({where})",
+                cause="another baud rate than the one set in the PC assistant, or noise",
+                remedy="try 230400, 115200, 921600; docs: howto/silent-line",
+                **received,
+            )
+        return NoAnswer(
+            f"{numbers.frames_received} frames arrived, but no answer to a version query ({where})",
+            cause="the wire from our TX to the aircraft's RX, or two programs on one port",
+            remedy="check that wire; docs: howto/silent-line",
+            **received,
+        )
+
+    @property
+    def link(self) -> Link:
+        """The link underneath.
+
+        Raises:
+            UsageError: Not opened yet.
+        """
+        if self._link is None:
+            raise UsageError("this aircraft is not connected", remedy="use `async with connect(…)`")
+        return self._link
+
+    def statistics(self) -> LinkStatistics:
+        """Counters of the link."""
+        return self.link.statistics()
+
+    # -- version and activation ------------------------------------------------------------------
+
+    @property
+    def firmware(self) -> FirmwareProfile:
+        """The firmware profile in use."""
+        return self._firmware
+
+    @property
+    def is_activated(self) -> bool:
+        """Whether this program activated the aircraft, and so has its key in use."""
+        return self.link.cipher is not None
+
+    async def version(self) -> Version:
+        """Ask for the version (document 2.2.1.1). Needs no activation.
+
+        Raises:
+            AckTimeout, LinkError, BadAck: See each class.
+        """
+        payload = await self.link.request(
+            GetVersion().encode(self._firmware),
+            name=GetVersion.NAME,
+            timeout=_VERSION_TIMEOUT,
+            tries=_VERSION_TRIES,
+        )
+        version = GetVersion.parse_ack(payload)
+        self._take_version(version)
+        return version
+
+    def _take_version(self, version: Version) -> None:
+        self._version = version
+        if self._forced_firmware is not None:
+            return
+        found = version.profile
+        self._is_known_firmware = found is not None
+        # An unknown firmware gets telemetry only; packets that do not fit are refused and counted.
+        likeliest = FIRMWARE_1_0 if version.serial is None else FIRMWARE_3_1
+        self._firmware = found or likeliest
+        if found is None:
+            _logger.warning(
+                "unknown firmware %r: telemetry only, read as %s", version.name, likeliest
+            )
+
+    async def activate(
+        self,
+        credentials: Credentials,
+        *,
+        timeout: float = 60.0,
+        progress: Callable[[ActivationProgress], None] | None = None,
+    ) -> Version:
+        """Activate the aircraft for an app (document 2.2.1.2).
+
+        Gets the version first, because the request depends on the firmware. "New device" means
+        that the aircraft asks DJI's server: the attempt is repeated every two seconds. An
+        aircraft that is active already answers with success. From then on commands of set 0x01
+        are encrypted.
+
+        Args:
+            credentials: App id, key and level.
+            timeout: Seconds for the whole of it.
+            progress: Called after each attempt.
+
+        Returns:
+            The version of the aircraft.
+
+        Raises:
+            ActivationRefused: With code, cause and remedy.
+            AckTimeout, LinkError: See each class.
+        """
+        version = await self.version()
+        deadline = self._clock() + timeout
+        attempt = 0
+        while True:
+            attempt += 1
+            request = Activate.from_credentials(credentials, self._firmware)
+            code = ActivationCode(
+                await self.execute(
+                    request,
+                    timeout=_ACTIVATION_TIMEOUT,
+                    tries=_ACTIVATION_TRIES,
+                    encrypted=False,
+                    refusal=ActivationRefused,
+                )
+            )
+            remaining = max(0.0, deadline - self._clock())
+            again = code == ActivationCode.NEW_DEVICE and remaining > 0
+            pause = min(_ACTIVATION_PAUSE, remaining) if again else None
+            if progress is not None:
+                progress(ActivationProgress(attempt, code, pause, remaining))
+            if code == ActivationCode.SUCCESS or self._is_active_without_app(version, code):
+                self.link.cipher = Cipher(credentials.key, random_padding=True)
+                _logger.info("activated for app %d", credentials.app_id)
+                return version
+            if pause is None:
+                raise ActivationRefused(
+                    f"activation of app {credentials.app_id} failed: {code.meaning} "
+                    f"(code {int(code)}, attempt {attempt})",
+                    command=request.NAME,
+                    code=int(code),
+                    cause=code.cause,
+                    remedy=code.remedy,
+                )
+            await asyncio.sleep(pause)
+
+    @staticmethod
+    def _is_active_without_app(version: Version, code: ActivationCode) -> bool:
+        """An active aircraft stays active when the app that reached the server is gone."""
+        unreachable = (ActivationCode.APP_NOT_CONNECTED, ActivationCode.NO_INTERNET)
+        return version.is_activated and code in unreachable
+
+    def use_key(self, credentials: Credentials) -> None:
+        """Encrypt with this key without activating: for a second program on an active aircraft."""
+        self.link.cipher = Cipher(credentials.key, random_padding=True)
+
+    # -- commands --------------------------------------------------------------------------------
+
+    async def execute(
+        self,
+        command: Command,
+        *,
+        timeout: float = 0.5,
+        tries: int = 3,
+        encrypted: bool | None = None,
+        refusal: type[CommandRefused] = CommandRefused,
+    ) -> int:
+        """Send any command that has an ack, and return the ack code.
+
+        Args:
+            command: One of the commands of :mod:`m100link.protocol`.
+            timeout: Seconds to wait for the ack of one transmission.
+            tries: Transmissions in all.
+            encrypted: By default commands of set 0x01 are encrypted once there is a key.
+            refusal: Class of the error for system codes that have no class of their own.
+
+        Raises:
+            NotActivated, LevelTooLow, CommandNotSupported: System codes.
+            KeyRejected: Encrypted and refused or unanswered, while plain requests are answered.
+            AckTimeout, BadAck, LinkError: See each class.
+        """
+        self._require_known_firmware(command)
+        if encrypted is None:
+            encrypted = self.link.cipher is not None and command.ADDRESS.command_set == 0x01
+        try:
+            payload = await self.link.request(
+                command.encode(self._firmware),
+                name=command.NAME,
+                encrypted=encrypted,
+                timeout=timeout,
+                tries=tries,
+            )
+        except AckTimeout as error:
+            if encrypted and await self._answers_plain():
+                raise _key_rejected(command.NAME) from error
+            raise
+        code = command.parse_ack(payload)
+        assert isinstance(code, AckCode)
+        if code.is_system:
+            raise _system_error(command.NAME, code, encrypted, refusal)
+        return code
+
+    async def _answers_plain(self) -> bool:
+        try:
+            await self.version()
+        except AckTimeout:
+            return False
+        return True
+
+    def push(self, command: Command) -> bool:
+        """Send a command that has no ack. False when the line does not drain.
+
+        Raises:
+            UsageError: The firmware is unknown.
+            LinkError: The line is gone.
+        """
+        self._require_known_firmware(command)
+        encrypted = self.link.cipher is not None and command.ADDRESS.command_set == 0x01
+        return self.link.push(command.encode(self._firmware), encrypted=encrypted)
+
+    def _require_known_firmware(self, command: Command) -> None:
+        if not self._is_known_firmware and command.ADDRESS.command_set != 0x00:
+            name = self._version.name if self._version else "unknown"
+            raise UsageError(
+                f"{command.NAME} is not sent to an unknown firmware ({name})",
+                cause="the order of movement values and the handshakes differ between firmwares",
+                remedy="if you know that it fits, force it: connect(..., firmware='3.1')",
+            )
+
+    def next_task_sequence(self) -> int:
+        """A number for the next take-off, landing or go-home, 0 to 255."""
+        self._task_sequence = (self._task_sequence + 1) & 0xFF
+        return self._task_sequence
+
+    def control(self, *, stop: StopAction = "hover") -> Control:
+        """Control authority for a block: ``async with aircraft.control() as control``.
+
+        Args:
+            stop: What to do when the block ends in any way: ``"hover"`` or ``"land"``.
+
+        Raises (on entering):
+            AuthorityRefused: With cause and remedy.
+            NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
+        """
+        if self._control is not None and self.authority.state is AuthorityState.HELD:
+            raise UsageError(
+                "another control block of this program holds authority",
+                remedy="share its Control object, or leave that block first",
+            )
+        self._control = Control(self, stop=stop)
+        return self._control
+
+    # -- telemetry and mobile data ---------------------------------------------------------------
+
+    def telemetry(
+        self, *records: type[Any], policy: Policy | None = None, rate_hz: float | None = None
+    ) -> Subscription[Sample]:
+        """Subscribe: ``async with aircraft.telemetry(Attitude) as samples:``, then iterate.
+
+        Args:
+            records: Record classes; packages with none of them are left out. None at all: every
+                package.
+            policy: ``Latest()`` by default, ``Newest(n)`` or ``Lossless(n)``.
+            rate_hz: At most so many samples per second.
+
+        Raises (while iterating):
+            LinkLost, LinkClosed: The line is gone; queued samples come first.
+            TelemetryOverflow: A ``Lossless`` consumer fell behind.
+        """
+        wanted = 0
+        for record in records:
+            if record not in RECORDS:
+                raise UsageError(
+                    f"{record!r} is no telemetry record",
+                    remedy="use m100link.Attitude, m100link.Position, …",
+                )
+            wanted |= 1 << RECORDS.index(record)
+        if rate_hz is not None and not rate_hz > 0:
+            raise UsageError(f"a rate of {rate_hz} Hz is no rate")
+        return self._telemetry.subscribe(
+            policy or Latest(),
+            min_interval=1.0 / rate_hz if rate_hz else 0.0,
+            accepts=(lambda sample: bool(sample.flags & wanted)) if wanted else None,
+        )
+
+    async def wait_for(
+        self,
+        predicate: Callable[[AircraftState], bool],
+        *,
+        timeout: float | None = None,
+        what: str = "the condition",
+    ) -> None:
+        """Wait until the predicate of :attr:`state` is true; it is tried at every package.
+
+        Raises:
+            TelemetryStalled: It was not in time.
+            LinkLost, LinkClosed: The line is gone.
+        """
+        if predicate(self.state):
+            return
+        try:
+            async with asyncio.timeout(timeout), self.telemetry() as samples:
+                async for _ in samples:
+                    if predicate(self.state):
+                        return
+        except TimeoutError as error:
+            if isinstance(error, LinkError):
+                raise
+            raise TelemetryStalled(
+                f"{what} was not seen within {timeout:g} s; now: {self.state.situation()}",
+                cause="it did not happen, or the items that show it are not sent",
+                remedy="see which items arrive: m100link hz",
+            ) from None
+
+    async def send_to_mobile(self, data: bytes) -> None:
+        """Send 1 to 100 bytes to the app on the mobile device (document 2.2.1.3).
+
+        Raises:
+            PayloadTooLarge, UsageError: Too many bytes, or none.
+            NotActivated, AckTimeout, LinkError: See each class.
+        """
+        code = await self.execute(SendToMobile(data), timeout=_MOBILE_TIMEOUT, tries=_MOBILE_TRIES)
+        if code:
+            raise CommandRefused(
+                f"the aircraft did not take the data: code 0x{code:04X}",
+                command=SendToMobile.NAME,
+                code=code,
+            )
+
+    def from_mobile(self, *, policy: Policy | None = None) -> Subscription[bytes]:
+        """Data from the app on the mobile device, 1 to 100 bytes each (document 2.2.3.3)."""
+        return self._from_mobile.subscribe(policy or Newest(100))
+
+    # -- what the link calls ---------------------------------------------------------------------
+
+    def _on_received(self, frame: Frame, now: float) -> None:
+        data = frame.data
+        handler = self._handlers.get((data[0], data[1])) if len(data) >= 2 else None
+        if handler is not None:
+            handler(frame, now)
+        else:
+            _logger.debug("a push that is no push of the document: %s", data[:16].hex())
+
+    def _on_telemetry(self, frame: Frame, now: float) -> None:
+        try:
+            sample = Sample(frame.data[2:], self._firmware, now)
+        except LayoutMismatch as error:
+            self.telemetry_mismatches += 1
+            if self.telemetry_mismatches == 1:
+                _logger.warning("telemetry refused: %s", error)
+            return
+        self.state.update(sample)
+        remote_control = sample.remote_control
+        if remote_control is not None:
+            self.authority.observe_remote_control(remote_control)
+        control_device = sample.control_device
+        if control_device is not None:
+            self.authority.observe_control_device(control_device)
+        self._telemetry.publish(sample, now)
+
+    def _on_authority_changed(self, frame: Frame, now: float) -> None:
+        self.link.acknowledge(frame, encode_code(0))
+        _logger.info("the aircraft notifies that authority passed away")
+        self.authority.feed(AuthorityInput.NOTIFIED)
+
+    def _on_from_mobile(self, frame: Frame, now: float) -> None:
+        self._from_mobile.publish(frame.data[2:], now)
+
+    def _on_lost(self, error: LinkError) -> None:
+        self._telemetry.fail(error)
+        self._from_mobile.fail(error)
+        if self._control is not None:
+            self._control.fail(error)
+        self.authority.feed(AuthorityInput.LINK_LOST)
+
+    def _authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
+        _logger.debug("authority: %s -> %s", before.value, after.value)
+        was_ours = before is AuthorityState.HELD
+        if was_ours and after in (AuthorityState.PAUSED, AuthorityState.LOST) and self._control:
+            self._control.fail(authority_lost(self.authority.reason))
+
+
+def _key_rejected(name: str) -> KeyRejected:
+    return KeyRejected(
+        f"{name} was encrypted and got no usable answer, while plain requests are answered",
+        command=name,
+        cause="the key of this program is not the one that the aircraft was activated with",
+        remedy="check the enc key of the app id, and activate again",
+    )
+
+
+def _system_error(
+    name: str, code: AckCode, encrypted: bool, refusal: type[CommandRefused]
+) -> CommandRefused | KeyRejected:
+    if code == SystemCode.NOT_SUPPORTED and encrypted:
+        return _key_rejected(name)
+    kind = {
+        SystemCode.NOT_SUPPORTED: CommandNotSupported,
+        SystemCode.NOT_ACTIVATED: NotActivated,
+        SystemCode.LEVEL_TOO_LOW: LevelTooLow,
+    }.get(SystemCode(int(code)), refusal)
+    return kind(
+        f"{name} was refused: {code.meaning} (code 0x{code:04X})",
+        command=name,
+        code=int(code),
+        cause=code.cause,
+        remedy=code.remedy,
+    )
+
+
+@asynccontextmanager
+async def connect(
+    url: str,
+    *,
+    firmware: str | FirmwareProfile | None = None,
+    baud_rate: int | None = None,
+    timeout: float = 3.0,
+) -> AsyncIterator[Aircraft]:
+    """Connect to an aircraft for the time of a block.
+
+    ::
+
+        async with m100link.connect("serial:///dev/ttyUSB0:230400") as aircraft:
+            print(await aircraft.version())
+
+    Args:
+        url: ``serial:///dev/ttyUSB0:230400``, a bare device path, ``tcp://host:port``, ``sim://``.
+        firmware: Force a profile by name; by default the version answer chooses it.
+        baud_rate: Rate when the URL has none; 230400 by default.
+        timeout: Seconds until an aircraft has to answer.
+
+    Raises:
+        BadURL, UsageError: A wrong string or profile name.
+        PortNotFound, PortPermissionDenied, PortBusy, PortFailed: The port cannot be opened.
+        SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
+    """
+    aircraft = Aircraft(firmware=None if firmware is None else profile(firmware))
+    await aircraft.open(url, baud_rate=baud_rate, timeout=timeout)
+    try:
+        yield aircraft
+    finally:
+        await aircraft.aclose()
