@@ -169,6 +169,7 @@ class Autopilot:
         self._from_mobile: deque[bytes] = deque()
         self._mobile_free_at = 0.0
         self._sequence = 0
+        self._has_requests = False
         self._power_on: float | None = None
         self._ticks = 0
         self._silent_until = -math.inf
@@ -187,6 +188,8 @@ class Autopilot:
         for event in self.endpoint.events():
             if isinstance(event, Received):
                 self._execute(event.frame, now)
+        # Acks go out before the telemetry that is made after them.
+        self._collect()
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now``."""
@@ -195,9 +198,8 @@ class Autopilot:
         # Half a microsecond: a timer that fires exactly on time must find its tick due.
         while self._power_on + (self._ticks + 1) * STEP_S <= now + 5e-7:
             self._tick()
-        wakeup = self.endpoint.next_wakeup()
-        if wakeup is not None and wakeup <= now:
-            self.endpoint.handle_timer(now)
+        if self._has_requests:
+            self._repeat_requests(now)
 
     def next_wakeup(self) -> float | None:
         """When :meth:`advance` should be called at the latest; None before power-on."""
@@ -212,9 +214,11 @@ class Autopilot:
 
     def frames_to_send(self) -> list[bytes]:
         """Take the frames that wait to be sent, oldest first."""
-        self._collect()
-        frames = list(self._outbox)
-        self._outbox.clear()
+        outbox = self._outbox
+        if len(outbox) == 1:
+            return [outbox.popleft()]
+        frames = list(outbox)
+        outbox.clear()
         return frames
 
     def data_to_send(self) -> bytes:
@@ -222,7 +226,16 @@ class Autopilot:
         return b"".join(self.frames_to_send())
 
     def _collect(self) -> None:
-        self._outbox.extend(self.endpoint.output())
+        for frame in self.endpoint.output():
+            self._send(frame)
+
+    def _repeat_requests(self, now: float) -> None:
+        wakeup = self.endpoint.next_wakeup()
+        if wakeup is None:
+            self._has_requests = False
+        elif wakeup <= now:
+            self.endpoint.handle_timer(now)
+            self._collect()
 
     def _execute(self, frame: Frame, now: float) -> None:
         if frame.encrypted and not self._is_readable(frame):
@@ -234,8 +247,6 @@ class Autopilot:
                 if self.endpoint.cipher is None:
                     encrypted = False
                 self.endpoint.acknowledge(frame, reply.payload, now=now, encrypted=encrypted)
-        # Acks go out before the telemetry that is made after them.
-        self._collect()
 
     def _is_readable(self, frame: Frame) -> bool:
         return self.endpoint.cipher is not None and self._commands.knows(frame.data)
@@ -352,6 +363,8 @@ class Autopilot:
         assert self._power_on is not None
         now = self._power_on + self.time
         self.endpoint.request(data, now=now, timeout=_PUSH_TIMEOUT_S, tries=_PUSH_TRIES)
+        self._has_requests = True
+        self._collect()
 
     # --- what commands do -------------------------------------------------------------------
 

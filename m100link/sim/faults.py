@@ -196,7 +196,7 @@ class Direction:
 
     def next_wakeup(self) -> float | None:
         """When something will have arrived."""
-        if self.is_stalled:
+        if self.is_stalled or self.is_clean:
             return None
         times = [self._next_noise] if self._next_noise is not None else []
         if self._waiting:
@@ -267,13 +267,13 @@ class Line:
     def _pass(
         self, direction: Direction, pieces: list[bytes], now: float, other: Direction
     ) -> list[bytes]:
+        if self.is_plugged and direction.is_clean:
+            direction.frames += len(pieces)
+            return pieces
         if not self.is_plugged:
             direction.frames += len(pieces)
             direction.lost += len(pieces)
             return []
-        if direction.is_clean:
-            direction.frames += len(pieces)
-            return pieces
         for piece in pieces:
             direction.put(piece, now, other)
         return direction.take(now)
@@ -282,5 +282,7 @@ class Line:
         """When something will have arrived at either end."""
         if not self.is_plugged:
             return None
-        times = (self.to_host.next_wakeup(), self.to_aircraft.next_wakeup())
-        return min((time for time in times if time is not None), default=None)
+        first, second = self.to_host.next_wakeup(), self.to_aircraft.next_wakeup()
+        if first is None or second is None:
+            return second if first is None else first
+        return min(first, second)

@@ -14,7 +14,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Protocol
 from urllib.parse import parse_qsl
 
-from m100link.errors import BadURL
+from m100link.errors import BadURL, UsageError
 from m100link.link import connect_in_memory
 from m100link.sim.telemetry import is_telemetry
 from m100link.sim.virtual import VirtualAircraft
@@ -22,6 +22,7 @@ from m100link.sim.virtual import VirtualAircraft
 if TYPE_CHECKING:
     from m100link.link import MemoryTransport
     from m100link.link.url import Address
+    from m100link.sim.scenario import Scenario
 
 __all__ = ["Backlog", "Driver", "Port", "StreamPort", "TcpServer", "open_sim", "serve_tcp"]
 
@@ -98,6 +99,7 @@ class Driver:
     Attributes:
         aircraft: As given.
         ports: The ports attached.
+        scenario: Steps to do when their time has come.
     """
 
     def __init__(
@@ -106,6 +108,7 @@ class Driver:
         self.aircraft = aircraft
         self.loop = loop or asyncio.get_running_loop()
         self.ports: list[Port] = []
+        self.scenario: Scenario | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._was_plugged = True
         self._is_stopped = False
@@ -164,6 +167,8 @@ class Driver:
         if due is not None and now - due > _OVERSLEPT_S:
             autopilot.skip(now)
         autopilot.advance(now)
+        if self.scenario is not None:
+            self._play(self.scenario)
         if line.is_plugged is not self._was_plugged:
             self._plug(line.is_plugged)
         if not line.to_aircraft.is_clean:
@@ -171,6 +176,12 @@ class Driver:
                 autopilot.receive_data(piece, now)
         self._flush(now)
         self._schedule(now)
+
+    def _play(self, scenario: Scenario) -> None:
+        try:
+            scenario.advance(self.aircraft)
+        except UsageError as error:
+            self.aircraft.autopilot.log(f"scenario: {error.seen}")
 
     def _plug(self, is_plugged: bool) -> None:
         self._was_plugged = is_plugged

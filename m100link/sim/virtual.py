@@ -7,8 +7,9 @@ name them.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from m100link.protocol.activation import Credentials
 from m100link.protocol.telemetry import RcMode
@@ -197,24 +198,8 @@ class VirtualAircraft:
         """Set telemetry rates by item name: 0, 1, 10, 50 or 100 Hz."""
         self._configure(rates_hz=self.autopilot.assistant.rates_hz | rates_hz)
 
-    def _configure(
-        self,
-        *,
-        api_control_enabled: bool | None = None,
-        ioc_on: bool | None = None,
-        rates_hz: dict[str, int] | None = None,
-    ) -> None:
-        old = self.autopilot.assistant
-        self.autopilot.configure(
-            AssistantSettings(
-                api_control_enabled=old.api_control_enabled
-                if api_control_enabled is None
-                else api_control_enabled,
-                ioc_on=old.ioc_on if ioc_on is None else ioc_on,
-                baud_rate=old.baud_rate,
-                rates_hz=old.rates_hz if rates_hz is None else rates_hz,
-            )
-        )
+    def _configure(self, **changes: Any) -> None:
+        self.autopilot.configure(replace(self.autopilot.assistant, **changes))
 
     # --- nature and decay -------------------------------------------------------------------
 
@@ -237,6 +222,11 @@ class VirtualAircraft:
         if not 0.0 <= percent <= 100.0:
             raise ValueError(f"charge is 0 to 100 percent, not {percent}")
         self.autopilot.flight.battery_percent = percent
+
+    def set_wind(self, north: float, east: float) -> None:
+        """Velocity of the air in m/s; gusts come on top of it."""
+        settings = self.autopilot.settings
+        self.autopilot.settings = replace(settings, wind_north=north, wind_east=east)
 
     def reboot(self) -> None:
         """Restart the autopilot, in the air too."""

@@ -1,0 +1,260 @@
+"""Everything that can be done to a virtual aircraft, by name: one table for all who do it.
+
+``m100link sim ctl``, the keys of the live view and scenario files speak these words; each is one
+method of :class:`~m100link.sim.virtual.VirtualAircraft`. An order is a line of text::
+
+    rc-mode P
+    stick pitch=0.5 yaw=-0.2
+    faults loss=0.1 damage=0.02
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from m100link.errors import UsageError
+from m100link.sim.faults import LineFaults
+from m100link.sim.virtual import VirtualAircraft
+
+__all__ = ["ACTIONS", "Action", "perform", "status"]
+
+_ON = {"on": True, "yes": True, "true": True, "1": True}
+_OFF = {"off": False, "no": False, "false": False, "0": False}
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """One thing that can be done.
+
+    Attributes:
+        name: The word for it.
+        usage: Its arguments, for help.
+        help: One sentence.
+        run: Does it, given positional and ``name=value`` arguments as text.
+    """
+
+    name: str
+    usage: str
+    help: str
+    run: Callable[[VirtualAircraft, list[str], dict[str, str]], Any]
+
+
+def _switch(words: list[str], default: bool = True) -> bool:
+    if not words:
+        return default
+    answers = _ON | _OFF
+    if words[0].lower() not in answers:
+        raise UsageError(f"{words[0]!r} is neither on nor off")
+    return answers[words[0].lower()]
+
+
+def _number(words: list[str], index: int = 0) -> float:
+    try:
+        return float(words[index])
+    except IndexError:
+        raise UsageError("a number is missing") from None
+    except ValueError:
+        raise UsageError(f"{words[index]!r} is no number") from None
+
+
+def _numbers(named: dict[str, str]) -> dict[str, float]:
+    return {name: _number([value]) for name, value in named.items()}
+
+
+def _rc_mode(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
+    mode = words[0].upper() if words else ""
+    if mode not in ("P", "A", "F"):
+        raise UsageError("the mode switch has the positions P, A and F")
+    aircraft.set_rc_mode(mode)
+
+
+def _app_takes(aircraft: VirtualAircraft, _: list[str], __: dict[str, str]) -> None:
+    if not aircraft.app_takes_control():
+        raise UsageError("the app cannot take control: not connected, or the switch is not in F")
+
+
+def _faults(aircraft: VirtualAircraft, words: list[str], named: dict[str, str]) -> None:
+    changes: dict[str, Any] = {}
+    fields = {field.name for field in dataclasses.fields(LineFaults)}
+    for name, value in named.items():
+        field = name.replace("-", "_")
+        if field not in fields:
+            raise UsageError(f"no fault is called {name!r}: {', '.join(sorted(fields))}")
+        number = _number([value])
+        changes[field] = int(number) if field in ("baud_rate", "noise_bytes") else number
+    if "radio" in words or "radio" in changes:
+        changes["radio"] = bool(changes.get("radio", True))
+    aircraft.set_faults(dataclasses.replace(aircraft.line.to_host.faults, **changes))
+
+
+def _rates(aircraft: VirtualAircraft, _: list[str], named: dict[str, str]) -> None:
+    aircraft.set_rates(**{item: int(rate) for item, rate in _numbers(named).items()})
+
+
+def _message(aircraft: VirtualAircraft, words: list[str], named: dict[str, str]) -> None:
+    if "hex" in named:
+        aircraft.send_from_mobile(bytes.fromhex(named["hex"]))
+    else:
+        aircraft.send_from_mobile(" ".join(words).encode())
+
+
+def _battery(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
+    aircraft.battery_percent = _number(words)
+
+
+def _gps(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
+    aircraft.gps_health = int(_number(words))
+
+
+def _stick(aircraft: VirtualAircraft, _: list[str], named: dict[str, str]) -> None:
+    unknown = set(named) - {"roll", "pitch", "yaw", "throttle"}
+    if unknown or not named:
+        raise UsageError("sticks are roll, pitch, yaw and throttle: stick pitch=0.5")
+    aircraft.move_stick(**_numbers(named))
+
+
+def _plain(method: str, *, value: bool | None = None) -> Callable[..., None]:
+    def run(aircraft: VirtualAircraft, _: list[str], __: dict[str, str]) -> None:
+        if value is None:
+            getattr(aircraft, method)()
+        else:
+            getattr(aircraft, method)(value)
+
+    return run
+
+
+def _switched(method: str) -> Callable[..., None]:
+    def run(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
+        getattr(aircraft, method)(_switch(words))
+
+    return run
+
+
+ACTIONS: dict[str, Action] = {
+    action.name: action
+    for action in (
+        Action("status", "", "show the aircraft", lambda aircraft, _, __: None),
+        Action("rc-mode", "P|A|F", "turn the mode switch", _rc_mode),
+        Action("leave-f", "", "the pilot takes over (mode switch to P)", _plain("leave_f")),
+        Action("return-to-f", "", "the pilot gives the aircraft back", _plain("return_to_f")),
+        Action("stick", "roll=… pitch=… yaw=… throttle=…", "deflect sticks, -1 to 1", _stick),
+        Action("release-sticks", "", "let all sticks go", _plain("release_sticks")),
+        Action("rc-off", "", "switch the remote control off", _plain("rc_lost")),
+        Action("rc-on", "", "switch it on again", _plain("rc_back")),
+        Action("take-off", "", "the pilot takes off", _plain("pilot_takes_off")),
+        Action("land", "", "the pilot lands", _plain("pilot_lands")),
+        Action(
+            "app",
+            "[internet=on|off]",
+            "connect the mobile app",
+            lambda aircraft, _, named: aircraft.connect_app(
+                internet=_switch([named["internet"]] if "internet" in named else [])
+            ),
+        ),
+        Action("no-app", "", "disconnect the mobile app", _plain("disconnect_app")),
+        Action("app-takes-control", "", "the mobile app takes control", _app_takes),
+        Action("app-releases-control", "", "it gives control back", _plain("app_releases_control")),
+        Action("message", "TEXT | hex=…", "the mobile app sends data", _message),
+        Action("server-refuses", "[on|off]", "no new activations", _switched("server_refuses")),
+        Action(
+            "key",
+            "HEX",
+            "another key at the server",
+            lambda aircraft, words, _: aircraft.change_key(words[0] if words else ""),
+        ),
+        Action("api", "[on|off]", "tick 'enable API control'", _switched("enable_api")),
+        Action("ioc", "[on|off]", "intelligent orientation control", _switched("set_ioc")),
+        Action("rates", "ITEM=HZ …", "telemetry rates", _rates),
+        Action("gps", "0…5", "GPS health", _gps),
+        Action("battery", "PERCENT", "charge of the battery", _battery),
+        Action(
+            "wind",
+            "NORTH EAST",
+            "velocity of the air in m/s",
+            lambda aircraft, words, _: aircraft.set_wind(_number(words), _number(words, 1)),
+        ),
+        Action("reboot", "", "restart the autopilot", _plain("reboot")),
+        Action("faults", "loss=… damage=… delay=… noise=… radio", "spoil the line", _faults),
+        Action("no-faults", "", "a clean line", _plain("set_faults")),
+        Action("stall", "[on|off]", "stop the line", _switched("stall_line")),
+        Action("unplug", "", "pull the plug", _plain("unplug")),
+        Action("replug", "", "put the plug back", _plain("replug")),
+    )
+}
+"""Every action by name."""
+
+
+def perform(aircraft: VirtualAircraft, order: str | list[str]) -> Action:
+    """Do what a line of text, or its words, says; returns the action that was done.
+
+    Raises:
+        UsageError: No such action, or arguments that it cannot have.
+    """
+    words = shlex.split(order) if isinstance(order, str) else list(order)
+    if not words:
+        raise UsageError("an order needs a word")
+    action = ACTIONS.get(words[0])
+    if action is None:
+        raise UsageError(
+            f"there is no action called {words[0]!r}", remedy=f"actions: {', '.join(ACTIONS)}"
+        )
+    positional = [word for word in words[1:] if "=" not in word]
+    named = dict(word.split("=", 1) for word in words[1:] if "=" in word)
+    try:
+        action.run(aircraft, positional, named)
+    except UsageError:
+        raise
+    except (ValueError, TypeError) as error:
+        raise UsageError(
+            f"{action.name}: {error}", remedy=f"{action.name} {action.usage}"
+        ) from error
+    return action
+
+
+def status(aircraft: VirtualAircraft) -> dict[str, Any]:
+    """The state of an aircraft as JSON can carry it."""
+    autopilot = aircraft.autopilot
+    flight, motion, authority = autopilot.flight, autopilot.flight.dynamics, autopilot.authority
+    obstacle = authority.obstacle()
+    active = autopilot.activation.active
+    statistics, line = autopilot.endpoint.statistics, aircraft.line
+    return {
+        "time": round(autopilot.time, 2),
+        "firmware": autopilot.profile.name,
+        "seed": aircraft.seed,
+        "flight_status": flight.phase.name.lower(),
+        "maneuver": flight.maneuver.value,
+        "height": round(motion.height, 3),
+        "north": round(motion.north, 3),
+        "east": round(motion.east, 3),
+        "velocity": [
+            round(motion.velocity_north, 3),
+            round(motion.velocity_east, 3),
+            round(motion.velocity_up, 3),
+        ],
+        "heading_deg": round(autopilot.heading_deg, 1),
+        "motors_on": motion.motors_on,
+        "battery_percent": round(flight.battery_percent, 1),
+        "gps_health": flight.gps_health,
+        "rc_mode": aircraft.remote.mode.name,
+        "rc_is_on": aircraft.remote.is_on,
+        "control": authority.device.name.lower(),
+        "authority_obstacle": None if obstacle is None else obstacle.value,
+        "app_connected": aircraft.app.is_connected,
+        "app_has_internet": aircraft.app.has_internet,
+        "activated_app": None if active is None else active.app_id,
+        "task": None if flight.tasks.task is None else flight.tasks.task.name.lower(),
+        "task_state": flight.tasks.state.name.lower(),
+        "movements": autopilot.counters.movements,
+        "ignored_movements": autopilot.counters.ignored_movements,
+        "commands": statistics.commands,
+        "repeated_commands": statistics.repeated_commands,
+        "undecodable": autopilot.counters.undecodable,
+        "frames_sent": line.to_host.frames,
+        "frames_lost": line.to_host.lost + line.to_aircraft.lost,
+        "plugged": line.is_plugged,
+    }

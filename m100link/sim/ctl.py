@@ -1,0 +1,146 @@
+"""Orders from another shell: a Unix socket that takes lines of JSON.
+
+A request is ``{"aircraft": 0, "order": ["rc-mode", "P"]}``, the answer
+``{"ok": true, "status": {...}}`` or ``{"ok": false, "error": "..."}``. Each process has its socket
+in a directory that belongs to its user.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from m100link.errors import M100Error, UsageError
+from m100link.sim.actions import perform, status
+
+if TYPE_CHECKING:
+    from m100link.sim.virtual import VirtualAircraft
+
+__all__ = ["CtlServer", "find_sockets", "send_order", "socket_directory"]
+
+_LIMIT = 65_536
+
+
+def socket_directory() -> Path:
+    """Where the sockets of this user's simulators are."""
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    if base and Path(base).is_dir():
+        return Path(base) / "m100link"
+    return Path(tempfile.gettempdir()) / f"m100link-{os.getuid()}"
+
+
+def find_sockets() -> list[Path]:
+    """Sockets of simulators that run; what dead ones left is removed."""
+    found = []
+    for path in sorted(socket_directory().glob("sim-*.sock")):
+        with socket.socket(socket.AF_UNIX) as probe:
+            probe.settimeout(1.0)
+            try:
+                probe.connect(str(path))
+            except OSError:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+            else:
+                found.append(path)
+    return found
+
+
+class CtlServer:
+    """Takes orders for the aircraft of one process."""
+
+    def __init__(self, aircraft: list[VirtualAircraft], path: Path | None = None) -> None:
+        self._aircraft = aircraft
+        self.path = path or socket_directory() / f"sim-{os.getpid()}.sock"
+        self._server: asyncio.Server | None = None
+
+    async def start(self) -> None:
+        """Listen."""
+        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()
+        self._server = await asyncio.start_unix_server(
+            self._serve, path=str(self.path), limit=_LIMIT
+        )
+
+    async def stop(self) -> None:
+        """Stop listening and remove the socket."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while line := await reader.readline():
+                writer.write(json.dumps(self.answer(line)).encode() + b"\n")
+                await writer.drain()
+        except (ValueError, ConnectionError):
+            pass  # a line beyond the limit, or the other side is gone: nobody to tell
+        finally:
+            writer.close()
+
+    def answer(self, line: bytes) -> dict[str, Any]:
+        """Carry out one request."""
+        try:
+            request = json.loads(line)
+            index, order = request.get("aircraft", 0), request["order"]
+            aircraft = self._aircraft[index]
+            perform(aircraft, order)
+        except UsageError as error:
+            return {"ok": False, "error": str(error)}
+        except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+            return {"ok": False, "error": f"a request that makes no sense: {error!r}"}
+        return {"ok": True, "status": status(aircraft)}
+
+
+class NoSimulator(M100Error):
+    """No simulator runs, or it is not clear which one is meant."""
+
+
+def send_order(
+    order: list[str], *, path: Path | None = None, aircraft: int = 0, timeout: float = 5.0
+) -> dict[str, Any]:
+    """Send one order to a running simulator and return its answer.
+
+    Args:
+        order: The action and its arguments.
+        path: Socket; by default that of the only simulator that runs.
+        aircraft: Which aircraft of a process with several, from 0.
+        timeout: Seconds to wait.
+
+    Raises:
+        NoSimulator: None runs, or several do and ``path`` says nothing.
+    """
+    if path is None:
+        path = _only_socket()
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(timeout)
+        try:
+            connection.connect(str(path))
+            request = {"aircraft": aircraft, "order": order}
+            connection.sendall(json.dumps(request).encode() + b"\n")
+            with connection.makefile("rb") as answers:
+                answer: dict[str, Any] = json.loads(answers.readline(_LIMIT))
+        except (OSError, ValueError) as error:
+            raise NoSimulator(
+                f"the simulator at {path} does not answer: {error}",
+                remedy="start one with `m100link sim`",
+            ) from error
+    return answer
+
+
+def _only_socket() -> Path:
+    found = find_sockets()
+    if not found:
+        raise NoSimulator("no simulator runs", remedy="start one with `m100link sim`")
+    if len(found) > 1:
+        names = "".join(f"\n      --socket {path}" for path in found)
+        raise NoSimulator("several simulators run", remedy=f"say which:{names}")
+    return found[0]
