@@ -10,6 +10,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
@@ -367,40 +368,45 @@ class ItemStatistics:
 
     Attributes:
         name: Item name.
-        count: Arrivals.
-        rate_hz: Smoothed rate over about the last two seconds; None before the second arrival.
-        jitter_s: Smoothed mean deviation of the interval from its mean.
-        longest_gap_s: Longest interval so far.
+        count: Arrivals in all.
+        longest_gap_s: Longest interval so far, s.
     """
 
-    __slots__ = ("_interval", "_last", "count", "jitter_s", "longest_gap_s", "name")
+    __slots__ = ("_arrivals", "count", "longest_gap_s", "name")
+
+    WINDOW_S = 2.5
+    """Rate and jitter speak of the newest arrivals, at most so many seconds apart."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.count = 0
-        self.jitter_s = 0.0
         self.longest_gap_s = 0.0
-        self._last: float | None = None
-        self._interval: float | None = None
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Arrivals per second."""
-        return 1 / self._interval if self._interval else None
+        self._arrivals: deque[float] = deque(maxlen=256)
 
     def count_arrival(self, now: float) -> None:
         """Take an arrival into account."""
         self.count += 1
-        if self._last is not None:
-            gap = now - self._last
+        arrivals = self._arrivals
+        if arrivals:
+            gap = now - arrivals[-1]
             if gap > self.longest_gap_s:
                 self.longest_gap_s = gap
-            mean = self._interval
-            if mean is None:
-                self._interval = gap
-            else:
-                # A time constant of two seconds whatever the rate is.
-                weight = min(1.0, mean / 2.0) if mean > 0 else 0.01
-                self._interval = mean + weight * (gap - mean)
-                self.jitter_s += weight * (abs(gap - mean) - self.jitter_s)
-        self._last = now
+            oldest = now - self.WINDOW_S
+            while len(arrivals) > 1 and arrivals[0] < oldest:
+                arrivals.popleft()
+        arrivals.append(now)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Arrivals per second; None before the second arrival."""
+        span = self._arrivals[-1] - self._arrivals[0] if self._arrivals else 0.0
+        return (len(self._arrivals) - 1) / span if span > 0 else None
+
+    @property
+    def jitter_s(self) -> float | None:
+        """Mean deviation of the intervals from their mean, s; None before the third arrival."""
+        gaps = [later - earlier for earlier, later in pairwise(self._arrivals)]
+        if len(gaps) < 2:
+            return None
+        mean = sum(gaps) / len(gaps)
+        return sum(abs(gap - mean) for gap in gaps) / len(gaps)

@@ -1,0 +1,154 @@
+"""``m100link info`` and ``m100link activate``."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import sys
+from typing import Any
+
+from rich.table import Table
+
+from m100link.aircraft import ActivationProgress, Aircraft, connect
+from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, print_json, run_async
+from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.telemetry import RECORDS
+
+__all__ = ["activate", "info"]
+
+
+def info(
+    url: Url,
+    /,
+    *,
+    link: LinkOptions | None = None,
+    seconds: float = 1.1,
+    json: bool = False,
+) -> int:
+    """Show what is at the other end: version, firmware profile, telemetry items, line quality.
+
+    Args:
+        url: Where the aircraft is.
+        link: How to talk to it.
+        seconds: How long to watch telemetry.
+        json: One JSON object instead of tables.
+    """
+    return run_async(_info(url, link or LinkOptions(), seconds, json or not sys.stdout.isatty()))
+
+
+async def _info(url: str, link: LinkOptions, seconds: float, as_json: bool) -> int:
+    async with connect(url, **link.arguments()) as aircraft:
+        version = await aircraft.version()
+        await asyncio.sleep(seconds)
+        numbers = dataclasses.asdict(aircraft.statistics())
+        described: dict[str, Any] = {
+            "url": url,
+            "version": version.name,
+            "serial": version.serial,
+            "version_crc_matches": version.crc_matches,
+            "activated": version.is_activated,
+            "firmware": aircraft.firmware.name,
+            "firmware_is_forced": link.firmware is not None,
+            "firmware_summary": aircraft.firmware.summary,
+            "telemetry": _rates(aircraft),
+            "telemetry_mismatches": aircraft.telemetry_mismatches,
+            "line": numbers,
+        }
+    if as_json:
+        print_json(described)
+    else:
+        _print_info(described)
+    return 0
+
+
+def _rates(aircraft: Aircraft) -> dict[str, float | None]:
+    rates = {}
+    for name, record in zip(ITEM_NAMES, RECORDS, strict=True):
+        statistics = aircraft.state.statistics(record)
+        if statistics.count:
+            rate = statistics.rate_hz
+            rates[name] = None if rate is None else round(rate, 1)
+    return rates
+
+
+def _print_info(described: dict[str, Any]) -> None:
+    table = Table(box=None, show_header=False, pad_edge=False)
+    forced = " (forced)" if described["firmware_is_forced"] else " (by its version)"
+    rows = {
+        "version": described["version"],
+        "serial": described["serial"] or "not told by this firmware",
+        "activated": "yes" if described["activated"] else "no",
+        "firmware": described["firmware"] + forced,
+        "": described["firmware_summary"],
+        "telemetry": ", ".join(
+            f"{name} {'' if rate is None else f'{rate:g} Hz'}".strip()
+            for name, rate in described["telemetry"].items()
+        )
+        or "nothing arrives",
+    }
+    line = described["line"]
+    rows["line"] = (
+        f"{line['bytes_received']} bytes, {line['frames_received']} frames, "
+        f"{line['discarded_bytes']} bytes discarded {line['discards'] or ''}"
+    )
+    if described["telemetry_mismatches"]:
+        rows["warning"] = (
+            f"{described['telemetry_mismatches']} telemetry packages do not fit this firmware"
+        )
+    for name, value in rows.items():
+        table.add_row(f"[bold]{name}[/]", value)
+    out.print(table)
+
+
+def activate(
+    url: Url,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    wait: float = 60.0,
+    json: bool = False,
+) -> int:
+    """Activate the aircraft for an app; waits while the aircraft asks DJI's server.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        wait: Seconds until it gives up.
+        json: One JSON object instead of talk.
+    """
+    return run_async(_activate(url, app or AppOptions(), link or LinkOptions(), wait, json))
+
+
+async def _activate(
+    url: str, app: AppOptions, link: LinkOptions, wait: float, as_json: bool
+) -> int:
+    credentials = app.credentials()
+    attempts = 0
+
+    def tell(progress: ActivationProgress) -> None:
+        nonlocal attempts
+        attempts = progress.attempt
+        if progress.next_attempt_in is not None:
+            err.print(
+                f"attempt {progress.attempt}: {progress.code.meaning}; "
+                f"again in {progress.next_attempt_in:.0f} s, {progress.remaining:.0f} s left "
+                f"({progress.code.remedy})"
+            )
+
+    async with connect(url, **link.arguments()) as aircraft:
+        version = await aircraft.activate(credentials, timeout=wait, progress=tell)
+    if as_json or not sys.stdout.isatty():
+        print_json(
+            {
+                "activated": True,
+                "app_id": credentials.app_id,
+                "attempts": attempts,
+                "version": version.name,
+                "firmware": aircraft.firmware.name,
+            }
+        )
+    else:
+        out.print(f"[green]activated[/] for app {credentials.app_id}: {version.name}")
+    return 0

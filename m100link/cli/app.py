@@ -1,0 +1,37 @@
+"""All commands under one name."""
+
+from __future__ import annotations
+
+import sys
+
+from cyclopts import App, CycloptsError
+
+import m100link
+from m100link.cli import aircraft, decode, demo, monitor, sim
+from m100link.cli.common import ExitCode, complain
+from m100link.errors import M100Error
+
+__all__ = ["app", "run"]
+
+app = App(
+    name="m100link",
+    help="Fly and watch a DJI Matrice 100 through its Onboard API, or a virtual one.",
+    version=m100link.__version__,
+)
+app.command(demo.demo)
+app.command(aircraft.info)
+app.command(aircraft.activate)
+app.command(monitor.monitor)
+app.command(decode.decode)
+app.command(sim.app)
+
+
+def run() -> None:
+    """Parse the command line, run the command, exit with its status."""
+    try:
+        status = app(exit_on_error=False, print_error=True, result_action="return_value")
+    except CycloptsError:
+        sys.exit(ExitCode.USAGE)
+    except M100Error as error:
+        sys.exit(complain(error))
+    sys.exit(status if isinstance(status, int) else ExitCode.OK)

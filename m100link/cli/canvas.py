@@ -1,0 +1,103 @@
+"""Pictures made of braille characters: a track seen from above, a value over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+
+__all__ = ["line_plot", "track_plot"]
+
+# Bit of each dot of a braille character, by row (0 to 3) and column (0 to 1).
+_DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+
+Point = tuple[float, float]
+
+
+class _Canvas:
+    """A grid of dots, two columns and four rows to a character; (0, 0) is at the bottom left."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self.width, self.height = columns * 2, rows * 4
+        self._cells = [[0] * columns for _ in range(rows)]
+
+    def dot(self, x: int, y: int) -> None:
+        if 0 <= x < self.width and 0 <= y < self.height:
+            y = self.height - 1 - y
+            self._cells[y // 4][x // 2] |= _DOTS[y % 4][x % 2]
+
+    def line(self, x0: float, y0: float, x1: float, y1: float) -> None:
+        steps = int(max(abs(x1 - x0), abs(y1 - y0))) + 1
+        for step in range(steps + 1):
+            part = step / steps
+            self.dot(round(x0 + (x1 - x0) * part), round(y0 + (y1 - y0) * part))
+
+    def lines(self) -> list[str]:
+        return ["".join(chr(0x2800 + cell) for cell in row) for row in self._cells]
+
+
+def _span(values: Iterable[float], at_least: float) -> tuple[float, float]:
+    values = list(values)
+    low, high = min(values), max(values)
+    missing = at_least - (high - low)
+    return (low, high) if missing <= 0 else (low - missing / 2, high + missing / 2)
+
+
+def track_plot(points: Sequence[Point], *, columns: int = 44, rows: int = 16) -> list[str]:
+    """A track seen from above, equal scales, north up.
+
+    Args:
+        points: North and east in metres.
+        columns: Width in characters.
+        rows: Height in characters.
+    """
+    canvas = _Canvas(columns, rows)
+    if not points:
+        return canvas.lines()
+    south, north = _span((p[0] for p in points), 1.0)
+    west, east = _span((p[1] for p in points), 1.0)
+    scale = min((canvas.width - 3) / (east - west), (canvas.height - 3) / (north - south))
+    left = (canvas.width - (east - west) * scale) / 2
+    bottom = (canvas.height - (north - south) * scale) / 2
+    dots = [(left + (e - west) * scale, bottom + (n - south) * scale) for n, e in points]
+    for (x0, y0), (x1, y1) in pairwise(dots):
+        canvas.line(x0, y0, x1, y1)
+    pictured = canvas.lines()
+    pictured.append(
+        f"north up; {north - south:.1f} m north to south, {east - west:.1f} m east to west"
+    )
+    return pictured
+
+
+def line_plot(
+    points: Sequence[Point], *, unit: str = "", columns: int = 44, rows: int = 10
+) -> list[str]:
+    """A value over time.
+
+    Args:
+        points: Time in seconds, and value.
+        unit: Unit of the value, for the scale.
+        columns: Width in characters, scale not included.
+        rows: Height in characters.
+    """
+    canvas = _Canvas(columns, rows)
+    if not points:
+        return canvas.lines()
+    first, last = _span((p[0] for p in points), 1e-3)
+    low, high = _span((p[1] for p in points), 1e-3)
+    dots = [
+        (
+            (t - first) / (last - first) * (canvas.width - 1),
+            (value - low) / (high - low) * (canvas.height - 1),
+        )
+        for t, value in points
+    ]
+    for (x0, y0), (x1, y1) in pairwise(dots):
+        canvas.line(x0, y0, x1, y1)
+    labels = {0: f"{high:.2f}", rows - 1: f"{low:.2f}"}
+    width = max(map(len, labels.values()))
+    pictured = [
+        f"{labels.get(row, ''):>{width}} ┤{line}" for row, line in enumerate(canvas.lines())
+    ]
+    seconds = f"{last - first:.1f} s"
+    pictured.append(f"{unit:>{width}}  0{seconds:>{columns - 1}}")
+    return pictured
