@@ -10,21 +10,25 @@ An empty payload makes a frame of the header alone, without a CRC32.
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from struct import Struct
 from typing import NamedTuple
+from zlib import crc32
 
 from m100link.errors import PayloadTooLarge, UsageError
 from m100link.wire.cipher import BLOCK_SIZE, Cipher
 from m100link.wire.crc import (
     FRAME_RESIDUE,
-    SEQUENCE_CRC16_HIGH,
-    SEQUENCE_CRC16_LOW,
+    HEADER_RESIDUE,
+    ZLIB_START,
     frame_crc32,
-    frame_residue,
+    header_crc16,
     header_crc16_of_word,
     sequence_crc16,
 )
+from m100link.wire.crc import SEQUENCE_CRC16_HIGH as _HIGH
+from m100link.wire.crc import SEQUENCE_CRC16_LOW as _LOW
 
 __all__ = [
     "HEADER_SIZE",
@@ -48,6 +52,8 @@ MAX_DATA_SIZE = MAX_FRAME_SIZE - OVERHEAD
 MAX_SESSION = 31
 
 _HEADER = Struct("<QHH")  # first eight bytes, sequence number, CRC16
+_unpack_header = _HEADER.unpack_from
+_new = tuple.__new__
 _WORD = Struct("<Q")
 _CRC32 = Struct("<I")
 
@@ -133,7 +139,7 @@ def encode_frame(
 
 
 class _Header(NamedTuple):
-    """What the first eight bytes of a header say, remembered so that repeats cost one lookup.
+    """What a header says but for its sequence number, remembered so that repeats cost one lookup.
 
     ``discard`` is None for a usable header. ``crc`` is the CRC16 with sequence number 0.
     """
@@ -147,8 +153,7 @@ class _Header(NamedTuple):
     discard: Discard | None
 
 
-def _read_word(word: int) -> _Header:
-    raw = _WORD.pack(word)
+def _parse_header(raw: bytes) -> _Header:
     length = raw[1] | (raw[2] & 0x03) << 8
     discard: Discard | None = None
     if raw[2] >> 2:
@@ -158,7 +163,7 @@ def _read_word(word: int) -> _Header:
     elif length < OVERHEAD and length != HEADER_SIZE:
         discard = Discard.LENGTH
     return _Header(
-        header_crc16_of_word(raw),
+        header_crc16_of_word(raw[:8]),
         length,
         raw[3] & 0x1F,
         bool(raw[3] & 0x20),
@@ -224,100 +229,116 @@ class FrameDecoder:
             return []
         if self._parts:
             self._parts.append(data)
-            data = b"".join(self._parts)
-            self._parts.clear()
-            self._missing = 0
-        return self._scan(data, at_end=False)
+            data = self._take_parts()
+        return self._scan(data)
 
     def close(self) -> list[Frame]:
         """End of the stream: give up on an incomplete frame and look inside it."""
-        data = b"".join(self._parts)
-        self._parts.clear()
-        self._missing = 0
-        return self._scan(data, at_end=True)
+        frames: list[Frame] = []
+        while self._parts:
+            self.discards[Discard.TRUNCATED] += 1
+            self.discarded_bytes += 1
+            frames += self._scan(self._take_parts()[1:])
+        return frames
 
     @property
     def pending(self) -> int:
         """Bytes kept because they may begin a frame, at most 1022."""
         return sum(map(len, self._parts))
 
-    def _scan(self, data: bytes, *, at_end: bool) -> list[Frame]:
+    def _take_parts(self) -> bytes:
+        data = b"".join(self._parts)
+        self._parts.clear()
+        self._missing = 0
+        return data
+
+    def _scan(self, data: bytes) -> list[Frame]:
+        # Every frame of every link passes here, so this is written for speed: one loop, few calls.
         frames: list[Frame] = []
         headers = self._headers
-        find, unpack, size = data.find, _HEADER.unpack_from, len(data)
-        low, high = SEQUENCE_CRC16_LOW, SEQUENCE_CRC16_HIGH
+        size = len(data)
         position = delivered = false_starts = 0
-        while True:
-            position = find(SOF, position)
-            if position < 0:
-                position = size
+        while position < size:
+            if data[position] != SOF:
+                position = data.find(SOF, position)
+                if position < 0:
+                    position = size
+                    break
+            end = position + HEADER_SIZE
+            if end > size:
                 break
-            if size - position < HEADER_SIZE:
-                if at_end:
-                    self.discards[Discard.TRUNCATED] += 1
-                    position += 1
-                    continue
-                self._missing = HEADER_SIZE - (size - position)
-                break
-            word, sequence, crc16 = unpack(data, position)
-            header = headers.get(word) or self._remember(word)
-            crc, length, session, is_ack, encrypted, padding, discard = header
-            if crc ^ low[sequence & 0xFF] ^ high[sequence >> 8] != crc16:
-                false_starts += 1
-                position += 1
+            word, sequence, crc16 = _unpack_header(data, position)
+            header = headers.get(word) or self._read_header(word, data[position:end])
+            if header is None or header[0] ^ _LOW[sequence & 0xFF] ^ _HIGH[sequence >> 8] != crc16:
+                skipped = _flood(data, position) if word == _FLOOD_WORD else 1
+                false_starts += skipped
+                position += skipped
                 continue
+            _, length, session, is_ack, encrypted, padding, discard = header
             if discard is not None:
                 self.discards[discard] += 1
                 position += 1
                 continue
             end = position + length
             if end > size:
-                if at_end:
-                    self.discards[Discard.TRUNCATED] += 1
-                    position += 1
-                    continue
-                self._missing = end - size
                 break
             frame = data[position:end]
-            if length > HEADER_SIZE and frame_residue(frame) != FRAME_RESIDUE:
+            if length > HEADER_SIZE and crc32(frame, ZLIB_START) != FRAME_RESIDUE:
                 self.discards[Discard.FRAME_CRC] += 1
                 position += 1
                 continue
             payload = frame[HEADER_SIZE:-CRC32_SIZE]
             if encrypted or padding:
-                opened = self._open(payload, encrypted, padding)
-                if opened is None:
+                discard, payload = self._open(payload, encrypted, padding)
+                if discard is not None:
+                    self.discards[discard] += 1
                     # An intact frame for which there is no key is passed over whole; one whose
                     # padding cannot be is no frame, so the search goes on inside it.
-                    position = end if self.cipher is None and encrypted else position + 1
+                    position = end if discard is Discard.NO_KEY else position + 1
                     continue
-                payload = opened
-            frames.append(Frame(session, is_ack, sequence, encrypted, padding, payload))
+            # Frame(…) would go through a constructor in Python, at twice the cost.
+            frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
             delivered += length
             position = end
         if position < size:
             self._parts.append(data[position:])
-        self.discards[Discard.HEADER_CRC] += false_starts
+            self._missing = end - size
+        if false_starts:
+            self.discards[Discard.HEADER_CRC] += false_starts
         self.discarded_bytes += position - delivered
         self.frames += len(frames)
         return frames
 
-    def _remember(self, word: int) -> _Header:
+    def _read_header(self, word: int, raw: bytes) -> _Header | None:
+        """What a header says, remembered; None when its CRC16 is wrong."""
+        if header_crc16(raw) != HEADER_RESIDUE:
+            return None
         if len(self._headers) >= _CACHE_LIMIT:
             self._headers.clear()
-        header = self._headers[word] = _read_word(word)
+        header = self._headers[word] = _parse_header(raw)
         return header
 
-    def _open(self, payload: bytes, encrypted: bool, padding: int) -> bytes | None:
-        """Decrypt and remove the padding; None (and a count) when that cannot be."""
+    def _open(self, payload: bytes, encrypted: bool, padding: int) -> tuple[Discard | None, bytes]:
+        """Decrypt and remove the padding, or say why that cannot be."""
         if padding > BLOCK_SIZE or padding > len(payload):
-            self.discards[Discard.PADDING] += 1
-            return None
-        if not encrypted:
-            return payload  # the field means nothing here, DJI's codec ignores it too
-        if not payload:
-            return payload
+            return Discard.PADDING, payload
+        if not encrypted or not payload:
+            return None, payload  # padding means nothing here, DJI's codec ignores it too
         if self.cipher is None:
-            self.discards[Discard.NO_KEY] += 1
-            return None
-        return self.cipher.decrypt(payload)[: len(payload) - padding]
+            return Discard.NO_KEY, payload
+        return None, self.cipher.decrypt(payload)[: len(payload) - padding]
+
+
+_FLOOD_WORD = int.from_bytes(bytes([SOF] * 8), "little")
+_after_flood = re.compile(b"[^\xaa]").search
+
+
+def _flood(data: bytes, position: int) -> int:
+    """How many of the start bytes that follow each other from here begin no header.
+
+    Twelve start bytes in a row are no header (their CRC16 is wrong), so where a line floods with
+    them only the last eleven are worth a look.
+    """
+    after = _after_flood(data, position)
+    run = (after.start() if after else len(data)) - position
+    return max(1, run - HEADER_SIZE + 1)
