@@ -1,0 +1,318 @@
+"""Encoding, decoding and what the decoder says about what it passes over."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+
+from m100link.errors import PayloadTooLarge, UsageError
+from m100link.wire import MAX_DATA_SIZE, Cipher, Discard, Frame, FrameDecoder, encode_frame
+from tests.support import (
+    KEY,
+    all_frames,
+    encrypted_frame,
+    load_vectors,
+    raw_frame,
+)
+
+FRAMES = load_vectors("frames")
+STREAMS = load_vectors("streams")
+
+
+def decode(stream: bytes, key: bytes | None = None) -> tuple[list[Frame], FrameDecoder]:
+    """All frames of a stream that ends."""
+    decoder = FrameDecoder(None if key is None else Cipher(key))
+    return decoder.feed(stream) + decoder.close(), decoder
+
+
+def faults(decoder: FrameDecoder) -> dict[str, int]:
+    """The discards that happened, by name."""
+    return {str(cause): count for cause, count in decoder.discards.items() if count}
+
+
+def chunks_of(stream: bytes, dice: random.Random) -> list[bytes]:
+    """The stream in pieces of 1 to 80 bytes."""
+    pieces, at = [], 0
+    while at < len(stream):
+        size = dice.choice((1, 2, 7, 16, 62, 80))
+        pieces.append(stream[at : at + size])
+        at += size
+    return pieces
+
+
+# -- golden vectors --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("vector", FRAMES, ids=range(len(FRAMES)))
+def test_golden_frame_encodes_and_decodes(vector: dict[str, Any]) -> None:
+    data, wire = bytes.fromhex(vector["data"]), bytes.fromhex(vector["frame"])
+    cipher = Cipher(vector["key"]) if vector["key"] else None
+    fields = {"session": vector["session"], "sequence": vector["seq"]}
+    encoded = encode_frame(data, **fields, is_ack=bool(vector["ack"]), cipher=cipher)
+    assert encoded == wire
+    (frame,), decoder = decode(wire, vector["key"] and bytes.fromhex(vector["key"]))
+    assert (frame.session, frame.is_ack, frame.sequence) == (
+        vector["session"],
+        bool(vector["ack"]),
+        vector["seq"],
+    )
+    assert frame.data == data
+    assert faults(decoder) == {}
+
+
+@pytest.mark.parametrize("vector", STREAMS, ids=range(len(STREAMS)))
+@pytest.mark.parametrize("chunking", ["whole", "bytes", "random"])
+def test_golden_stream_gives_its_frames(vector: dict[str, Any], chunking: str) -> None:
+    stream = bytes.fromhex(vector["bytes"])
+    seed = len(stream)  # fixed per vector: a failure repeats
+    chunks = {
+        "whole": [stream],
+        "bytes": [stream[at : at + 1] for at in range(len(stream))],
+        "random": chunks_of(stream, random.Random(seed)),
+    }[chunking]
+    decoder = FrameDecoder(Cipher(vector["key"]))
+    found = [frame for chunk in chunks for frame in decoder.feed(chunk)]
+    assert found == [
+        Frame(
+            wanted["session"],
+            bool(wanted["ack"]),
+            wanted["seq"],
+            bool(wanted["enc"]),
+            wanted["padding"],
+            bytes.fromhex(wanted["data"]),
+        )
+        for wanted in vector["frames"]
+    ]
+    assert decoder.pending == 0
+
+
+# -- published frames ------------------------------------------------------------------------------
+
+REAL_FRAMES = (
+    # Sent to a real Matrice 100 in 2015 and published; their key was not, so they show checksums.
+    ("aa200001 2d000000 0100 7462 f0fe9c002116e7b2b048a49831354f49 2ac1ba63", 1),
+    ("aa200001 2d000000 0200 7492 6225f5a0560dfbea27891e0497dc6926 bcfb5119", 2),
+)
+
+
+@pytest.mark.parametrize(("text", "sequence"), REAL_FRAMES)
+def test_a_frame_captured_from_a_real_aircraft_has_good_checksums(text: str, sequence: int) -> None:
+    wire = bytes.fromhex(text)
+    (frame,), _ = decode(wire, KEY)  # any key opens it, to nonsense
+    assert (frame.session, frame.is_ack, frame.sequence) == (1, False, sequence)
+    assert (frame.encrypted, frame.padding, len(frame.data)) == (True, 13, 3)
+    assert decode(wire)[1].discards[Discard.NO_KEY] == 1
+
+
+# -- encoding --------------------------------------------------------------------------------------
+
+
+def test_an_empty_payload_is_a_header_alone_and_never_encrypted() -> None:
+    plain = encode_frame(b"", session=0, sequence=0)
+    assert plain == bytes.fromhex("aa0c0000000000000000af8e")
+    assert encode_frame(b"", session=0, sequence=0, cipher=Cipher(KEY)) == plain
+
+
+def test_the_largest_payload_fills_the_length_field() -> None:
+    wire = encode_frame(bytes(MAX_DATA_SIZE), session=0, sequence=0)
+    assert (MAX_DATA_SIZE, len(wire)) == (1007, 1023)
+    assert decode(wire)[0][0].data == bytes(1007)
+    with pytest.raises(PayloadTooLarge, match="1008 bytes"):
+        encode_frame(bytes(1008), session=0, sequence=0)
+
+
+def test_the_largest_encrypted_payload_leaves_room_for_padding() -> None:
+    cipher = Cipher(KEY)
+    wire = encode_frame(bytes(991), session=0, sequence=0, cipher=cipher)
+    assert len(wire) == 12 + 992 + 4
+    with pytest.raises(PayloadTooLarge, match=r"992 bytes.*\n.*at most 991 bytes encrypted"):
+        encode_frame(bytes(992), session=0, sequence=0, cipher=cipher)
+
+
+@pytest.mark.parametrize("session", [-1, 32])
+def test_a_session_that_does_not_exist_is_refused(session: int) -> None:
+    with pytest.raises(UsageError, match=str(session)):
+        encode_frame(b"", session=session, sequence=0)
+
+
+@pytest.mark.parametrize("sequence", [-1, 0x10000])
+def test_a_sequence_number_beyond_16_bits_is_refused(sequence: int) -> None:
+    with pytest.raises(UsageError, match=str(sequence)):
+        encode_frame(b"", session=0, sequence=sequence)
+
+
+# -- each cause of a discard -----------------------------------------------------------------------
+
+GOOD = raw_frame(b"good", session=2, sequence=7)
+GOOD_DECODED = Frame(2, False, 7, False, 0, b"good")
+
+# Every frame here has good checksums, except where a checksum is the fault.
+FAULTY = {
+    "header_crc": raw_frame(b"abc", crc16_error=1),
+    "frame_crc": raw_frame(b"abc", crc32_error=1),
+    "version": raw_frame(b"abc", version=1),
+    "reserved_bits": raw_frame(b"abc", reserved0=1),
+    "length": raw_frame(b"abc", length=11),
+    "padding": raw_frame(bytes(32), sequence=1, padding=17, encryption=1),
+}
+
+
+@pytest.mark.parametrize("cause", FAULTY)
+def test_each_fault_is_counted_under_its_own_name_and_costs_no_other_frame(cause: str) -> None:
+    frames, decoder = decode(GOOD + FAULTY[cause] + GOOD, KEY)
+    assert frames == [GOOD_DECODED, GOOD_DECODED]
+    assert faults(decoder) == {cause: 1}
+    assert decoder.discarded_bytes == len(FAULTY[cause])
+
+
+@pytest.mark.parametrize("bits", [1 << n for n in range(6)])
+def test_any_version_but_0_is_refused(bits: int) -> None:
+    assert faults(decode(raw_frame(b"abc", version=bits))[1]) == {"version": 1}
+
+
+@pytest.mark.parametrize(
+    "fields", [{"reserved0": 1}, {"reserved0": 2}] + [{"reserved1": 1 << n} for n in range(24)]
+)
+def test_any_reserved_bit_is_refused(fields: dict[str, int]) -> None:
+    frame = raw_frame(b"abc", **fields)  # type: ignore[arg-type]  # names are drawn from a list
+    assert faults(decode(frame)[1]) == {"reserved_bits": 1}
+
+
+@pytest.mark.parametrize("length", [*range(12), 13, 14, 15])
+def test_a_length_that_no_frame_has_is_refused_at_once(length: int) -> None:
+    wire = raw_frame(b"abc", length=length)
+    decoder = FrameDecoder()
+    # With the header alone: nothing is waited for. DJI's parser would wait for ever below 12.
+    decoder.feed(wire[:12])
+    assert faults(decoder) == {"length": 1}
+    assert decoder.pending == 0
+
+
+def test_a_frame_of_16_bytes_has_a_checksum_and_no_data() -> None:
+    (frame,), decoder = decode(raw_frame(b"", length=16))
+    assert frame == Frame(0, False, 0, False, 0, b"")
+    assert faults(decoder) == {}
+
+
+@pytest.mark.parametrize("padding", [17, 31])
+def test_more_padding_than_a_block_is_refused(padding: int) -> None:
+    wire = raw_frame(b"\x11" * 32, sequence=5, padding=padding, encryption=1)
+    frames, decoder = decode(wire, KEY)
+    assert (frames, faults(decoder)) == ([], {"padding": 1})
+
+
+def test_more_padding_than_data_is_refused_where_dji_would_underflow() -> None:
+    assert faults(decode(raw_frame(bytes(4), padding=5, encryption=1), KEY)[1]) == {"padding": 1}
+    assert faults(decode(raw_frame(b"", padding=1), KEY)[1]) == {"padding": 1}
+
+
+def test_padding_of_all_the_data_leaves_nothing() -> None:
+    (frame,), _ = decode(encrypted_frame(b""), KEY)
+    assert (frame.padding, frame.data) == (16, b"")
+
+
+def test_what_the_padding_holds_is_ignored() -> None:
+    for pad in (bytes(16), b"\xaa" * 16, bytes(range(16))):
+        assert decode(encrypted_frame(b"abc", pad=pad), KEY)[0][0].data == b"abc"
+
+
+@pytest.mark.parametrize("encryption", range(1, 8))
+def test_any_encryption_value_but_0_means_aes_as_in_djis_codec(encryption: int) -> None:
+    ciphertext = encrypted_frame(b"abc")[12:-4]
+    (frame,), _ = decode(raw_frame(ciphertext, padding=13, encryption=encryption), KEY)
+    assert (frame.encrypted, frame.data) == (True, b"abc")
+
+
+def test_without_a_key_an_encrypted_frame_is_counted_and_passed_over_whole() -> None:
+    hidden = encrypted_frame(b"secret", session=3)
+    frames, decoder = decode(GOOD + hidden + GOOD)
+    assert frames == [GOOD_DECODED, GOOD_DECODED]
+    assert faults(decoder) == {"no_key": 1}
+    assert decoder.discarded_bytes == len(hidden)
+
+
+def test_a_key_applies_to_frames_completed_after_it_is_set() -> None:
+    wire = encrypted_frame(b"abc")
+    decoder = FrameDecoder()
+    assert decoder.feed(wire + wire[:-1]) == []
+    decoder.cipher = Cipher(KEY)
+    assert [frame.data for frame in decoder.feed(wire[-1:])] == [b"abc"]
+
+
+def test_a_frame_nested_in_a_damaged_frame_is_found() -> None:
+    outer = raw_frame(b"xx" + GOOD + b"yy", crc32_error=1)
+    frames, decoder = decode(outer)
+    assert frames == [GOOD_DECODED]
+    assert faults(decoder) == {"frame_crc": 1}
+    assert decoder.discarded_bytes == len(outer) - len(GOOD)
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
+def test_a_frame_nested_in_one_with_impossible_padding_is_found(key: bytes | None) -> None:
+    outer = raw_frame(b"xx" + GOOD + b"yy", padding=31, encryption=1)
+    frames, decoder = decode(outer, key)
+    assert frames == [GOOD_DECODED]
+    assert faults(decoder) == {"padding": 1}
+
+
+def test_a_frame_nested_in_a_good_frame_is_its_data_and_nothing_else() -> None:
+    frames, _ = decode(raw_frame(GOOD))
+    assert [frame.data for frame in frames] == [GOOD]
+
+
+# -- waiting and giving up -------------------------------------------------------------------------
+
+
+def test_a_frame_is_delivered_with_its_last_byte() -> None:
+    decoder = FrameDecoder()
+    for at in range(len(GOOD) - 1):
+        assert decoder.feed(GOOD[at : at + 1]) == []
+        assert decoder.pending == at + 1
+    assert decoder.feed(GOOD[-1:]) == [GOOD_DECODED]
+    assert decoder.pending == 0
+
+
+def test_what_a_false_header_swallowed_is_found_when_its_length_is_reached() -> None:
+    false_header = raw_frame(bytes(1007))[:12]
+    decoder = FrameDecoder()
+    assert decoder.feed(false_header + GOOD * 3) == []
+    assert decoder.pending == 12 + 3 * len(GOOD)
+    rest = decoder.feed(bytes(1023 - decoder.pending))
+    assert rest == [GOOD_DECODED] * 3
+    assert faults(decoder) == {"frame_crc": 1}
+
+
+def test_at_most_one_incomplete_frame_is_kept() -> None:
+    decoder = FrameDecoder()
+    decoder.feed(raw_frame(bytes(1007))[:-1])
+    assert decoder.pending == 1022
+    decoder.feed(b"\x01")
+    assert decoder.pending == 0
+
+
+def test_the_end_of_the_stream_gives_up_on_the_incomplete_and_looks_inside_it() -> None:
+    decoder = FrameDecoder()
+    assert decoder.feed(raw_frame(bytes(1007))[:12] + GOOD + GOOD[:5]) == []
+    assert decoder.close() == [GOOD_DECODED]
+    assert faults(decoder) == {"truncated": 2}
+    assert (decoder.pending, decoder.discarded_bytes) == (0, 12 + 5)
+    assert decoder.close() == []
+
+
+def test_feeding_nothing_gives_nothing() -> None:
+    decoder = FrameDecoder()
+    assert decoder.feed(b"") == []
+    decoder.feed(GOOD[:5])
+    assert decoder.feed(b"") == []
+    assert decoder.feed(GOOD[5:]) == [GOOD_DECODED]
+
+
+def test_the_simple_model_agrees_with_the_golden_streams() -> None:
+    # The properties in test_frame_properties.py are judged by it.
+    for vector in STREAMS:
+        key = bytes.fromhex(vector["key"])
+        found = all_frames(bytes.fromhex(vector["bytes"]), key)
+        wanted = [bytes.fromhex(frame["data"]) for frame in vector["frames"]]
+        assert [frame.data for frame in found] == wanted
