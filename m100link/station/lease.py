@@ -1,0 +1,259 @@
+"""Who may steer: one lease at a time, with a name and an end (pure logic, ``now`` is an argument).
+
+Any number of clients may watch. To steer, one takes the lease; it ends when its holder gives it
+back, stops renewing it, or an operator takes it over. A take-over has two steps: the first names
+who would lose control, the second confirms exactly that. A lease that has ended stays ended: its
+token is refused for ever, so a recorded message cannot bring it back.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from m100link.errors import M100Error
+
+__all__ = [
+    "LEASE_LIFETIME",
+    "Lease",
+    "LeaseChange",
+    "LeaseDesk",
+    "LeaseHeld",
+    "LeaseRefused",
+    "TakeOver",
+]
+
+LEASE_LIFETIME = 3.0
+"""Seconds that a lease lasts without renewal; its holder renews it several times in that time."""
+
+TAKE_OVER_LIFETIME = 10.0
+"""Seconds in which a take-over has to be confirmed."""
+
+MAX_NAME = 64
+
+
+class LeaseRefused(M100Error):
+    """This client may not steer: the token is wrong, expired, given back or taken over."""
+
+
+class LeaseHeld(LeaseRefused):
+    """Another client holds the lease.
+
+    Attributes:
+        holder: Its name.
+    """
+
+    def __init__(self, seen: str, *, holder: str = "", cause: str = "", remedy: str = "") -> None:
+        super().__init__(seen, cause=cause, remedy=remedy)
+        self.holder = holder
+
+
+class LeaseChange(Enum):
+    """Why the lease changed hands."""
+
+    ACQUIRED = "acquired"
+    RELEASED = "released"
+    EXPIRED = "expired"
+    TAKEN_OVER = "taken over"
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """The right to steer.
+
+    Attributes:
+        name: Who holds it, for people.
+        token: Proof of it; only the holder knows it.
+        number: Counts leases from 1; a later lease has a greater number.
+    """
+
+    name: str
+    token: str
+    number: int
+
+    def __repr__(self) -> str:
+        # The token is a secret: whoever reads a log must not be able to steer.
+        return f"<Lease {self.number} of {self.name!r}>"
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOver:
+    """A take-over that waits for its confirmation.
+
+    Attributes:
+        name: Who wants to steer.
+        from_name: Who would lose the lease.
+        token: What :meth:`LeaseDesk.confirm` takes.
+        number: Number of the lease it is about; if that one ends first, this is void.
+        expires_at: Time after which it is void.
+    """
+
+    name: str
+    from_name: str
+    token: str
+    number: int
+    expires_at: float
+
+    def __repr__(self) -> str:
+        return f"<TakeOver by {self.name!r} from {self.from_name!r}>"
+
+
+class LeaseDesk:
+    """Hands out the lease of one aircraft.
+
+    Args:
+        lifetime: Seconds that a lease lasts without renewal.
+        make_token: Source of tokens; by default 128 bits from the system.
+        on_change: Called after each change with the reason, the old and the new lease.
+    """
+
+    def __init__(
+        self,
+        *,
+        lifetime: float = LEASE_LIFETIME,
+        make_token: Callable[[], str] = lambda: secrets.token_urlsafe(16),
+        on_change: Callable[[LeaseChange, Lease | None, Lease | None], None] | None = None,
+    ) -> None:
+        if not lifetime > 0:
+            raise ValueError(f"a lease of {lifetime} s is none")
+        self.lifetime = lifetime
+        self._make_token = make_token
+        self._on_change = on_change
+        self._lease: Lease | None = None
+        self._expires_at = 0.0
+        self._count = 0
+        self._take_over: TakeOver | None = None
+
+    def holder(self, now: float) -> Lease | None:
+        """The lease in force."""
+        self.advance(now)
+        return self._lease
+
+    def remaining(self, now: float) -> float:
+        """Seconds until the lease in force ends if nobody renews it; 0 without one."""
+        self.advance(now)
+        return self._expires_at - now if self._lease is not None else 0.0
+
+    def next_wakeup(self) -> float | None:
+        """When :meth:`advance` has something to do."""
+        return self._expires_at if self._lease is not None else None
+
+    def advance(self, now: float) -> None:
+        """Let time pass: end a lease that nobody renewed."""
+        if self._lease is not None and now >= self._expires_at:
+            self._change(LeaseChange.EXPIRED, None, now)
+
+    def acquire(self, name: str, now: float) -> Lease:
+        """Take the lease if it is free.
+
+        Raises:
+            LeaseHeld: It is not; the holder's name is in the error.
+        """
+        self.advance(now)
+        if self._lease is not None:
+            raise LeaseHeld(
+                f"{self._lease.name} has control",
+                holder=self._lease.name,
+                remedy="ask there to let go, or take over and confirm it",
+            )
+        return self._grant(LeaseChange.ACQUIRED, name, now)
+
+    def check(self, token: str, now: float) -> Lease:
+        """The lease that the token proves.
+
+        Raises:
+            LeaseRefused: It proves none, or one that has ended.
+        """
+        self.advance(now)
+        lease = self._lease
+        if lease is None or not secrets.compare_digest(lease.token.encode(), token.encode()):
+            holder = f"; {lease.name} has control" if lease is not None else ""
+            raise LeaseRefused(
+                f"this lease is not in force{holder}",
+                cause="it expired, was given back or was taken over; an ended lease never returns",
+                remedy="take control anew",
+            )
+        return lease
+
+    def renew(self, token: str, now: float) -> Lease:
+        """Let the lease last another lifetime from now.
+
+        Raises:
+            LeaseRefused: See :meth:`check`.
+        """
+        lease = self.check(token, now)
+        self._expires_at = now + self.lifetime
+        return lease
+
+    def release(self, token: str, now: float) -> None:
+        """Give the lease back.
+
+        Raises:
+            LeaseRefused: See :meth:`check`.
+        """
+        self.check(token, now)
+        self._change(LeaseChange.RELEASED, None, now)
+
+    def ask_take_over(self, name: str, now: float) -> TakeOver:
+        """First step of a take-over: learn who would lose control. A newer request replaces it.
+
+        Raises:
+            LeaseRefused: Nobody holds the lease; it can simply be acquired.
+        """
+        self.advance(now)
+        if self._lease is None:
+            raise LeaseRefused(
+                "nobody has control", remedy="acquire the lease, there is no need to take it over"
+            )
+        self._take_over = TakeOver(
+            _clean(name),
+            self._lease.name,
+            self._make_token(),
+            self._lease.number,
+            now + TAKE_OVER_LIFETIME,
+        )
+        return self._take_over
+
+    def confirm(self, token: str, now: float) -> Lease:
+        """Second step: take the lease from the client that the first step named.
+
+        Raises:
+            LeaseRefused: There is no such request, it is too old, used before, or the lease has
+                changed hands since: then the operator confirmed something else.
+        """
+        self.advance(now)
+        wanted, self._take_over = self._take_over, None
+        if (
+            wanted is None
+            or not secrets.compare_digest(wanted.token.encode(), token.encode())
+            or now >= wanted.expires_at
+            or self._lease is None
+            or self._lease.number != wanted.number
+        ):
+            raise LeaseRefused(
+                "there is nothing to confirm",
+                cause="the request is too old, was used, or control changed hands meanwhile",
+                remedy="look who has control now, and ask again",
+            )
+        return self._grant(LeaseChange.TAKEN_OVER, wanted.name, now)
+
+    def _grant(self, why: LeaseChange, name: str, now: float) -> Lease:
+        self._count += 1
+        lease = Lease(_clean(name), self._make_token(), self._count)
+        self._change(why, lease, now)
+        return lease
+
+    def _change(self, why: LeaseChange, lease: Lease | None, now: float) -> None:
+        before, self._lease = self._lease, lease
+        self._expires_at = now + self.lifetime
+        self._take_over = None
+        if self._on_change is not None:
+            self._on_change(why, before, lease)
+
+
+def _clean(name: str) -> str:
+    """A name fit for a banner and a log line."""
+    printable = "".join(letter for letter in name if letter.isprintable()).strip()
+    return printable[:MAX_NAME] or "unnamed"
