@@ -1,0 +1,302 @@
+"""Tables that are made of the code they describe, so that they cannot differ from it.
+
+Each directive takes its rows from one object of the package::
+
+    ```{ack-codes} ActivationCode         an enum in m100link.protocol.codes
+    ```{command-table}                    m100link.protocol.registry.COMMANDS
+    ```{profile-table}                    m100link.protocol.firmware.PROFILES
+    ```{item-table}                       sizes of the telemetry items per profile
+    ```{item-fields} 3.1                  fields of the telemetry items under one profile
+    ```{mode-table}                       the fourteen control modes and their ranges
+    ```{discard-table}                    causes for which the decoder discards
+    ```{url-examples}                     connection strings that work
+    ```{authority-table}                  transitions of control authority
+    ```{cli-help} decode                  what `m100link decode --help` says
+    ```{errata-index}                     links to the numbered errata
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import io
+import math
+import re
+from collections.abc import Iterable, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.statemachine import StringList
+from rich.console import Console
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from m100link.authority import TRANSITIONS
+from m100link.cli.app import app as cli
+from m100link.link.url import EXAMPLES
+from m100link.protocol import codes, firmware, setpoint
+from m100link.protocol.registry import COMMANDS
+from m100link.protocol.telemetry import RECORDS, telemetry_size
+from m100link.wire import Discard
+
+PROFILES = tuple(firmware.PROFILES.values())
+
+
+class TableDirective(SphinxDirective):
+    """A table of inline text; subclasses give the rows."""
+
+    has_content = False
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """The head row, then the body rows. Double backquotes make code."""
+        raise TypeError(f"{type(self).__name__} has no rows")
+
+    def run(self) -> list[nodes.Node]:
+        """The table as document nodes."""
+        head, *body = self.rows()
+        table = nodes.table(classes=["colwidths-auto"])
+        group = nodes.tgroup(cols=len(head))
+        table += group
+        for _ in head:
+            group += nodes.colspec(colwidth=1)
+        group += nodes.thead("", _row(head))
+        group += nodes.tbody("", *map(_row, body))
+        return [table]
+
+
+def _row(cells: Sequence[str]) -> nodes.row:
+    return nodes.row("", *(nodes.entry("", _paragraph(cell)) for cell in cells))
+
+
+def _paragraph(text: str) -> nodes.paragraph:
+    paragraph = nodes.paragraph()
+    for index, part in enumerate(re.split(r"``(.+?)``", text)):
+        if part:
+            paragraph += nodes.literal(text=part) if index % 2 else nodes.Text(part)
+    return paragraph
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] if text else "—"
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+class AckCodes(TableDirective):
+    """Codes of one enum with meaning, cause and remedy."""
+
+    required_arguments = 1
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per member."""
+        enum: type[codes.AckCode] = getattr(codes, self.arguments[0])
+        yield "Code", "Name", "Meaning", "Likely cause", "What to do"
+        for code in enum:
+            number = f"``0x{code:04X}``" if code > 9 else f"``{int(code)}``"
+            yield (
+                number,
+                f"``{code.name}``",
+                _sentence(code.meaning),
+                _sentence(code.cause),
+                _sentence(code.remedy),
+            )
+
+
+class CommandTable(TableDirective):
+    """Every command and push."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per address."""
+        yield "Set/id", "Name", "Direction", "What it is", "Ack"
+        for address, command in sorted(COMMANDS.items()):
+            summary = (inspect.getdoc(command) or "").split("\n\n")[0].replace("\n", " ")
+            summary = summary.removeprefix(f"{address}, ").removesuffix(".")
+            ack = "none" if command.CODES is None else f"``{command.CODES.__name__}``"
+            direction = "from the aircraft" if address.command_set == 0x02 else "to the aircraft"
+            yield f"``{address}``", f"``{command.NAME}``", direction, _sentence(summary), ack
+
+
+class ProfileTable(TableDirective):
+    """What the firmware profiles say, one column each."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per attribute in which a profile can differ."""
+        yield "", *(f"``{profile.name}``" for profile in PROFILES)
+        for field in dataclasses.fields(firmware.FirmwareProfile):
+            if field.name not in ("name", "items"):
+                values = (getattr(profile, field.name) for profile in PROFILES)
+                yield f"``{field.name}``", *(_value(field.name, value) for value in values)
+
+
+def _value(name: str, value: object) -> str:
+    if isinstance(value, bool):
+        return _yes(value)
+    if isinstance(value, Enum):
+        return str(value.value)
+    if name == "activation_version":
+        return "the app's own" if value is None else f"``0x{value:08X}``"
+    return f"``{value}``" if name == "version_name" else str(value)
+
+
+class ItemTable(TableDirective):
+    """Bytes per telemetry item and profile."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per item in the order of the flag bits, and the whole."""
+        yield "Bit", "Item", "Record", *(f"``{profile.name}``" for profile in PROFILES)
+        for bit, name in enumerate(firmware.ITEM_NAMES):
+            sizes = (str(profile.items[bit].size) for profile in PROFILES)
+            yield str(bit), f"``{name}``", f"``{RECORDS[bit].__name__}``", *sizes
+        everything = (1 << len(firmware.ITEM_NAMES)) - 1
+        totals = (str(telemetry_size(everything, profile)) for profile in PROFILES)
+        yield "", "all, with the flag word", "", *totals
+
+
+_C_TYPES = {"B": "u8", "h": "i16", "I": "u32", "f": "f32", "d": "f64"}
+
+
+class ItemFields(TableDirective):
+    """Fields of every telemetry item under one profile."""
+
+    required_arguments = 1
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per field, with its offset inside the item."""
+        yield "Item", "Offset", "Type", "Field"
+        profile = firmware.profile(self.arguments[0])
+        for name, layout in zip(firmware.ITEM_NAMES, profile.items, strict=True):
+            counted = re.findall(r"(\d*)([a-zA-Z])", layout.format)
+            letters = "".join(letter * int(count or 1) for count, letter in counted)
+            for index, (letter, field) in enumerate(zip(letters, layout.fields, strict=True)):
+                offset = firmware.ItemLayout(letters[:index], ()).size
+                item = f"``{name}``" if index == 0 else ""
+                yield item, str(offset), _C_TYPES[letter], f"``{field}``"
+
+
+class ModeTable(TableDirective):
+    """The fourteen control modes."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per mode, in the document's order."""
+        yield "No", "Constructor", "Vertical", "Horizontal", "Yaw", "Flag"
+        modes = [
+            setpoint.ControlMode(horizontal, vertical, yaw)
+            for horizontal in setpoint.Horizontal
+            for vertical in setpoint.Vertical
+            for yaw in setpoint.Yaw
+        ]
+        for mode in sorted((mode for mode in modes if mode.is_legal), key=lambda m: m.number):
+            yield (
+                str(mode.number),
+                f"``Setpoint.{mode.horizontal.name.lower()}``",
+                _ranged(mode.vertical, setpoint.VERTICAL_LIMITS[mode.vertical]),
+                _ranged(mode.horizontal, setpoint.LIMITS[mode.horizontal]),
+                _ranged(mode.yaw, setpoint.YAW_LIMITS[mode.yaw]),
+                f"``0x{mode.flag:02X}``",
+            )
+
+
+def _ranged(way: Enum, limit: Any) -> str:
+    name = way.name.lower().replace("_", " ")
+    if math.isinf(limit.low):
+        return f"{name}, {limit.unit}"
+    low, high = (f"{value:g}".replace("-", "−") for value in (limit.low, limit.high))
+    high = "the height limit" if math.isinf(limit.high) else high
+    return f"{name}, {low} to {high} {limit.unit}"
+
+
+DISCARD_MEANINGS = {
+    Discard.HEADER_CRC: "A start byte 0xAA that begins no frame: its CRC16 is wrong. In noise and "
+    "in encrypted data that is the ordinary case.",
+    Discard.FRAME_CRC: "A good header, and a wrong CRC32 over the frame.",
+    Discard.LENGTH: "A good CRC16 over a length that no frame has: below 12, or 13 to 15.",
+    Discard.RESERVED_BITS: "A good CRC16 over reserved bits that are not zero.",
+    Discard.VERSION: "A good CRC16 over a version field that is not 0.",
+    Discard.PADDING: "A good frame that claims more padding than it has data, or more than 16.",
+    Discard.NO_KEY: "A good frame that is encrypted, and there is no key.",
+    Discard.TRUNCATED: "The stream ended inside a frame.",
+}
+
+
+class DiscardTable(TableDirective):
+    """Causes for which the decoder discards bytes."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per cause; a cause without a meaning fails the build."""
+        yield "Cause", "Meaning"
+        for cause in Discard:
+            yield f"``{cause}``", DISCARD_MEANINGS[cause]
+
+
+class AuthorityTable(TableDirective):
+    """The transitions of control authority."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per state and input."""
+        yield "State", "What happens", "Next state"
+        for state, transitions in TRANSITIONS.items():
+            for index, (what, after) in enumerate(transitions.items()):
+                name = f"``{state.name}``" if index == 0 else ""
+                yield name, _sentence(what.value), f"``{after.name}``"
+
+
+class ErrataIndex(SphinxDirective):
+    """The numbers of the errata as links, in their order; each number must be there once."""
+
+    def run(self) -> list[nodes.Node]:
+        """One paragraph."""
+        text = Path(self.env.doc2path(self.env.docname)).read_text(encoding="utf-8")
+        headings = {int(number) for number in re.findall(r"^### (\d+)\. ", text, re.MULTILINE)}
+        rows = {int(number) for number in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)}
+        if headings & rows or headings | rows != set(range(1, 73)):
+            raise self.error("the errata are not the numbers 1 to 72, each once")
+        paragraph = nodes.paragraph(text="By number: ")
+        for number in range(1, 73):
+            anchor = f"errata-{number}" if number in headings else "errata-missions"
+            paragraph += nodes.reference(text=str(number), refuri=f"#{anchor}")
+            paragraph += nodes.Text(" ")
+        return [paragraph]
+
+
+class UrlExamples(SphinxDirective):
+    """The connection strings that error messages show."""
+
+    def run(self) -> list[nodes.Node]:
+        """A literal block."""
+        lines = StringList(list(EXAMPLES), source="m100link.link.url")
+        return [nodes.literal_block(text="\n".join(lines))]
+
+
+class CliHelp(SphinxDirective):
+    """The help text of a verb, as the terminal shows it."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        """A literal block."""
+        text = io.StringIO()
+        console = Console(file=text, width=92, force_terminal=False, color_system=None)
+        cli.help_print(self.arguments[0].split(), console=console)
+        lines = [line.rstrip() for line in text.getvalue().strip().splitlines()]
+        return [nodes.literal_block(text="\n".join(lines), language="text")]
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Called by Sphinx."""
+    app.add_directive("ack-codes", AckCodes)
+    app.add_directive("command-table", CommandTable)
+    app.add_directive("profile-table", ProfileTable)
+    app.add_directive("item-table", ItemTable)
+    app.add_directive("item-fields", ItemFields)
+    app.add_directive("mode-table", ModeTable)
+    app.add_directive("discard-table", DiscardTable)
+    app.add_directive("url-examples", UrlExamples)
+    app.add_directive("cli-help", CliHelp)
+    app.add_directive("authority-table", AuthorityTable)
+    app.add_directive("errata-index", ErrataIndex)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

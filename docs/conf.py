@@ -1,0 +1,67 @@
+"""Sphinx configuration. `nox -s docs` builds with every warning an error."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS / "_ext"))
+metadata = tomllib.loads((DOCS.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+project = metadata["name"]
+author = metadata["authors"][0]["name"]
+copyright = f"2026, {author}"
+version = release = metadata["version"]
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.doctest",
+    "sphinx.ext.napoleon",
+    "public_names",
+    "tables",
+]
+exclude_patterns = ["_build"]
+# `Frame` is two things: m100link.Frame (ground or body) and m100link.wire.Frame (bytes). A bare name
+# means the first of them.
+suppress_warnings = ["ref.python"]
+
+myst_enable_extensions = ["colon_fence", "deflist", "fieldlist"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_class_signature = "mixed"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True  # attributes are described by their class, not indexed one by one
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 88
+
+# References are checked against this manual alone: building it needs no network. What belongs to
+# other projects is therefore named here instead of linked.
+nitpicky = True
+nitpick_ignore_regex = [
+    # The standard library and the packages that m100link stands on.
+    (r"py:.*", r"(asyncio|collections|dataclasses|enum|pathlib|struct|typing)(\..*)?"),
+    (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
+    (r"py:class", r"(Path|Random)"),
+    # Attributes are described by their class, they are no entries of their own.
+    (r"py:attr", r"state"),
+    # Programs get a Control from the aircraft and never make one.
+    (r"py:class", r"m100link\.control\.Commander"),
+    # Type variables.
+    (r"py:class", r"m100link\.[\w.]+\.[RT]"),
+    # A default factory makes a signature that Sphinx cannot parse; it guesses at the pieces.
+    (r"py:class", r"dict\[str"),
+]
+
+doctest_global_setup = "import m100link"
+doctest_default_flags = 0
+
+html_theme = "furo"
+html_title = f"m100link {release}"
+html_copy_source = False
+html_show_sphinx = False
