@@ -99,6 +99,7 @@ class SiteOptions:
         gusts: Standard deviation of gusts, m/s.
         sensor_noise: 0 is none, 1 that of decent sensors.
         movement_timeout: Seconds without movement commands until it hovers.
+        server_delay: Seconds that the first activation takes; attempts meanwhile are answered 3.
     """
 
     latitude: float = AircraftSettings().latitude_deg
@@ -109,6 +110,7 @@ class SiteOptions:
     gusts: float = 0.0
     sensor_noise: float = 1.0
     movement_timeout: float = 0.5
+    server_delay: float = 0.0
 
     def settings(self) -> AircraftSettings:
         """As the aircraft takes them."""
@@ -121,6 +123,7 @@ class SiteOptions:
             gusts=self.gusts,
             noise=self.sensor_noise,
             movement_timeout=self.movement_timeout,
+            server_delay=self.server_delay,
         )
 
 
@@ -151,6 +154,7 @@ def run(
     cold: bool = False,
     speed: float = 1.0,
     baud: int = 230_400,
+    rate: tuple[str, ...] = (),
     count: int = 1,
     scenario: Path | None = None,
     duration: Annotated[float | None, Parameter(name="--for")] = None,
@@ -175,6 +179,8 @@ def run(
         cold: The state after power-on: API control not enabled, switch in P, no app, no GPS.
         speed: Times as fast as real.
         baud: Baud rate in the assistant's settings; a program that sets another one reads garbage.
+        rate: ITEM=HZ, a telemetry rate in the assistant's settings (0, 1, 10, 50, 100); may be
+            given several times.
         count: So many aircraft; the ports are numbered from 0.
         scenario: TOML file of what happens when.
         duration: End by itself after so many seconds of its own time.
@@ -189,7 +195,9 @@ def run(
     if not speed > 0.0:
         raise UsageError(f"speed must be above 0, not {speed:g}")
     server_key = _read_key(key, key_file)
-    assistant = AssistantSettings(api_control_enabled=not cold, baud_rate=baud)
+    assistant = AssistantSettings(
+        api_control_enabled=not cold, baud_rate=baud, rates_hz=_read_rates(rate)
+    )
     aircraft = [
         VirtualAircraft(
             seed=seed + index,
@@ -220,6 +228,16 @@ def _read_key(text: str | None, path: Path | None) -> Key:
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"the key file {path} cannot be read: {error}") from error
     return DEMO_KEY if text is None else Key(text)
+
+
+def _read_rates(words: tuple[str, ...]) -> dict[str, int]:
+    rates = {}
+    for word in words:
+        name, separator, hertz = word.partition("=")
+        if not separator or not hertz.isdecimal():
+            raise UsageError(f"{word!r} is no ITEM=HZ", remedy="--rate control_device=10")
+        rates[name] = int(hertz)
+    return rates
 
 
 def _read_address(text: str) -> tuple[str, int]:

@@ -21,8 +21,9 @@ class Activation:
     """What this aircraft knows about apps: who is active, who was allowed before.
 
     The first request of an app that this aircraft does not know is answered 3 while the server is
-    asked through the mobile app; after ``server_delay`` a further one is answered 0. An app that
-    was allowed once is remembered, over power-off too, and needs neither phone nor Internet again.
+    asked through the mobile app; the next one, ``server_delay`` or more later, is answered 0. An
+    app that was allowed once is remembered, over power-off too, and needs neither phone nor
+    Internet again.
 
     Attributes:
         active: The grant in force, None before activation.
@@ -83,8 +84,11 @@ class Activation:
             self.last_refusal = verdict
             self._asking.pop(request.app_id, None)
             return _SERVER_CODES[verdict]
-        answer_at = self._asking.setdefault(request.app_id, now + self._delay)
-        if now < answer_at or (answer_at == now and self._delay > 0.0):
+        answer_at = self._asking.get(request.app_id)
+        if answer_at is None:
+            self._asking[request.app_id] = now + self._delay
+            return ActivationCode.NEW_DEVICE
+        if now < answer_at:
             return ActivationCode.NEW_DEVICE
         del self._asking[request.app_id]
         self._server.activate(request.app_id, self._serial_number, level)

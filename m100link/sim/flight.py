@@ -153,6 +153,8 @@ class FlightController:
                 self.take_off()
             elif task is Task.LAND:
                 self.land()
+            elif self.dynamics.on_ground:
+                self.tasks.end(succeeded=True)  # it stands at home already
             else:
                 self.go_home()
         return code
@@ -168,9 +170,12 @@ class FlightController:
             motors_on = self.dynamics.motors_on
             enough = self.battery_percent > self._settings.critical_battery_percent
             return self.phase is FlightPhase.STANDBY and not motors_on and enough
-        if self.phase is not FlightPhase.IN_AIR:
+        if task is Task.LAND:
+            return self.phase is FlightPhase.IN_AIR
+        if self.home is None or self.gps_health < GOOD_GPS:
             return False
-        return task is Task.LAND or (self.home is not None and self.gps_health >= GOOD_GPS)
+        at_home = self.distance_home <= self._settings.go_home_radius
+        return self.phase is FlightPhase.IN_AIR or (self.phase is FlightPhase.STANDBY and at_home)
 
     def arm(self, on: bool, has_authority: bool) -> ArmCode:
         """Start or stop the motors (firmware 3.1, 0x01/0x05)."""

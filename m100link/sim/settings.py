@@ -93,8 +93,8 @@ class AircraftSettings:
         movement_timeout: Seconds without a movement command until the aircraft brakes and hovers
             (undocumented; DJI's header says only that it hovers).
         rc_lost_after: Seconds without remote control until it goes home by itself.
-        server_delay: Seconds that the first activation of a new aircraft takes to reach the server;
-            attempts in this time are answered 3.
+        server_delay: Seconds that the server takes to answer; the first attempt of an app on a new
+            aircraft is answered 3, and so are all others in this time.
         forget_acks_after: Seconds after which a stored ack is forgotten; None keeps it, as the
             document says (1.4).
         undecodable: Answer to encrypted commands that cannot be read.
@@ -129,7 +129,7 @@ class AircraftSettings:
     gps_seconds: float = 30.0
     movement_timeout: float = 0.5
     rc_lost_after: float = 3.0
-    server_delay: float = 1.0
+    server_delay: float = 0.0
     forget_acks_after: float | None = None
     undecodable: Undecodable = Undecodable.NOT_SUPPORTED
     encrypted_control_only: bool = False
