@@ -7,7 +7,7 @@ import sys
 from cyclopts import App, CycloptsError
 
 import m100link
-from m100link.cli import aircraft, decode, demo, monitor, sim, sim
+from m100link.cli import aircraft, decode, demo, monitor, sim
 from m100link.cli.common import ExitCode, complain
 from m100link.errors import M100Error
 
@@ -23,7 +23,6 @@ app.command(aircraft.info)
 app.command(aircraft.activate)
 app.command(monitor.monitor)
 app.command(decode.decode)
-app.command(sim.app)
 app.command(sim.app)
 
 
