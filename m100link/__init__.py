@@ -13,7 +13,7 @@
 from m100link import errors
 from m100link.aircraft import ActivationProgress, Aircraft, connect
 from m100link.authority import Authority, AuthorityState
-from m100link.control import Control, Hold, TaskProgress
+from m100link.control import Control, Hold
 from m100link.errors import (
     AckTimeout,
     ActivationRefused,
@@ -53,6 +53,7 @@ from m100link.errors import (
     TelemetryStalled,
     UsageError,
 )
+from m100link.guards import Envelope, Guards
 from m100link.link import LinkStatistics
 from m100link.pacing import Tick, Ticker
 from m100link.protocol import (
@@ -95,6 +96,7 @@ from m100link.subscription import (
     Sample,
     Subscription,
 )
+from m100link.tasks import TaskProgress
 from m100link.wire import Key
 
 __version__ = "0.1.0"
@@ -128,12 +130,14 @@ __all__ = [
     "ControlMode",
     "Credentials",
     "Device",
+    "Envelope",
     "FirmwareProfile",
     "FlightPhase",
     "FlightStatus",
     "Frame",
     "Gimbal",
     "GuardRefused",
+    "Guards",
     "Hold",
     "ItemStatistics",
     "Key",

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.authority import Authority, AuthorityInput, AuthorityState
-from m100link.control import Control, StopAction, authority_lost
+from m100link.control import Control, PauseAction, StopAction
 from m100link.errors import (
     AckTimeout,
     ActivationRefused,
@@ -28,6 +28,7 @@ from m100link.errors import (
     TelemetryStalled,
     UsageError,
 )
+from m100link.guards import Guards
 from m100link.link import Link, LinkStatistics, open_link
 from m100link.protocol.activation import Activate, Credentials, GetVersion, SendToMobile, Version
 from m100link.protocol.codes import AckCode, ActivationCode, SystemCode
@@ -385,11 +386,22 @@ class Aircraft:
         self._task_sequence = (self._task_sequence + 1) & 0xFF
         return self._task_sequence
 
-    def control(self, *, stop: StopAction = "hover") -> Control:
+    def control(
+        self,
+        *,
+        stop: StopAction = "hover",
+        on_pause: PauseAction = "raise",
+        guards: Guards | None = None,
+        handle_sigterm: bool = True,
+    ) -> Control:
         """Control authority for a block: ``async with aircraft.control() as control``.
 
         Args:
             stop: What to do when the block ends in any way: ``"hover"`` or ``"land"``.
+            on_pause: When the pilot takes the aircraft: ``"raise"`` ends the block with
+                :class:`AuthorityLost`; ``"wait"`` keeps it, see :meth:`Control.wait_resumable`.
+            guards: Safety guards; all on by default.
+            handle_sigterm: Let SIGTERM take the stop path before it ends the program.
 
         Raises (on entering):
             AuthorityRefused: With cause and remedy.
@@ -400,7 +412,9 @@ class Aircraft:
                 "another control block of this program holds authority",
                 remedy="share its Control object, or leave that block first",
             )
-        self._control = Control(self, stop=stop)
+        self._control = Control(
+            self, stop=stop, on_pause=on_pause, guards=guards, handle_sigterm=handle_sigterm
+        )
         return self._control
 
     # -- telemetry and mobile data ---------------------------------------------------------------
@@ -528,9 +542,8 @@ class Aircraft:
 
     def _authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
         _logger.debug("authority: %s -> %s", before.value, after.value)
-        was_ours = before is AuthorityState.HELD
-        if was_ours and after in (AuthorityState.PAUSED, AuthorityState.LOST) and self._control:
-            self._control.fail(authority_lost(self.authority.reason))
+        if self._control is not None:
+            self._control.authority_changed(before, after, self.authority.reason)
 
 
 def _key_rejected(name: str) -> KeyRejected:

@@ -1,242 +1,110 @@
-"""Flying: authority while a block runs, setpoints that expire, tasks that end when seen to end."""
+"""Flying: authority while a block runs, setpoints that expire, one way to stop."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
+import signal
+import threading
+from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, Protocol, Self
+from typing import Literal, Self
 
 import anyio
 
-from m100link.authority import Authority, AuthorityInput, AuthorityState
+from m100link.authority import AuthorityInput, AuthorityState
 from m100link.errors import (
-    AckTimeout,
     AuthorityLost,
     AuthorityRefused,
-    CommandRefused,
     LinkError,
     M100Error,
     NoAuthority,
-    NotObserved,
-    TaskFailed,
     TaskRefused,
+    TelemetryStalled,
     UsageError,
 )
-from m100link.pacing import MAX_RATE_HZ, Ticker
-from m100link.protocol.codes import AuthorityCode, TaskResultCode, TaskStartCode
-from m100link.protocol.control import QueryTask, RequestAuthority, StartTask, Task
-from m100link.protocol.firmware import FirmwareProfile
+from m100link.guards import GuardKeeper, Guards
+from m100link.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
+from m100link.protocol.codes import AuthorityCode
+from m100link.protocol.control import Move, RequestAuthority, Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.protocol.telemetry import FlightPhase
+from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
+from m100link.tasks import Commander, TaskProgress, run_task, task_name
 
-if TYPE_CHECKING:
-    from m100link.protocol.command import Command
-    from m100link.subscription import AircraftState
+__all__ = ["Control", "Hold", "PauseAction", "StopAction", "authority_lost"]
 
-__all__ = ["Control", "Hold", "StopAction", "TaskProgress"]
-
-_logger = logging.getLogger("m100link.authority")
+_logger = logging.getLogger("m100link.control")
 
 StopAction = Literal["hover", "land"]
 """What the stop path does after the neutral setpoint."""
 
-SETPOINT_LIFETIME = 0.2
-"""Seconds that a setpoint is repeated when the program does not renew it."""
-
-NEUTRAL_TIME = 0.3
-"""Seconds of neutral after a setpoint expired; then silence, on which the aircraft hovers."""
+PauseAction = Literal["raise", "wait"]
+"""What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""
 
 AUTHORITY_PAUSE = 0.05
 """Seconds between the requests of a firmware that wants two (DJI's C library waits as long)."""
 
 _AUTHORITY_REQUESTS = 10
 _RELEASE_DEADLINE = 2.0
-_LAND_DEADLINE = 60.0
-_TASK_POLL = 0.25
-_TASK_QUERY_INTERVAL = 1.0
-_TAKE_OFF_HEIGHT = 1.0
+_STOP_LANDING_DEADLINE = 60.0
 
-
-@dataclass(frozen=True, slots=True)
-class TaskProgress:
-    """How far a take-off, landing or go-home is.
-
-    Attributes:
-        task: Which one.
-        elapsed: Seconds since it was accepted.
-        phase: Flight phase by telemetry, None when unknown.
-        height_m: Height by telemetry, None when unknown.
-        result: Newest answer to the result query, None before the first.
-    """
-
-    task: Task
-    elapsed: float
-    phase: FlightPhase | None
-    height_m: float | None
-    result: TaskResultCode | None
-
-
-class Commander(Protocol):
-    """What :class:`Control` needs of the aircraft."""
-
-    authority: Authority
-    state: AircraftState
-
-    @property
-    def firmware(self) -> FirmwareProfile:
-        """Firmware profile in use."""
-        ...
-
-    async def execute(
-        self,
-        command: Command,
-        *,
-        timeout: float,
-        tries: int,
-        refusal: type[CommandRefused] = CommandRefused,
-    ) -> int:
-        """Send a command, return its ack code; system codes raise."""
-        ...
-
-    def push(self, command: Command) -> bool:
-        """Send without ack."""
-        ...
-
-    def next_task_sequence(self) -> int:
-        """A number for the next task."""
-        ...
-
-
-class _SetpointLoop:
-    """The one task that sends setpoints.
-
-    A setpoint goes out at once when the last transmission is a period ago, and is repeated each
-    period until it is renewed, replaced, or expires. After expiry: the mode's neutral for a
-    moment, then silence. Nothing older than its lifetime is ever repeated.
-    """
-
-    def __init__(self, send: Callable[[Setpoint], bool]) -> None:
-        self._send = send
-        self._loop = asyncio.get_running_loop()
-        self._period = 1.0 / MAX_RATE_HZ
-        self._setpoint: Setpoint | None = None
-        self._expires_at = 0.0
-        self._silent_at = 0.0
-        self._last_sent_at = float("-inf")
-        self._news = asyncio.Event()
-        self._task: asyncio.Task[None] | None = None
-        self.sent = 0
-        self.expired = 0
-
-    def set(self, setpoint: Setpoint, lifetime: float) -> None:
-        now = self._loop.time()
-        self._setpoint = setpoint
-        self._expires_at = now + lifetime
-        self._silent_at = self._expires_at + NEUTRAL_TIME
-        # A caller that ticks at the full rate jitters around the period; half of it is early.
-        if now - self._last_sent_at >= self._period * 0.5:
-            self._transmit(setpoint, now)
-        if self._task is None:
-            self._task = asyncio.create_task(self._run(), name="m100link setpoints")
-        self._news.set()
-
-    def _transmit(self, setpoint: Setpoint, now: float) -> None:
-        self._last_sent_at = now
-        self.sent += 1
-        self._send(setpoint)
-
-    async def _run(self) -> None:
-        while True:
-            if self._setpoint is None:
-                self._news.clear()
-                await self._news.wait()
-            due = self._last_sent_at + self._period
-            delay = due - self._loop.time()
-            if delay > 0:
-                await asyncio.sleep(delay)
-                if self._last_sent_at + self._period > self._loop.time() + 1e-9:
-                    continue  # the program sent one itself meanwhile
-            now = self._loop.time()
-            setpoint = self._setpoint
-            if setpoint is None:
-                continue
-            if now < self._expires_at:
-                self._transmit(setpoint, now)
-            elif now < self._silent_at:
-                neutral = setpoint.neutral()
-                if setpoint != neutral:
-                    self.expired += 1
-                    _logger.warning("a setpoint was not renewed in time: sending neutral")
-                    self._setpoint = neutral
-                self._transmit(neutral, now)
-            else:
-                self._setpoint = None
-
-    def neutralise(self) -> None:
-        """Replace the setpoint by its neutral, which then falls silent by itself."""
-        if self._setpoint is not None:
-            neutral = self._setpoint.neutral()
-            now = self._loop.time()
-            self._setpoint = neutral
-            self._expires_at = now
-            self._silent_at = now + NEUTRAL_TIME
-            self._transmit(neutral, now)
-            self._news.set()
-
-    def silence(self) -> None:
-        """Send nothing more until the next setpoint."""
-        self._setpoint = None
-
-    @property
-    def current(self) -> Setpoint | None:
-        return self._setpoint
-
-    async def stop(self) -> None:
-        self._setpoint = None
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.wait([self._task])
-            self._task = None
+SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
+"""Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""
 
 
 class Hold:
     """A setpoint that is being sent; :meth:`set` renews or replaces it."""
 
-    def __init__(self, control: Control, lifetime: float) -> None:
+    def __init__(self, control: Control, lifetime: float, rate_hz: float) -> None:
         self._control = control
         self._lifetime = lifetime
+        self._rate_hz = rate_hz
 
     def set(self, setpoint: Setpoint) -> None:
         """Send this setpoint from now on, for another lifetime.
 
         Raises:
-            NoAuthority: See :meth:`Control.send`.
+            NoAuthority, GuardRefused, BadSetpoint: See :meth:`Control.send`.
         """
-        self._control.send(setpoint, lifetime=self._lifetime)
+        self._control.send(setpoint, lifetime=self._lifetime, rate_hz=self._rate_hz)
 
 
 class Control:
     """Control of the aircraft while an ``async with aircraft.control()`` block runs.
 
-    Entering obtains authority, leaving always stops and releases it: neutral setpoint, hover or
-    land as chosen, then release, bounded in time and whatever ends the block. When authority or
-    the link is lost the block is cancelled and :class:`AuthorityLost` or :class:`LinkLost` raised.
+    Entering obtains authority. Leaving, in whatever way, takes one path: the mode's neutral, hover
+    or land as chosen, release; shielded from cancellation and bounded in time. When authority, the
+    link or telemetry is lost, the block is cancelled and the plain reason raised.
     """
 
-    def __init__(self, commander: Commander, *, stop: StopAction = "hover") -> None:
+    def __init__(
+        self,
+        commander: Commander,
+        *,
+        stop: StopAction = "hover",
+        on_pause: PauseAction = "raise",
+        guards: Guards | None = None,
+        handle_sigterm: bool = True,
+    ) -> None:
         if stop not in ("hover", "land"):
             raise UsageError(f"there is no stop action {stop!r}", remedy="use 'hover' or 'land'")
+        if on_pause not in ("raise", "wait"):
+            raise UsageError(f"on_pause cannot be {on_pause!r}", remedy="use 'raise' or 'wait'")
         self._commander = commander
         self._stop_action: StopAction = stop
+        self._on_pause: PauseAction = on_pause
+        self._guards = GuardKeeper(guards or Guards(), commander.state)
+        self._handles_sigterm = handle_sigterm
         self._scope = anyio.CancelScope()
         self._failure: M100Error | None = None
-        self._is_entered = False
-        self._is_task_running = False
-        self._setpoints = _SetpointLoop(self._transmit)
+        self._is_entered = self._is_over = False
+        self._is_paused = False
+        self._is_terminated = False
+        self._is_stopping = False
+        self._running_task: Task | None = None
+        self._setpoints = SetpointLoop(self._transmit)
 
     # -- the block -------------------------------------------------------------------------------
 
@@ -249,7 +117,9 @@ class Control:
         except BaseException:
             # The ack may be lost and authority ours all the same.
             await _finish(self._release())
+            self._is_over = True
             raise
+        self._catch_sigterm()
         self._scope.__enter__()
         return self
 
@@ -260,32 +130,49 @@ class Control:
         traceback: TracebackType | None,
     ) -> bool:
         swallowed = bool(self._scope.__exit__(exc_type, exc, traceback))
-        await _finish(self._stop_path())
+        try:
+            await _finish(self._stop_path())
+        finally:
+            self._is_over = True
+            self._let_sigterm_go()
         if self._failure is not None and (exc is None or swallowed):
             raise self._failure
         return swallowed
 
     def fail(self, error: M100Error) -> None:
-        """Authority or link are gone: end the block with this error."""
-        if self._failure is None:
+        """Authority, link or telemetry are gone: end the block with this error."""
+        if self._failure is None and not self._is_over:
             self._failure = error
             self._setpoints.silence()
             self._scope.cancel()
 
+    def authority_changed(self, before: AuthorityState, after: AuthorityState, reason: str) -> None:
+        """Called by the aircraft after each change of authority."""
+        if self._is_over or self._is_stopping:
+            return
+        if after is AuthorityState.PAUSED and self._on_pause == "wait":
+            self._is_paused = True
+            self._setpoints.silence()
+        elif after is AuthorityState.PAUSED or (
+            after is AuthorityState.LOST and before in (AuthorityState.HELD, AuthorityState.PAUSED)
+        ):
+            self.fail(authority_lost(reason))
+
     async def _obtain(self) -> None:
-        authority, firmware = self._commander.authority, self._commander.firmware
+        authority = self._commander.authority
         authority.feed(AuthorityInput.OBTAIN)
         code = AuthorityCode.NOT_CHANGED
         try:
-            for _ in range(_AUTHORITY_REQUESTS if firmware.authority_requests > 1 else 1):
+            for attempt in range(self._requests()):
+                if attempt:
+                    await asyncio.sleep(AUTHORITY_PAUSE)
                 code = AuthorityCode(await self._request_authority(obtain=True))
-                if code == AuthorityCode.OBTAINED:
-                    authority.feed(AuthorityInput.OBTAINED)
-                    _logger.info("control authority obtained")
-                    return
                 if code != AuthorityCode.NOT_CHANGED:
                     break
-                await asyncio.sleep(AUTHORITY_PAUSE)
+            if code == AuthorityCode.OBTAINED:
+                authority.feed(AuthorityInput.OBTAINED)
+                _logger.info("control authority obtained")
+                return
         finally:
             if authority.state is AuthorityState.OBTAINING:
                 authority.feed(AuthorityInput.REFUSED)
@@ -299,21 +186,26 @@ class Control:
             remedy=code.remedy,
         )
 
+    def _requests(self) -> int:
+        """How often to ask: firmware that wants two requests answers the first "in progress"."""
+        return _AUTHORITY_REQUESTS if self._commander.firmware.authority_requests > 1 else 1
+
     async def _request_authority(self, *, obtain: bool) -> int:
         return await self._commander.execute(
             RequestAuthority(obtain=obtain), timeout=0.5, tries=2, refusal=AuthorityRefused
         )
 
     async def _release(self) -> None:
-        authority, firmware = self._commander.authority, self._commander.firmware
+        authority = self._commander.authority
         authority.feed(AuthorityInput.RELEASE)
         try:
             async with asyncio.timeout(_RELEASE_DEADLINE):
-                for _ in range(_AUTHORITY_REQUESTS if firmware.authority_requests > 1 else 1):
+                for attempt in range(self._requests()):
+                    if attempt:
+                        await asyncio.sleep(AUTHORITY_PAUSE)
                     code = await self._request_authority(obtain=False)
                     if code not in (AuthorityCode.NOT_CHANGED, AuthorityCode.RELEASING):
                         break
-                    await asyncio.sleep(AUTHORITY_PAUSE)
             _logger.info("control authority released")
         except (M100Error, TimeoutError) as error:
             # The block ends all the same: without setpoints the aircraft hovers.
@@ -322,18 +214,18 @@ class Control:
             authority.feed(AuthorityInput.RELEASED)
 
     async def _stop_path(self) -> None:
+        """Neutral, hover or land, release. Every wait in it is bounded."""
         if isinstance(self._failure, LinkError):
             await self._setpoints.stop()
             return
-        was_flying = self._setpoints.current is not None
-        if self.has_authority:
+        self._is_stopping = True
+        if self.has_authority and self._setpoints.current is not None:
             self._setpoints.neutralise()
-            if was_flying:
-                await asyncio.sleep(NEUTRAL_TIME)
+            await asyncio.sleep(NEUTRAL_TIME)
         await self._setpoints.stop()
         if self._stop_action == "land" and self.has_authority and self._is_airborne():
             try:
-                await self.land(timeout=_LAND_DEADLINE)
+                await run_task(self._commander, Task.LAND, timeout=_STOP_LANDING_DEADLINE)
             except M100Error as error:
                 _logger.error("the stop path could not land: %s", error)
         await self._release()
@@ -341,6 +233,37 @@ class Control:
     def _is_airborne(self) -> bool:
         status = self._commander.state.flight_status
         return status is not None and status.status != FlightPhase.STANDBY
+
+    # -- SIGTERM ---------------------------------------------------------------------------------
+
+    def _catch_sigterm(self) -> None:
+        """While the block runs SIGTERM takes the stop path, unless the program handles it itself.
+
+        (SIGINT needs nothing: asyncio.run cancels the main task on Ctrl-C.)
+        """
+        is_main = threading.current_thread() is threading.main_thread()
+        if not self._handles_sigterm or not is_main:
+            self._handles_sigterm = False
+            return
+        if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+            self._handles_sigterm = False
+            return
+        try:
+            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._on_sigterm)
+        except NotImplementedError:
+            self._handles_sigterm = False  # event loops of Windows have no signal handlers
+
+    def _on_sigterm(self) -> None:
+        self._is_terminated = True
+        _logger.warning("SIGTERM: stopping the aircraft")
+        self._scope.cancel()
+
+    def _let_sigterm_go(self) -> None:
+        if self._handles_sigterm:
+            self._handles_sigterm = False
+            asyncio.get_running_loop().remove_signal_handler(signal.SIGTERM)
+            if self._is_terminated:
+                signal.raise_signal(signal.SIGTERM)  # now that it is safe, as it was meant
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -350,41 +273,88 @@ class Control:
         return self._commander.authority.state is AuthorityState.HELD
 
     @property
+    def is_paused(self) -> bool:
+        """With ``on_pause="wait"``: the pilot took the aircraft and :meth:`resume` is needed."""
+        return self._is_paused
+
+    @property
     def setpoints_sent(self) -> int:
         """Movement frames sent in this block, neutrals included."""
         return self._setpoints.sent
 
-    def send(self, setpoint: Setpoint, *, lifetime: float = SETPOINT_LIFETIME) -> None:
-        """Send a setpoint now, and repeat it at 50 Hz until it is renewed or expires.
+    @property
+    def setpoints_expired(self) -> int:
+        """Setpoints that the program did not renew in time."""
+        return self._setpoints.expired
+
+    def send(
+        self,
+        setpoint: Setpoint,
+        *,
+        lifetime: float = SETPOINT_LIFETIME,
+        rate_hz: float = MAX_RATE_HZ,
+    ) -> None:
+        """Send a setpoint now, and repeat it until it is renewed or expires.
 
         Args:
             setpoint: What to fly.
             lifetime: Seconds after which it is not repeated any more; then the mode's neutral is
                 sent for 0.3 s, then nothing.
+            rate_hz: Repetitions per second, at most 50.
 
         Raises:
-            NoAuthority: Authority is not held, or a task is flying the aircraft.
+            NoAuthority: Authority is not held, is paused, or a task is flying the aircraft.
+            GuardRefused: A guard said no; nothing was sent.
             BadSetpoint: The firmware cannot express it.
         """
         self._require_authority("a setpoint")
-        if self._is_task_running:
+        if self._running_task is not None:
             raise NoAuthority(
-                "a setpoint was sent while a task flies the aircraft",
+                f"a setpoint was sent during {task_name(self._running_task)}; nothing was sent",
                 cause="the aircraft ignores movement during take-off, landing and go-home",
                 remedy="await the task first",
             )
         if not lifetime > 0:
             raise UsageError(f"a lifetime of {lifetime} s is no time at all")
-        setpoint.control_flag(self._commander.firmware)  # refuse before anything is sent
-        self._setpoints.set(setpoint, lifetime)
+        setpoint.control_flag(self._commander.firmware)  # refused here, not in the sending task
+        self._guards.check(setpoint)
+        self._setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
+
+    def send_raw_move_as_expert(self, move: Move) -> bool:
+        """Send one raw movement command, unchecked and unrepeated. For experts.
+
+        No range, no guard and no lifetime protects anybody here; only authority is required.
+
+        Returns:
+            False when the line does not drain.
+
+        Raises:
+            NoAuthority: Authority is not held.
+        """
+        self._require_authority("a raw movement command")
+        return self._commander.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
         if not self.has_authority:
             return False
+        self._check_telemetry()
         try:
             return self._commander.push(setpoint.to_move(self._commander.firmware))
-        except LinkError:
-            return False  # fail() has been or is about to be called with the same error
+        except LinkError as error:
+            self.fail(error)
+            return False
+
+    def _check_telemetry(self) -> None:
+        limit = self._guards.guards.stale_telemetry_s
+        age = self._commander.state.newest_age
+        if limit is not None and age is not None and age > limit and not self._is_stopping:
+            self.fail(
+                TelemetryStalled(
+                    f"no telemetry for {age:.1f} s while flying",
+                    cause="the line from the aircraft is broken, or this program was blocked",
+                    remedy="check the line; a program that blocks must not fly",
+                )
+            )
 
     def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
         """Ticks for a control loop in the caller's own task.
@@ -396,40 +366,96 @@ class Control:
 
     @asynccontextmanager
     async def hold(
-        self, setpoint: Setpoint, *, lifetime: float = SETPOINT_LIFETIME
+        self,
+        setpoint: Setpoint,
+        *,
+        rate_hz: float = MAX_RATE_HZ,
+        lifetime: float = SETPOINT_LIFETIME,
     ) -> AsyncIterator[Hold]:
-        """Keep sending a setpoint while the block runs and renews it by :meth:`Hold.set`.
+        """A task keeps sending a setpoint while the block runs and renews it by :meth:`Hold.set`.
 
         On the way out the mode's neutral is sent.
 
         Args:
             setpoint: The first setpoint.
+            rate_hz: Repetitions per second, at most 50.
             lifetime: Seconds that each setpoint lasts when it is not renewed.
 
         Raises:
-            NoAuthority, BadSetpoint: See :meth:`send`.
+            NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
         """
-        hold = Hold(self, lifetime)
+        hold = Hold(self, lifetime, rate_hz)
         hold.set(setpoint)
         try:
             yield hold
         finally:
             self._setpoints.neutralise()
 
+    async def follow(self, source: SetpointSource, *, rate_hz: float = MAX_RATE_HZ) -> None:
+        """Send what a source gives until it ends, then the mode's neutral.
+
+        Args:
+            source: A callable that gets each :class:`Tick` and returns a setpoint, or None to end;
+                or an async iterable of setpoints, which sets its own pace.
+            rate_hz: Ticks per second for a callable.
+
+        Raises:
+            NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
+        """
+        try:
+            if isinstance(source, AsyncIterable):
+                async for setpoint in source:
+                    self.send(setpoint)
+                return
+            async for tick in self.ticks(rate_hz):
+                wanted = source(tick)
+                if wanted is None:
+                    return
+                self.send(wanted)
+        finally:
+            self._setpoints.neutralise()
+
     async def stop(self) -> None:
         """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers."""
-        self._setpoints.neutralise()
-        await asyncio.sleep(NEUTRAL_TIME)
-        self._setpoints.silence()
+        if self._setpoints.current is not None:
+            self._setpoints.neutralise()
+            await asyncio.sleep(NEUTRAL_TIME)
+            self._setpoints.silence()
+
+    async def wait_resumable(self) -> None:
+        """With ``on_pause="wait"``: wait until the pilot has given the aircraft back."""
+        await self._commander.authority.wait_for(AuthorityState.HELD)
+
+    def resume(self) -> None:
+        """With ``on_pause="wait"``: setpoints may be sent again.
+
+        The pilot's return to F gives authority back without a request, but nothing flies before
+        the program says so here.
+
+        Raises:
+            NoAuthority: The pilot has not given the aircraft back.
+        """
+        if not self.has_authority:
+            raise NoAuthority(
+                "the pilot has not given the aircraft back",
+                remedy="await control.wait_resumable() first",
+            )
+        self._is_paused = False
 
     def _require_authority(self, what: str) -> None:
         if self._failure is not None:
             raise self._failure
-        if not self.has_authority:
-            state = self._commander.authority.state
+        if self._is_over or not self.has_authority or self._is_paused:
+            state = (
+                "over with this block" if self._is_over else self._commander.authority.state.value
+            )
+            if self._is_paused:
+                state = "paused by the pilot"
             raise NoAuthority(
-                f"{what} was asked for while authority is {state.value}; nothing was sent",
-                remedy="use it inside `async with aircraft.control()`",
+                f"{what} was asked for while authority is {state}; nothing was sent",
+                remedy="wait_resumable() and resume()"
+                if self._is_paused
+                else "use it inside `async with aircraft.control()`",
             )
 
     # -- tasks -----------------------------------------------------------------------------------
@@ -437,7 +463,7 @@ class Control:
     async def take_off(
         self,
         *,
-        timeout: float = 20.0,
+        timeout: float | None = None,
         progress: Callable[[TaskProgress], None] | None = None,
     ) -> None:
         """Start the motors and climb to about 1.2 m.
@@ -446,149 +472,52 @@ class Control:
         the ack alone proves nothing.
 
         Args:
-            timeout: Seconds to wait after the aircraft accepted.
+            timeout: Seconds to wait after the aircraft accepted; 20 by default.
             progress: Called about four times a second.
 
         Raises:
             NoAuthority: Authority is not held.
+            GuardRefused: Battery below its floor.
             TaskRefused, TaskFailed: With the situation that explains it.
             NotObserved: Neither success nor failure showed in time.
             AckTimeout: Nobody knows whether it began.
         """
-        await self._run_task(Task.TAKE_OFF, self._has_taken_off, timeout, progress)
+        self._guards.check_take_off()
+        await self._run(Task.TAKE_OFF, timeout, progress)
 
     async def land(
         self,
         *,
-        timeout: float = 60.0,
+        timeout: float | None = None,
         progress: Callable[[TaskProgress], None] | None = None,
     ) -> None:
-        """Land in place and stop the motors. See :meth:`take_off` for arguments and errors."""
-        await self._run_task(Task.LAND, self._is_standing, timeout, progress)
+        """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors."""
+        await self._run(Task.LAND, timeout, progress)
 
     async def go_home(
         self,
         *,
-        timeout: float = 300.0,
+        timeout: float | None = None,
         progress: Callable[[TaskProgress], None] | None = None,
     ) -> None:
-        """Fly to the home point and land. See :meth:`take_off` for arguments and errors."""
-        await self._run_task(Task.GO_HOME, self._is_standing, timeout, progress)
+        """Fly to the home point and land; 300 s. See :meth:`take_off` for the errors."""
+        await self._run(Task.GO_HOME, timeout, progress)
 
-    def _has_taken_off(self) -> bool:
-        state = self._commander.state
-        status, position = state.flight_status, state.position
-        if status is None or position is None:
-            return False
-        return status.status == FlightPhase.IN_AIR and position.height_m >= _TAKE_OFF_HEIGHT
-
-    def _is_standing(self) -> bool:
-        status = self._commander.state.flight_status
-        return status is not None and status.status == FlightPhase.STANDBY
-
-    async def _run_task(
-        self,
-        task: Task,
-        is_observed: Callable[[], bool],
-        timeout: float,
-        progress: Callable[[TaskProgress], None] | None,
+    async def _run(
+        self, task: Task, timeout: float | None, progress: Callable[[TaskProgress], None] | None
     ) -> None:
-        name = task.name.lower().replace("_", " ")
-        self._require_authority(name)
-        if self._is_task_running:
+        self._require_authority(task_name(task))
+        if self._running_task is not None:
             raise TaskRefused(
-                f"{name} was asked for while another task runs",
+                f"{task_name(task)} was asked for during {task_name(self._running_task)}",
                 remedy="await one task before the next",
             )
-        self._is_task_running = True
+        self._running_task = task
         self._setpoints.silence()
         try:
-            sequence = self._commander.next_task_sequence()
-            code = TaskStartCode(
-                await self._commander.execute(
-                    StartTask(sequence, task), timeout=0.5, tries=3, refusal=TaskRefused
-                )
-            )
-            if code != TaskStartCode.STARTED:
-                raise TaskRefused(
-                    f"{name} was refused: {code.meaning} (code 0x{code:04X})",
-                    command=name,
-                    code=int(code),
-                    situation=self._commander.state.situation(),
-                    cause=code.cause,
-                    remedy=code.remedy,
-                )
-            await self._watch_task(task, sequence, is_observed, timeout, progress)
+            await run_task(self._commander, task, timeout=timeout, progress=progress)
         finally:
-            self._is_task_running = False
-
-    async def _watch_task(
-        self,
-        task: Task,
-        sequence: int,
-        is_observed: Callable[[], bool],
-        timeout: float,
-        progress: Callable[[TaskProgress], None] | None,
-    ) -> None:
-        loop = asyncio.get_running_loop()
-        state = self._commander.state
-        name = task.name.lower().replace("_", " ")
-        began_at = loop.time()
-        next_query_at = began_at + _TASK_QUERY_INTERVAL
-        result: TaskResultCode | None = None
-        while True:
-            now = loop.time()
-            if now >= next_query_at:
-                next_query_at = now + _TASK_QUERY_INTERVAL
-                result = await self._query_task(sequence)
-            status, position = state.flight_status, state.position
-            if progress is not None:
-                progress(
-                    TaskProgress(
-                        task,
-                        now - began_at,
-                        status.phase if status else None,
-                        position.height_m if position else None,
-                        result,
-                    )
-                )
-            if result == TaskResultCode.SUCCEEDED:
-                return
-            if result == TaskResultCode.FAILED:
-                raise TaskFailed(
-                    f"{name} began and failed",
-                    command=name,
-                    code=int(result),
-                    situation=state.situation(),
-                    cause=result.cause,
-                    remedy=result.remedy,
-                )
-            # While the aircraft says that it is executing it would ignore what comes next.
-            if result != TaskResultCode.EXECUTING and self._is_settled(result, is_observed):
-                return
-            if now - began_at >= timeout:
-                raise NotObserved(
-                    f"{name} was accepted {timeout:g} s ago and is not seen to be done",
-                    situation=state.situation(),
-                    cause="flight status or position is not among the telemetry items, "
-                    "or something holds the aircraft",
-                    remedy="watch the aircraft; the task may still be running",
-                )
-            await asyncio.sleep(_TASK_POLL)
-
-    @staticmethod
-    def _is_settled(result: TaskResultCode | None, is_observed: Callable[[], bool]) -> bool:
-        """Observation decides once the first query went unanswered or knows nothing."""
-        return result is not None and is_observed()
-
-    async def _query_task(self, sequence: int) -> TaskResultCode:
-        try:
-            return TaskResultCode(
-                await self._commander.execute(QueryTask(sequence), timeout=0.2, tries=2)
-            )
-        except (AckTimeout, CommandRefused) as error:
-            _logger.debug("no result of the task: %s", error)
-            return TaskResultCode.NOT_CURRENT
+            self._running_task = None
 
 
 async def _finish(work: Awaitable[None]) -> None:
@@ -621,6 +550,5 @@ def authority_lost(reason: str) -> AuthorityLost:
             "the mobile app took control",
             "let the app release control, then start a new control block",
         ),
-        "released": ("authority was released", "start a new control block"),
     }.get(reason, ("the aircraft says that authority passed away", "ask the pilot what happened"))
     return AuthorityLost(meaning, reason=reason, remedy=remedy)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
+import math
+import os
+import sys
+import time
 from dataclasses import dataclass
+from types import TracebackType
 from typing import Self
 
 from m100link.errors import UsageError
 
-__all__ = ["MAX_RATE_HZ", "Tick", "Ticker"]
+__all__ = ["MAX_RATE_HZ", "Alarm", "Tick", "Ticker"]
 
 MAX_RATE_HZ = 50.0
 """The highest rate at which the autopilot takes movement commands (errata, section on rates)."""
@@ -38,6 +44,7 @@ class Ticker:
         rate_hz: Ticks per second, more than 0, at most 50.
 
     Attributes:
+        period: Seconds between ticks.
         missed: Deadlines skipped in all.
 
     Raises:
@@ -45,16 +52,11 @@ class Ticker:
     """
 
     def __init__(self, rate_hz: float = MAX_RATE_HZ) -> None:
-        if not 0 < rate_hz <= MAX_RATE_HZ:
-            raise UsageError(
-                f"a control loop cannot run at {rate_hz} Hz",
-                cause=f"the autopilot takes movement commands at up to {MAX_RATE_HZ:g} Hz",
-                remedy=f"choose a rate up to {MAX_RATE_HZ:g}",
-            )
-        self.period = 1.0 / rate_hz
+        self.period = period_of(rate_hz)
         self.missed = 0
         self._start: float | None = None
         self._index = -1
+        self._alarm = Alarm()
 
     def __aiter__(self) -> Self:
         return self
@@ -65,29 +67,134 @@ class Ticker:
         if self._start is None:
             self._start = now
         index = self._index + 1
-        if now > self._start + (index + 1) * self.period:
+        if now >= self._start + (index + 1) * self.period:
             # More than a whole period late: take up the grid at its next point instead of
             # making up for lost ticks all at once.
-            index = int((now - self._start) / self.period) + 1
+            index = math.ceil((now - self._start) / self.period)
         missed = index - self._index - 1
         self.missed += missed
         self._index = index
         deadline = self._start + index * self.period
-        await self._sleep_until(loop, deadline)
+        # At least one pass of the loop: a consumer that is always late must not starve the others.
+        await asyncio.sleep(0)
+        await self._alarm.sleep_until(deadline)
         return Tick(index, index * self.period, missed, max(0.0, loop.time() - deadline))
 
-    async def _sleep_until(self, loop: asyncio.AbstractEventLoop, deadline: float) -> None:
-        # At least one pass of the loop, so that a loop that is always late does not starve others.
-        await asyncio.sleep(0)
-        if loop.time() < deadline:
-            waiter: asyncio.Future[None] = loop.create_future()
-            handle = loop.call_at(deadline, _wake, waiter)
-            try:
+
+def period_of(rate_hz: float) -> float:
+    """Seconds between ticks.
+
+    Raises:
+        UsageError: Not within 0 to 50 Hz.
+    """
+    if not 0 < rate_hz <= MAX_RATE_HZ:
+        raise UsageError(
+            f"a control loop cannot run at {rate_hz} Hz",
+            cause=f"the autopilot takes movement commands at up to {MAX_RATE_HZ:g} Hz",
+            remedy=f"choose a rate up to {MAX_RATE_HZ:g}",
+        )
+    return 1.0 / rate_hz
+
+
+class Alarm:
+    """Sleeps until an absolute time of the event loop's clock, never less.
+
+    The event loop rounds its time-outs up to whole milliseconds. Where the system has timerfd
+    (Linux), it is used instead and wakes within some tens of microseconds; on event loops with a
+    clock of their own (virtual or scaled time), and elsewhere, ``call_at`` does it.
+    """
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._fd = -1
+        if type(self._loop).time is asyncio.BaseEventLoop.time:
+            self._fd = _create_timer()
+        self._waiter: asyncio.Future[None] | None = None
+        if self._fd >= 0:
+            self._loop.add_reader(self._fd, self._on_alarm)
+
+    async def sleep_until(self, deadline: float) -> None:
+        """Return at ``deadline`` or a little later; at once when it has passed."""
+        while (now := self._loop.time()) < deadline:
+            self._waiter = waiter = self._loop.create_future()
+            if self._fd >= 0:
+                # The loop's clock is the monotonic one. A nanosecond more: rounding is not early.
+                _arm_timer(self._fd, time.monotonic() + (deadline - now) + 1e-9)
                 await waiter
-            finally:
-                handle.cancel()
+            else:
+                handle = self._loop.call_at(deadline, self._wake)
+                try:
+                    await waiter
+                finally:
+                    handle.cancel()
+
+    def _on_alarm(self) -> None:
+        try:
+            os.read(self._fd, 8)
+        except BlockingIOError:
+            return  # re-armed before it was read
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+    def close(self) -> None:
+        """Give the timer back. May be called any number of times."""
+        if self._fd >= 0:
+            if not self._loop.is_closed():
+                self._loop.remove_reader(self._fd)
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        # A Ticker has no end that its user would mark; the descriptor goes with it.
+        if getattr(self, "_fd", -1) >= 0:
+            self.close()
 
 
-def _wake(waiter: asyncio.Future[None]) -> None:
-    if not waiter.done():
-        waiter.set_result(None)
+class _Timespec(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+class _TimerSpec(ctypes.Structure):
+    _fields_ = (("interval", _Timespec), ("value", _Timespec))
+
+
+_TFD_TIMER_ABSTIME = 1
+_libc: ctypes.CDLL | None = None
+
+
+def _create_timer() -> int:
+    """A non-blocking timerfd on the monotonic clock; -1 where there is none.
+
+    By ctypes because :func:`os.timerfd_create` came with Python 3.13.
+    """
+    global _libc
+    if not sys.platform.startswith("linux"):
+        return -1
+    if _libc is None:
+        _libc = ctypes.CDLL(None, use_errno=True)
+    create = getattr(_libc, "timerfd_create", None)
+    if create is None:
+        return -1
+    return int(create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC))
+
+
+def _arm_timer(fd: int, deadline: float) -> None:
+    assert _libc is not None
+    seconds = int(deadline)
+    spec = _TimerSpec(_Timespec(0, 0), _Timespec(seconds, int((deadline - seconds) * 1e9)))
+    if _libc.timerfd_settime(fd, _TFD_TIMER_ABSTIME, ctypes.byref(spec), None) != 0:
+        raise OSError(ctypes.get_errno(), "timerfd_settime failed")

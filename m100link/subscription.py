@@ -257,9 +257,11 @@ class AircraftState:
         self._clock = clock
         self._samples: list[Sample | None] = [None] * len(ITEM_NAMES)
         self._statistics = [ItemStatistics(name) for name in ITEM_NAMES]
+        self._newest_at: float | None = None
 
     def update(self, sample: Sample) -> None:
         """Take over what the sample carries."""
+        self._newest_at = sample.received_at
         for index in sample.indices:
             self._samples[index] = sample
             self._statistics[index].count_arrival(sample.received_at)
@@ -278,6 +280,11 @@ class AircraftState:
         """Seconds since the newest record arrived, None when it never did."""
         received_at = self.received_at(record)
         return None if received_at is None else self._clock() - received_at
+
+    @property
+    def newest_age(self) -> float | None:
+        """Seconds since any telemetry arrived, None when none ever did."""
+        return None if self._newest_at is None else self._clock() - self._newest_at
 
     def fresh(self, record: type[R], *, within: float) -> R | None:
         """The newest record if it is at most ``within`` seconds old, else None."""

@@ -1,0 +1,212 @@
+"""Take-off, landing and going home: begun by an ack, done when seen to be done."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from m100link.errors import (
+    AckTimeout,
+    CommandRefused,
+    NotObserved,
+    TaskFailed,
+    TaskRefused,
+)
+from m100link.protocol.codes import TaskResultCode, TaskStartCode
+from m100link.protocol.control import QueryTask, StartTask, Task
+from m100link.protocol.telemetry import FlightPhase
+
+if TYPE_CHECKING:
+    from m100link.authority import Authority
+    from m100link.protocol.command import Command
+    from m100link.protocol.firmware import FirmwareProfile
+    from m100link.subscription import AircraftState
+
+__all__ = ["Commander", "TaskProgress", "run_task"]
+
+_logger = logging.getLogger("m100link.control")
+
+_POLL_S = 0.25
+_QUERY_INTERVAL_S = 1.0
+_TAKEN_OFF_HEIGHT_M = 1.0
+
+TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
+"""Seconds to wait for the end of each task unless told otherwise."""
+
+
+class Commander(Protocol):
+    """What flying needs of an aircraft."""
+
+    authority: Authority
+    state: AircraftState
+
+    @property
+    def firmware(self) -> FirmwareProfile:
+        """Firmware profile in use."""
+        ...
+
+    async def execute(
+        self,
+        command: Command,
+        *,
+        timeout: float = ...,
+        tries: int = ...,
+        encrypted: bool | None = ...,
+        refusal: type[CommandRefused] = ...,
+    ) -> int:
+        """Send a command, return its ack code; system codes raise."""
+        ...
+
+    def push(self, command: Command) -> bool:
+        """Send a command without ack."""
+        ...
+
+    def next_task_sequence(self) -> int:
+        """A number for the next task."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TaskProgress:
+    """How far a take-off, landing or go-home is.
+
+    Attributes:
+        task: Which one.
+        elapsed: Seconds since it was accepted.
+        phase: Flight phase by telemetry, None when unknown.
+        height_m: Height by telemetry, None when unknown.
+        result: Newest answer to the result query, None before the first.
+    """
+
+    task: Task
+    elapsed: float
+    phase: FlightPhase | None
+    height_m: float | None
+    result: TaskResultCode | None
+
+
+def task_name(task: Task) -> str:
+    """The task in words."""
+    return task.name.lower().replace("_", " ")
+
+
+async def run_task(
+    commander: Commander,
+    task: Task,
+    *,
+    timeout: float | None = None,
+    progress: Callable[[TaskProgress], None] | None = None,
+) -> None:
+    """Begin a task and wait until it is done.
+
+    Raises:
+        TaskRefused, TaskFailed, NotObserved, AckTimeout: See :meth:`Control.take_off`.
+    """
+    sequence = commander.next_task_sequence()
+    code = TaskStartCode(
+        await commander.execute(
+            StartTask(sequence, task), timeout=0.5, tries=3, refusal=TaskRefused
+        )
+    )
+    if code != TaskStartCode.STARTED:
+        raise TaskRefused(
+            f"{task_name(task)} was refused: {code.meaning} (code 0x{code:04X})",
+            command=task_name(task),
+            code=int(code),
+            situation=commander.state.situation(),
+            cause=code.cause,
+            remedy=code.remedy,
+        )
+    await _Watch(commander, task, sequence, progress).run(timeout or TIMEOUTS_S[task])
+
+
+class _Watch:
+    """Waits for the end of one task: by result query, and by what telemetry shows."""
+
+    def __init__(
+        self,
+        commander: Commander,
+        task: Task,
+        sequence: int,
+        progress: Callable[[TaskProgress], None] | None,
+    ) -> None:
+        self._commander = commander
+        self._state = commander.state
+        self._task = task
+        self._sequence = sequence
+        self._progress = progress
+        self._result: TaskResultCode | None = None
+
+    async def run(self, timeout: float) -> None:
+        clock = asyncio.get_running_loop().time
+        began_at = clock()
+        next_query_at = began_at + _QUERY_INTERVAL_S
+        while True:
+            if clock() >= next_query_at:
+                next_query_at = clock() + _QUERY_INTERVAL_S
+                self._result = await self._query()
+            elapsed = clock() - began_at
+            self._report(elapsed)
+            if self._is_done():
+                return
+            if elapsed >= timeout:
+                raise NotObserved(
+                    f"{task_name(self._task)} was accepted {timeout:g} s ago and is not seen done",
+                    situation=self._state.situation(),
+                    cause="flight status or position is not among the telemetry items, "
+                    "or something holds the aircraft",
+                    remedy="watch the aircraft; the task may still be running",
+                )
+            await asyncio.sleep(_POLL_S)
+
+    async def _query(self) -> TaskResultCode:
+        try:
+            return TaskResultCode(
+                await self._commander.execute(QueryTask(self._sequence), timeout=0.2, tries=2)
+            )
+        except (AckTimeout, CommandRefused) as error:
+            _logger.debug("no result of the task: %s", error)
+            return TaskResultCode.NOT_CURRENT
+
+    def _is_done(self) -> bool:
+        result = self._result
+        if result == TaskResultCode.SUCCEEDED:
+            return True
+        if result == TaskResultCode.FAILED:
+            raise TaskFailed(
+                f"{task_name(self._task)} began and failed",
+                command=task_name(self._task),
+                code=int(result),
+                situation=self._state.situation(),
+                cause=result.cause,
+                remedy=result.remedy,
+            )
+        # Observation decides when the query brought nothing. While the aircraft says that it is
+        # executing, it would ignore what comes next; before the first query nobody knows.
+        return result not in (None, TaskResultCode.EXECUTING) and self._is_observed()
+
+    def _is_observed(self) -> bool:
+        status, position = self._state.flight_status, self._state.position
+        if status is None:
+            return False
+        if self._task is not Task.TAKE_OFF:
+            return status.status == FlightPhase.STANDBY
+        is_high = position is not None and position.height_m >= _TAKEN_OFF_HEIGHT_M
+        return status.status == FlightPhase.IN_AIR and is_high
+
+    def _report(self, elapsed: float) -> None:
+        if self._progress is None:
+            return
+        status, position = self._state.flight_status, self._state.position
+        self._progress(
+            TaskProgress(
+                self._task,
+                elapsed,
+                status.phase if status else None,
+                position.height_m if position else None,
+                self._result,
+            )
+        )
