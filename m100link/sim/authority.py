@@ -73,9 +73,9 @@ class Authority:
         """What keeps the API out, or None; the app is not looked at."""
         if not self.assistant.api_control_enabled:
             return Obstacle.API_DISABLED
-        if self.failsafe or not self._remote.is_on:
+        if self.failsafe or not self._remote.is_connected:
             return Obstacle.RC_LOST
-        if self._remote.mode is not RcMode.F:
+        if self._remote.sticks().mode is not RcMode.F:
             return Obstacle.NOT_IN_F
         if self._profile.needs_f_toggle and not self._remote.moved_since_power_on:
             return Obstacle.F_NOT_TOGGLED

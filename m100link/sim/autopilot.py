@@ -282,6 +282,7 @@ class Autopilot:
         self._sensors.ticks += 1
         self.time = now = self._ticks * STEP_S
         flight = self.flight
+        self.remote.now = now
         flight.step(now, self.authority.device, self.remote)
         if self._ticks % _SLOW_TICKS == 0:
             self._look_around(now)
@@ -325,7 +326,9 @@ class Autopilot:
 
     def _watch_remote(self, now: float) -> None:
         authority = self.authority
-        if self.remote.is_on:
+        if self.remote.is_connected:
+            if self.authority.device is Device.RC:
+                self.flight.corner_gesture(self.remote.sticks().are_in_corner)
             self._rc_lost_since = None
             if authority.failsafe:
                 authority.failsafe = False
@@ -449,6 +452,7 @@ class Autopilot:
         self.flight.interrupt()
         self.activation.power_off()
         self.remote.moved_since_power_on = False
+        self.remote.virtual.reset()
         self.endpoint = Endpoint(forget_after=self.settings.forget_acks_after)
         self.endpoint.decoder.cipher = _NoKey()
         self._outbox.clear()

@@ -35,8 +35,13 @@ __all__ = ["Commands", "LastCommand", "Reply"]
 _GIMBAL_RATE, _GIMBAL_ANGLE = Address(0x01, 0x1A), Address(0x01, 0x1B)
 _PHOTO, _START_VIDEO, _STOP_VIDEO = Address(0x01, 0x20), Address(0x01, 0x21), Address(0x01, 0x22)
 _CAMERA = (_PHOTO, _START_VIDEO, _STOP_VIDEO)
-_WITHOUT_ACK = frozenset((Move.ADDRESS, _GIMBAL_RATE, _GIMBAL_ANGLE, *_CAMERA))
 _OWN_ACTIVATION = frozenset((GetVersion.ADDRESS, Activate.ADDRESS, SetTelemetryRates.ADDRESS))
+
+_VIRTUAL_RC, _VIRTUAL_RC_DATA = Address(0x05, 0x00), Address(0x05, 0x01)
+
+_WITHOUT_ACK = frozenset(
+    (Move.ADDRESS, _GIMBAL_RATE, _GIMBAL_ANGLE, *_CAMERA, _VIRTUAL_RC, _VIRTUAL_RC_DATA)
+)
 
 LEVELS: dict[Address, int] = {
     GetVersion.ADDRESS: 0,
@@ -53,6 +58,8 @@ LEVELS: dict[Address, int] = {
     _PHOTO: 1,
     _START_VIDEO: 1,
     _STOP_VIDEO: 1,
+    _VIRTUAL_RC: 0,
+    _VIRTUAL_RC_DATA: 0,
 }
 """Authorization level that each command needs (document 2.1)."""
 
@@ -109,6 +116,7 @@ class Commands:
             handlers[SetTelemetryRates.ADDRESS] = self._rates
         if profile.has_arm_command:
             handlers[Arm.ADDRESS] = self._arm
+            handlers[_VIRTUAL_RC] = handlers[_VIRTUAL_RC_DATA] = self._virtual_rc
         if profile.authority_requests > 1:  # gimbal and camera came with 2.3
             handlers[_GIMBAL_RATE] = handlers[_GIMBAL_ANGLE] = self._gimbal
             handlers.update(dict.fromkeys(_CAMERA, self._camera))
@@ -273,6 +281,16 @@ class Commands:
             camera.photos += 1
         else:
             camera.is_recording = command_id == _START_VIDEO.command_id
+
+    # --- set 0x05 ---------------------------------------------------------------------------
+
+    def _virtual_rc(self, frame: Frame) -> None:
+        autopilot, value = self._autopilot, frame.data[2:]
+        if frame.data[1] == _VIRTUAL_RC.command_id:
+            autopilot.remote.virtual.switch(value)
+        else:
+            autopilot.remote.virtual.feed(value, autopilot.time)
+        autopilot.refresh()
 
     def _has_authority(self) -> bool:
         return self._autopilot.authority.device is Device.ONBOARD

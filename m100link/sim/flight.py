@@ -16,7 +16,7 @@ from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
 from m100link.protocol.control import Task
 from m100link.protocol.telemetry import Device, FlightPhase, RcMode
 from m100link.sim.dynamics import STEP_S, Dynamics, Guidance, Horizontal, Vertical, Yaw
-from m100link.sim.remote import RemoteControl
+from m100link.sim.remote import RemoteControl, Sticks
 from m100link.sim.settings import AircraftSettings
 from m100link.sim.tasks import TaskMachine
 
@@ -60,6 +60,7 @@ class FlightController:
     """
 
     __slots__ = (
+        "_corner_is_held",
         "_forced",
         "_guidance",
         "_hover",
@@ -98,6 +99,7 @@ class FlightController:
         self._maneuver_until = math.inf
         self._idle_since: float | None = None
         self._forced = False
+        self._corner_is_held = False
 
     # --- orders -----------------------------------------------------------------------------
 
@@ -207,6 +209,15 @@ class FlightController:
         self._forced = False
         if self.dynamics.on_ground:
             self.phase = FlightPhase.STANDBY
+
+    def corner_gesture(self, is_held: bool) -> None:
+        """Both sticks in the corner: starts the motors, or stops them, on the ground only."""
+        if is_held and not self._corner_is_held and self.dynamics.on_ground:
+            if self.dynamics.motors_on:
+                self.stop_motors()
+            else:
+                self.start_motors()
+        self._corner_is_held = is_held
 
     def take_off(self) -> None:
         """Start the motors and climb to the take-off height, whoever wants it."""
@@ -331,23 +342,25 @@ class FlightController:
                 self.setpoint = None
                 if not self.dynamics.on_ground:
                     self.timeouts += 1
-        elif device is Device.RC and remote.is_on and remote.sticks_moved:
-            return self._by_sticks(remote)
+        elif device is Device.RC:
+            sticks = remote.sticks()
+            if sticks.are_moved:
+                return self._by_sticks(sticks)
         return self._hover if self.gps_health >= GOOD_GPS else self._level
 
-    def _by_sticks(self, remote: RemoteControl) -> Guidance:
+    def _by_sticks(self, sticks: Sticks) -> Guidance:
         airframe = self._settings.airframe
-        up = remote.throttle * airframe.vertical_speed
-        yaw = remote.yaw * radians(airframe.yaw_rate_deg)
-        if remote.mode is RcMode.A or self.gps_health < GOOD_GPS:
+        up = sticks.throttle * airframe.vertical_speed
+        yaw = sticks.yaw * radians(airframe.yaw_rate_deg)
+        if sticks.mode is RcMode.A or self.gps_health < GOOD_GPS:
             tilt = radians(airframe.maximum_tilt_deg)
             return Guidance(
-                Horizontal.TILT, remote.roll * tilt, -remote.pitch * tilt, body=True, up=up, yaw=yaw
+                Horizontal.TILT, sticks.roll * tilt, -sticks.pitch * tilt, body=True, up=up, yaw=yaw
             )
         return Guidance(
             Horizontal.VELOCITY,
-            remote.pitch * _PILOT_SPEED,
-            remote.roll * _PILOT_SPEED,
+            sticks.pitch * _PILOT_SPEED,
+            sticks.roll * _PILOT_SPEED,
             body=True,
             up=up,
             yaw=yaw,

@@ -1,49 +1,154 @@
-"""The pilot's remote control, as far as the autopilot notices it.
+"""The pilot's remote control, and the virtual one of firmware 3.1.
 
-Sticks and switches as the telemetry item has them (document 2.2.3.1, item RC): -10000 to 10000,
-mode -8000 for P, 0 for A and 8000 for F, gear -10000 up and -4545 down.
+Channels as the telemetry item has them (document 2.2.3.1, item RC): sticks -10000 to 10000, mode
+-8000 for P, 0 for A and 8000 for F, gear -10000 up and -4545 down.
 """
 
 from __future__ import annotations
 
+from struct import Struct
+from typing import NamedTuple
+
 from m100link.protocol.telemetry import RcMode
 
-__all__ = ["GEAR_DOWN", "GEAR_UP", "RemoteControl"]
+__all__ = ["GEAR_DOWN", "GEAR_UP", "RemoteControl", "Sticks", "VirtualRemote"]
 
 GEAR_UP = -10_000
 GEAR_DOWN = -4_545
 _FULL = 10_000
+_DEAD_ZONE = 0.05
+_CORNER = 0.95
+
+
+class Sticks(NamedTuple):
+    """What the autopilot receives from a remote control.
+
+    Attributes:
+        roll, pitch, yaw, throttle: Deflection, -1 (left or down) to 1 (right or up).
+        mode: Position of the mode switch.
+        gear_down: Position of the landing gear switch.
+    """
+
+    roll: float
+    pitch: float
+    yaw: float
+    throttle: float
+    mode: RcMode
+    gear_down: bool
+
+    @property
+    def are_moved(self) -> bool:
+        """Whether any stick is off its centre by more than the dead zone of 5 %."""
+        return max(map(abs, self[:4])) > _DEAD_ZONE
+
+    @property
+    def are_in_corner(self) -> bool:
+        """Both sticks down and to one side each: the gesture that starts and stops the motors."""
+        down = self.pitch < -_CORNER and self.throttle < -_CORNER
+        return down and abs(self.roll) > _CORNER and abs(self.yaw) > _CORNER
+
+
+class VirtualRemote:
+    """Remote control by commands 0x05/0x00 and 0x05/0x01 of firmware 3.1.
+
+    It ends one second after the last channels came. Then the real remote control flies, or, as the
+    request chose, the aircraft behaves as if the remote control were lost.
+
+    Attributes:
+        is_on: Switched on by the last request.
+    """
+
+    TIMEOUT_S = 1.0
+    _REQUEST_SIZE = 1
+    _CHANNELS = Struct("<16I")
+
+    __slots__ = ("_falls_back", "_sticks", "_until", "is_on")
+
+    def __init__(self) -> None:
+        self.is_on = False
+        self._falls_back = True
+        self._sticks: Sticks | None = None
+        self._until = 0.0
+
+    def switch(self, value: bytes) -> bool:
+        """0x05/0x00: bit 0 on, bit 1 fall back to the real remote. False if malformed."""
+        if len(value) != self._REQUEST_SIZE:
+            return False
+        self.is_on = bool(value[0] & 1)
+        self._falls_back = bool(value[0] & 2)
+        self._sticks = None
+        return True
+
+    def feed(self, value: bytes, now: float) -> bool:
+        """0x05/0x01: 16 channels of 1024 ± 660. False if malformed or not switched on."""
+        if len(value) != self._CHANNELS.size or not self.is_on:
+            return False
+        channels = self._CHANNELS.unpack(value)
+        roll, pitch, throttle, yaw = (
+            max(-1.0, min(1.0, (channel - 1024) / 660.0)) for channel in channels[:4]
+        )
+        mode = min(_VIRTUAL_MODES, key=lambda position: abs(position - channels[6]))
+        gear_down = channels[4] < 1500
+        self._sticks = Sticks(roll, pitch, yaw, throttle, _VIRTUAL_MODES[mode], gear_down)
+        self._until = now + self.TIMEOUT_S
+        return True
+
+    def sticks(self, now: float) -> Sticks | None:
+        """The sticks in force, None while this remote control says nothing."""
+        if self._sticks is not None and now > self._until:
+            self._sticks = None
+            self.is_on = self.is_on and not self._falls_back
+        return self._sticks if self.is_on else None
+
+    @property
+    def counts_as_lost(self) -> bool:
+        """Switched on without falling back, and silent: as if the remote control were lost."""
+        return self.is_on and not self._falls_back and self._sticks is None
+
+    def reset(self) -> None:
+        """As at power-on."""
+        self.is_on = False
+        self._sticks = None
+
+
+_VIRTUAL_MODES = {1552: RcMode.P, 1024: RcMode.A, 496: RcMode.F}
 
 
 class RemoteControl:
-    """Switches and sticks of the remote control.
+    """Switches and sticks in the pilot's hands, and the virtual remote control beside them.
 
     Attributes:
         mode: Position of the mode switch: P and A give the aircraft to the pilot, F lets the
             onboard device or the mobile app fly.
         roll, pitch, yaw, throttle: Stick deflection, -1 (left or down) to 1 (right or up).
         gear_down: Position of the landing gear switch.
-        is_on: Off, the autopilot has lost its remote control.
+        is_switched_on: Off, the autopilot has lost its remote control.
         moved_since_power_on: Whether the mode switch was moved since the autopilot started.
+        virtual: The virtual remote control (firmware 3.1).
+        now: Time by which the virtual one is judged, seconds since power-on.
     """
 
     __slots__ = (
         "gear_down",
-        "is_on",
+        "is_switched_on",
         "mode",
         "moved_since_power_on",
+        "now",
         "pitch",
         "roll",
         "throttle",
+        "virtual",
         "yaw",
     )
 
-    def __init__(self, mode: RcMode = RcMode.P, *, is_on: bool = True) -> None:
+    def __init__(self, mode: RcMode = RcMode.P) -> None:
         self.mode = mode
-        self.is_on = is_on
+        self.is_switched_on = True
         self.gear_down = True
         self.moved_since_power_on = False
         self.roll = self.pitch = self.yaw = self.throttle = 0.0
+        self.virtual = VirtualRemote()
+        self.now = 0.0
 
     def set_mode(self, mode: RcMode | str) -> None:
         """Turn the mode switch. Naming the position it is in already moves nothing."""
@@ -78,20 +183,35 @@ class RemoteControl:
         self.roll = self.pitch = self.yaw = self.throttle = 0.0
 
     @property
-    def sticks_moved(self) -> bool:
-        """Whether any stick is off its centre by more than the dead zone of 5 %."""
-        return max(abs(self.roll), abs(self.pitch), abs(self.yaw), abs(self.throttle)) > 0.05
+    def is_connected(self) -> bool:
+        """Whether the autopilot hears a remote control, real or virtual."""
+        if self.virtual.is_on:
+            if self.virtual.sticks(self.now) is not None:
+                return True
+            if self.virtual.counts_as_lost:
+                return False
+        return self.is_switched_on
+
+    def sticks(self) -> Sticks:
+        """What the autopilot receives: the virtual remote control's channels before the real ones.
+
+        A remote control that is lost reads as centred sticks.
+        """
+        virtual = self.virtual.sticks(self.now) if self.virtual.is_on else None
+        if virtual is not None:
+            return virtual
+        if not self.is_connected:
+            return Sticks(0.0, 0.0, 0.0, 0.0, self.mode, self.gear_down)
+        return Sticks(self.roll, self.pitch, self.yaw, self.throttle, self.mode, self.gear_down)
 
     def channels(self) -> tuple[int, int, int, int, int, int]:
-        """The RC item: roll, pitch, yaw, throttle, mode, gear; centred sticks when it is off."""
-        gear = GEAR_DOWN if self.gear_down else GEAR_UP
-        if not self.is_on:
-            return 0, 0, 0, 0, self.mode.value, gear
+        """The RC item: roll, pitch, yaw, throttle, mode, gear."""
+        sticks = self.sticks()
         return (
-            round(self.roll * _FULL),
-            round(self.pitch * _FULL),
-            round(self.yaw * _FULL),
-            round(self.throttle * _FULL),
-            self.mode.value,
-            gear,
+            round(sticks.roll * _FULL),
+            round(sticks.pitch * _FULL),
+            round(sticks.yaw * _FULL),
+            round(sticks.throttle * _FULL),
+            sticks.mode.value,
+            GEAR_DOWN if sticks.gear_down else GEAR_UP,
         )

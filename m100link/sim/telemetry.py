@@ -232,6 +232,8 @@ class Sensors:
             authority.is_requested or authority.is_pending
         ):
             control |= 0x08  # firmware 2.3 and later show the request too
+        if self._remote.virtual.is_on:
+            control |= 0x10
         mode = 0
         if authority.device is Device.ONBOARD and flight.setpoint is not None:
             mode = flight.setpoint.mode.number

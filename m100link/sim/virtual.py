@@ -126,12 +126,12 @@ class VirtualAircraft:
 
     def rc_lost(self) -> None:
         """Switch the remote control off; three seconds later the aircraft goes home."""
-        self.remote.is_on = False
+        self.remote.is_switched_on = False
         self.autopilot.refresh()
 
     def rc_back(self) -> None:
         """Switch the remote control on again."""
-        self.remote.is_on = True
+        self.remote.is_switched_on = True
         self.autopilot.refresh()
 
     def pilot_takes_off(self) -> None:
