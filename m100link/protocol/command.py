@@ -7,6 +7,7 @@ reads the answer.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -72,9 +73,7 @@ class Command:
 
     def fields(self) -> dict[str, Any]:
         """The decoded fields as JSON-ready values."""
-        return {
-            name: plain(getattr(self, name)) for name in getattr(self, "__dataclass_fields__", ())
-        }
+        return {name: plain(getattr(self, name)) for name in field_names(self)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +89,12 @@ class Unrecognised:
     address: Address | None
     value: bytes
     reason: str
+
+
+def field_names(command: Command) -> list[str]:
+    """Names of the fields of a command, which is a dataclass."""
+    # ``__dataclass_fields__`` would name the class variables, too.
+    return [field.name for field in dataclasses.fields(command)]  # type: ignore[arg-type]
 
 
 def plain(value: Any) -> Any:

@@ -8,7 +8,7 @@ from struct import Struct
 from typing import Any, ClassVar, Self
 
 from m100link.protocol.codes import ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
-from m100link.protocol.command import Address, Command
+from m100link.protocol.command import Address, Command, field_names
 from m100link.protocol.firmware import FirmwareProfile
 
 __all__ = ["Arm", "Move", "QueryTask", "RequestAuthority", "StartTask", "Task"]
@@ -146,7 +146,7 @@ class Move(Command):
 
     def fields(self) -> dict[str, Any]:
         """All five under ``movement``."""
-        return {"movement": {name: getattr(self, name) for name in self.__dataclass_fields__}}
+        return {"movement": {name: getattr(self, name) for name in field_names(self)}}
 
 
 @dataclass(frozen=True, slots=True)

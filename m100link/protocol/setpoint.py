@@ -108,16 +108,18 @@ class _Range(NamedTuple):
     unit: str
 
 
+_FLOAT32_MAX = (2 - 2**-23) * 2.0**127  # the wire carries no larger number
+
 LIMITS: dict[Enum, _Range] = {
     Horizontal.TILT: _Range(-30, 30, "°"),
     Horizontal.VELOCITY: _Range(-10, 10, "m/s"),
-    Horizontal.POSITION_OFFSET: _Range(-math.inf, math.inf, "m"),
+    Horizontal.POSITION_OFFSET: _Range(-_FLOAT32_MAX, _FLOAT32_MAX, "m"),
 }
 """Range per way of control (document 3.2, the table of modes)."""
 
 VERTICAL_LIMITS = {
     Vertical.VELOCITY: _Range(-4, 4, "m/s"),
-    Vertical.HEIGHT: _Range(0, math.inf, "m"),
+    Vertical.HEIGHT: _Range(0, _FLOAT32_MAX, "m"),
     Vertical.THRUST: _Range(0, 100, "%"),
 }
 YAW_LIMITS = {Yaw.ANGLE: _Range(-180, 180, "°"), Yaw.RATE: _Range(-100, 100, "°/s")}
