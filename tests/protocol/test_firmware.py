@@ -1,0 +1,75 @@
+"""Profiles are data; this is what the data must say."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.errors import UsageError
+from m100link.protocol import PROFILES, FirmwareProfile, profile
+from m100link.protocol.firmware import ITEM_NAMES, FlagBit0
+
+# Bytes per item on the wire, in flag-bit order, and their sum with the flag word.
+SIZES = {
+    "1.0": ([4, 16, 12, 12, 12, 25, 6, 12, 12, 1, 1, 1], 116),
+    "2.3": ([4, 16, 12, 13, 12, 25, 6, 12, 12, 1, 1, 1], 117),
+    "3.1": ([9, 16, 12, 13, 12, 25, 6, 12, 13, 1, 1, 2], 124),
+    "1.0-document": ([4, 16, 12, 12, 12, 24, 12, 10, 12, 1, 1, 1], 119),
+}
+
+
+def test_there_are_four_profiles() -> None:
+    assert set(PROFILES) == set(SIZES)
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_items_have_the_sizes_of_their_firmware(name: str) -> None:
+    sizes, total = SIZES[name]
+    items = PROFILES[name].items
+    assert [item.size for item in items] == sizes
+    assert 2 + sum(item.size for item in items) == total
+    assert len(ITEM_NAMES) == len(items) == 12
+
+
+def test_every_value_of_a_layout_has_a_name() -> None:
+    from struct import Struct
+
+    for firmware in PROFILES.values():
+        for item in firmware.items:
+            values = Struct("<" + item.format).unpack(bytes(item.size))
+            assert len(values) == len(item.fields) == len(set(item.fields))
+
+
+def test_activation_words_and_acks_differ_by_firmware() -> None:
+    words = {name: firmware.activation_version for name, firmware in PROFILES.items()}
+    assert words == {"1.0": None, "2.3": 0x02030A00, "3.1": 0x03010A00, "1.0-document": None}
+    assert [name for name, firmware in PROFILES.items() if firmware.has_serial] == ["3.1"]
+    assert {name: firmware.tick_hz for name, firmware in PROFILES.items()} == {
+        "1.0": 600,
+        "2.3": 600,
+        "3.1": 400,
+        "1.0-document": 600,
+    }
+
+
+def test_only_the_document_profile_sends_yaw_before_throttle() -> None:
+    assert [n for n, firmware in PROFILES.items() if not firmware.throttle_before_yaw] == [
+        "1.0-document"
+    ]
+
+
+def test_bit_0_of_the_control_flag_changed_its_meaning_with_3_1() -> None:
+    for name, firmware in PROFILES.items():
+        expected = FlagBit0.STABLE_MODE if name == "3.1" else FlagBit0.YAW_FRAME
+        assert firmware.flag_bit0 is expected
+
+
+def test_a_profile_is_found_by_name_or_is_itself() -> None:
+    found = profile("3.1")
+    assert isinstance(found, FirmwareProfile)
+    assert str(found) == "3.1"
+    assert profile(found) is found
+
+
+def test_an_unknown_profile_lists_those_that_exist() -> None:
+    with pytest.raises(UsageError, match=r"'4\.0'.*\n.*1\.0, 2\.3, 3\.1, 1\.0-document"):
+        profile("4.0")

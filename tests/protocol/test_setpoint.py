@@ -1,0 +1,324 @@
+"""The 14 modes, their flags and ranges, and how each firmware reads them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from m100link.errors import BadSetpoint, UsageError
+from m100link.protocol import (
+    PROFILES,
+    ControlMode,
+    FirmwareProfile,
+    Frame,
+    Horizontal,
+    Move,
+    Setpoint,
+    Vertical,
+    Yaw,
+    profile,
+)
+
+TILT, VELOCITY, OFFSET = Horizontal
+CLIMB, HEIGHT, THRUST = Vertical
+
+# Number, mode and flag without frame bits, from the document's table of combinations.
+MODES = [
+    (1, TILT, CLIMB, Yaw.ANGLE, 0x00),
+    (2, TILT, CLIMB, Yaw.RATE, 0x08),
+    (3, VELOCITY, CLIMB, Yaw.ANGLE, 0x40),
+    (4, VELOCITY, CLIMB, Yaw.RATE, 0x48),
+    (5, OFFSET, CLIMB, Yaw.ANGLE, 0x80),
+    (6, OFFSET, CLIMB, Yaw.RATE, 0x88),
+    (7, TILT, HEIGHT, Yaw.ANGLE, 0x10),
+    (8, TILT, HEIGHT, Yaw.RATE, 0x18),
+    (9, VELOCITY, HEIGHT, Yaw.ANGLE, 0x50),
+    (10, VELOCITY, HEIGHT, Yaw.RATE, 0x58),
+    (11, OFFSET, HEIGHT, Yaw.ANGLE, 0x90),
+    (12, OFFSET, HEIGHT, Yaw.RATE, 0x98),
+    (13, TILT, THRUST, Yaw.ANGLE, 0x20),
+    (14, TILT, THRUST, Yaw.RATE, 0x28),
+]
+BODY = 0x02
+FIRMWARES = [PROFILES[name] for name in ("1.0", "2.3", "3.1")]
+
+
+ZEROS: dict[str, Any] = {"x": 0.0, "y": 0.0, "z": 0.0, "turn": 0.0}
+
+
+def build(
+    horizontal: Horizontal,
+    vertical: Vertical,
+    yaw: Yaw,
+    x: float = 1.0,
+    y: float = 2.0,
+    z: float = 3.0,
+    turn: float = 4.0,
+    *,
+    frame: Frame = Frame.BODY,
+) -> Setpoint:
+    """A setpoint by the constructor that users would take."""
+    words: dict[str, Any] = {
+        {CLIMB: "up", HEIGHT: "height", THRUST: "thrust_percent"}[vertical]: z,
+        {Yaw.ANGLE: "yaw_deg", Yaw.RATE: "yaw_rate_deg_s"}[yaw]: turn,
+    }
+    if horizontal is TILT:
+        return Setpoint.tilt(roll_deg=x, pitch_deg=y, frame=frame, **words)
+    make: Callable[..., Setpoint] = (
+        Setpoint.velocity if horizontal is VELOCITY else Setpoint.position_offset
+    )
+    names = ("forward", "right") if frame is Frame.BODY else ("north", "east")
+    return make(**words | dict(zip(names, (x, y), strict=True)))
+
+
+@pytest.mark.parametrize(("number", "horizontal", "vertical", "yaw", "flag"), MODES)
+def test_each_mode_has_its_number_and_its_flag(
+    number: int, horizontal: Horizontal, vertical: Vertical, yaw: Yaw, flag: int
+) -> None:
+    mode = ControlMode(horizontal, vertical, yaw)
+    assert mode.is_legal
+    assert (mode.number, mode.flag) == (number, flag)
+    setpoint = build(horizontal, vertical, yaw)
+    assert setpoint.mode == mode
+    for firmware in FIRMWARES:
+        move = setpoint.to_move(firmware)
+        assert move == Move(flag | BODY, 1.0, 2.0, 3.0, 4.0)
+        assert Setpoint.from_move(move, firmware) == setpoint
+
+
+@pytest.mark.parametrize(("number", "horizontal", "vertical", "yaw", "flag"), MODES)
+def test_the_ground_frame_has_bit_1_clear(
+    number: int, horizontal: Horizontal, vertical: Vertical, yaw: Yaw, flag: int
+) -> None:
+    setpoint = build(horizontal, vertical, yaw, frame=Frame.GROUND)
+    for name in ("2.3", "3.1"):
+        assert setpoint.to_move(profile(name)).control_flag == flag
+        assert Setpoint.from_move(setpoint.to_move(profile(name)), profile(name)) == setpoint
+
+
+def test_exactly_the_14_modes_of_the_table_are_legal() -> None:
+    legal = [
+        (mode.number, mode.flag)
+        for h in Horizontal
+        for v in Vertical
+        for y in Yaw
+        if (mode := ControlMode(h, v, y)).is_legal
+    ]
+    assert sorted(legal) == [(number, flag) for number, *_, flag in MODES]
+
+
+@pytest.mark.parametrize("horizontal", [VELOCITY, OFFSET])
+@pytest.mark.parametrize("yaw", Yaw)
+def test_thrust_goes_with_tilt_only(horizontal: Horizontal, yaw: Yaw) -> None:
+    mode = ControlMode(horizontal, THRUST, yaw)
+    with pytest.raises(BadSetpoint, match="THRUST"):
+        Setpoint(mode, 0, 0, 0, 0)
+    with pytest.raises(BadSetpoint, match="THRUST"):
+        Setpoint.from_move(Move(mode.flag, 0, 0, 0, 0), profile("3.1"))
+
+
+# -- ranges ----------------------------------------------------------------------------------------
+
+# Argument, its mode and the range of the document; None where it has no bound.
+RANGES = [
+    ("x", TILT, CLIMB, Yaw.RATE, -30, 30),
+    ("y", TILT, CLIMB, Yaw.RATE, -30, 30),
+    ("x", VELOCITY, CLIMB, Yaw.RATE, -10, 10),
+    ("y", VELOCITY, CLIMB, Yaw.RATE, -10, 10),
+    ("x", OFFSET, CLIMB, Yaw.RATE, None, None),
+    ("y", OFFSET, CLIMB, Yaw.RATE, None, None),
+    ("z", VELOCITY, CLIMB, Yaw.RATE, -4, 4),
+    ("z", VELOCITY, HEIGHT, Yaw.RATE, 0, None),
+    ("z", TILT, THRUST, Yaw.RATE, 0, 100),
+    ("turn", VELOCITY, CLIMB, Yaw.ANGLE, -180, 180),
+    ("turn", VELOCITY, CLIMB, Yaw.RATE, -100, 100),
+]
+
+
+@pytest.mark.parametrize(("name", "horizontal", "vertical", "yaw", "low", "high"), RANGES)
+def test_values_reach_to_the_ends_of_their_range_and_not_beyond(
+    name: str,
+    horizontal: Horizontal,
+    vertical: Vertical,
+    yaw: Yaw,
+    low: float | None,
+    high: float | None,
+) -> None:
+    for bound, beyond in ((low, -math.inf), (high, math.inf)):
+        inside = bound if bound is not None else math.copysign(1e6, beyond)
+        build(horizontal, vertical, yaw, **ZEROS | {name: inside})
+        if bound is not None:
+            with pytest.raises(BadSetpoint, match="outside"):
+                build(horizontal, vertical, yaw, **ZEROS | {name: math.nextafter(bound, beyond)})
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["x", "y", "z", "turn"])
+@pytest.mark.parametrize(("number", "horizontal", "vertical", "yaw", "flag"), MODES)
+def test_no_value_may_be_nan_or_infinite(
+    number: int,
+    horizontal: Horizontal,
+    vertical: Vertical,
+    yaw: Yaw,
+    flag: int,
+    name: str,
+    value: float,
+) -> None:
+    with pytest.raises(BadSetpoint):
+        build(horizontal, vertical, yaw, **ZEROS | {name: value})
+
+
+@pytest.mark.parametrize("name", ["x", "z"])
+def test_a_value_that_no_32_bit_float_holds_is_refused(name: str) -> None:
+    build(OFFSET, HEIGHT, Yaw.RATE, **ZEROS | {name: 3e38})
+    with pytest.raises(BadSetpoint, match="1e\\+39"):
+        build(OFFSET, HEIGHT, Yaw.RATE, **ZEROS | {name: 1e39})
+
+
+SETPOINTS = st.one_of(
+    [
+        st.builds(
+            build,
+            st.just(horizontal),
+            st.just(vertical),
+            st.just(yaw),
+            *(
+                st.floats(low, high, width=32)
+                for low, high in (
+                    (-limit, limit),
+                    (-limit, limit),
+                    {CLIMB: (-4, 4), HEIGHT: (0, 2.0**120), THRUST: (0, 100)}[vertical],
+                    {Yaw.ANGLE: (-180, 180), Yaw.RATE: (-100, 100)}[yaw],
+                )
+            ),
+            frame=st.sampled_from(Frame) if horizontal is not TILT else st.just(Frame.BODY),
+        )
+        for _, horizontal, vertical, yaw, _ in MODES
+        for limit in [{TILT: 30, VELOCITY: 10, OFFSET: 2.0**120}[horizontal]]
+    ]
+)
+
+
+@given(SETPOINTS, st.sampled_from(list(PROFILES.values())))
+def test_every_setpoint_can_be_sent_and_is_read_back(
+    setpoint: Setpoint, firmware: FirmwareProfile
+) -> None:
+    value = setpoint.to_move(firmware).value(firmware)
+    assert Setpoint.from_move(Move.parse(value, firmware), firmware) == setpoint
+
+
+def test_a_bad_setpoint_is_a_usage_error_that_names_value_and_range() -> None:
+    with pytest.raises(UsageError, match="yaw rate 120 °/s is outside -100 to 100"):
+        Setpoint.velocity(north=0, east=0, up=0, yaw_rate_deg_s=120)
+
+
+# -- what is given must make one setpoint ----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {},
+        {"north": 1.0},
+        {"forward": 1.0},
+        {"north": 1.0, "right": 1.0},
+        {"north": 1.0, "east": 1.0, "forward": 1.0},
+        {"north": 1.0, "east": 1.0, "forward": 1.0, "right": 1.0},
+    ],
+)
+@pytest.mark.parametrize("make", [Setpoint.velocity, Setpoint.position_offset])
+def test_horizontal_values_are_of_one_frame(
+    make: Callable[..., Setpoint], words: dict[str, float]
+) -> None:
+    with pytest.raises(BadSetpoint, match="one frame"):
+        make(**words, up=0, yaw_deg=0)
+
+
+def test_exactly_one_vertical_and_one_yaw_value_are_needed() -> None:
+    with pytest.raises(BadSetpoint, match="0 vertical"):
+        Setpoint.velocity(north=0, east=0, yaw_deg=0)
+    with pytest.raises(BadSetpoint, match="2 vertical"):
+        Setpoint.velocity(north=0, east=0, up=0, height=1, yaw_deg=0)
+    with pytest.raises(BadSetpoint, match="exactly one yaw"):
+        Setpoint.velocity(north=0, east=0, up=0)
+    with pytest.raises(BadSetpoint, match="exactly one yaw"):
+        Setpoint.velocity(north=0, east=0, up=0, yaw_deg=0, yaw_rate_deg_s=0)
+
+
+# -- what firmware makes of it ---------------------------------------------------------------------
+
+
+def test_the_flags_of_djis_own_samples_mean_what_they_flew() -> None:
+    firmware = profile("3.1")
+    flown = {
+        0x0A: (TILT, CLIMB, Yaw.RATE, Frame.BODY, False),
+        0x48: (VELOCITY, CLIMB, Yaw.RATE, Frame.GROUND, False),
+        0x40: (VELOCITY, CLIMB, Yaw.ANGLE, Frame.GROUND, False),
+        0x90: (OFFSET, HEIGHT, Yaw.ANGLE, Frame.GROUND, False),
+        0x91: (OFFSET, HEIGHT, Yaw.ANGLE, Frame.GROUND, True),
+        0x12: (TILT, HEIGHT, Yaw.ANGLE, Frame.BODY, False),
+    }
+    for flag, meaning in flown.items():
+        setpoint = Setpoint.from_move(Move(flag, 0, 0, 0, 0), firmware)
+        assert (*setpoint.mode, setpoint.frame, setpoint.stable) == meaning
+
+
+def test_bit_0_is_stable_mode_from_3_1_on_and_the_yaw_frame_before() -> None:
+    stable = Setpoint.velocity(north=1, east=0, up=0, yaw_rate_deg_s=0, stable=True)
+    assert stable.control_flag(profile("3.1")) == 0x49
+    for name in ("1.0", "2.3"):
+        with pytest.raises(BadSetpoint, match=f"firmware {name} has no stable mode"):
+            stable.to_move(profile(name))
+        # An aircraft of that firmware reads the bit as a yaw frame, not as stable mode.
+        assert not Setpoint.from_move(Move(0x49, 0, 0, 0, 0), profile(name)).stable
+    assert Setpoint.from_move(Move(0x49, 0, 0, 0, 0), profile("3.1")).stable
+
+
+def test_firmware_1_0_knows_tilt_in_the_body_frame_only() -> None:
+    ground = build(TILT, CLIMB, Yaw.RATE, frame=Frame.GROUND)
+    with pytest.raises(BadSetpoint, match="body frame only"):
+        ground.to_move(profile("1.0"))
+    assert Setpoint.from_move(Move(0x08, 0, 0, 0, 0), profile("1.0")).frame is Frame.BODY
+    assert Setpoint.from_move(Move(0x08, 0, 0, 0, 0), profile("2.3")).frame is Frame.GROUND
+
+
+@pytest.mark.parametrize("flag", range(256))
+def test_every_flag_is_a_setpoint_or_refused(flag: int) -> None:
+    legal = {flag for *_, flag in MODES}
+    move = Move(flag, 0.0, 0.0, 0.0, 0.0)
+    if flag & 0x04 or flag & 0xF8 not in legal:
+        with pytest.raises(BadSetpoint):
+            Setpoint.from_move(move, profile("3.1"))
+    else:
+        setpoint = Setpoint.from_move(move, profile("3.1"))
+        assert setpoint.control_flag(profile("3.1")) == flag
+
+
+def test_an_aircraft_may_limit_values_instead_of_refusing_them() -> None:
+    move = Move(0x48, 99.0, -99.0, 9.0, -500.0)
+    with pytest.raises(BadSetpoint):
+        Setpoint.from_move(move, profile("3.1"))
+    limited = Setpoint.from_move(move, profile("3.1"), clamp=True)
+    assert (limited.x, limited.y, limited.z, limited.yaw) == (10, -10, 4, -100)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_what_is_not_finite_is_refused_even_where_values_are_limited(value: float) -> None:
+    with pytest.raises(BadSetpoint):
+        Setpoint.from_move(Move(0x48, value, 0, 0, 0), profile("3.1"), clamp=True)
+
+
+@pytest.mark.parametrize(("number", "horizontal", "vertical", "yaw", "flag"), MODES)
+def test_neutral_stops_climb_and_turn_in_the_same_horizontal_mode(
+    number: int, horizontal: Horizontal, vertical: Vertical, yaw: Yaw, flag: int
+) -> None:
+    setpoint = build(horizontal, vertical, yaw)
+    neutral = setpoint.neutral()
+    assert neutral.mode == (horizontal, CLIMB, Yaw.RATE)
+    assert (neutral.x, neutral.y, neutral.z, neutral.yaw) == (0, 0, 0, 0)
+    assert neutral.frame is setpoint.frame
