@@ -1,0 +1,210 @@
+"""Topics and services of the station, and who listens: what roscore is to ROS nodes.
+
+The set of topics and services is fixed when the station starts. Clients can use it, not extend it:
+nothing a client does makes it grow.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from m100link.station.encoding import to_cbor, to_png
+from m100link.station.messages import MESSAGES, SERVICES, Message, MessageType, ServiceType
+
+if TYPE_CHECKING:
+    from m100link.station.rosbridge import Session
+
+__all__ = ["Call", "Graph", "Publication", "Service", "Topic", "canonical_name"]
+
+
+def canonical_name(name: str) -> str:
+    """Names with and without a leading slash are the same topic."""
+    return name if name.startswith("/") else f"/{name}"
+
+
+class Publication:
+    """A message on its way to any number of clients: packed once for all of them."""
+
+    __slots__ = ("_json", "_packed", "message", "topic")
+
+    def __init__(self, topic: Topic, message: Message) -> None:
+        self.topic = topic
+        self.message = message
+        self._json: str | None = None
+        self._packed: dict[tuple[str, str], str | bytes] = {}
+
+    def text(self, name: str) -> str:
+        """The ``publish`` frame, with the topic's name as the client wrote it."""
+        if self._json is None:
+            self._json = self.topic.type.to_json(self.message)
+        return f'{{"op":"publish","topic":{json.dumps(name)},"msg":{self._json}}}'
+
+    def pack(self, name: str, compression: str) -> str | bytes:
+        """The frame under ``none``, ``png`` or ``cbor``; packed once, whoever else wants it."""
+        frame = self._packed.get((name, compression))
+        if frame is None:
+            if compression == "cbor":
+                message = self.topic.type.to_cbor(self.message)
+                frame = to_cbor({"op": "publish", "topic": name, "msg": message})
+            else:
+                frame = self.text(name)
+                if compression == "png":
+                    frame = to_png(frame)
+            self._packed[name, compression] = frame
+        return frame
+
+
+@dataclass(slots=True, eq=False)
+class Topic:
+    """A topic.
+
+    Attributes:
+        name: Its name, with a leading slash.
+        type: Type of its messages.
+        on_publish: What a client's message does; None on topics that only the station publishes.
+        latched: Whether a new subscriber gets the last message at once.
+        subscribers: Sessions that listen.
+        last: Last message of a latched topic.
+    """
+
+    name: str
+    type: MessageType
+    on_publish: Callable[[Session, Message, float], None] | None = None
+    latched: bool = False
+    subscribers: set[Session] = field(default_factory=set)
+    last: Message | None = None
+
+
+@dataclass(slots=True, eq=False)
+class Call:
+    """A service call of a client, to be answered once.
+
+    Attributes:
+        session: Who called.
+        request: The checked request.
+        now: When it came.
+    """
+
+    session: Session
+    service: Service
+    request: Message
+    identity: Any
+    now: float
+    is_answered: bool = False
+
+    def respond(self, response: Message) -> None:
+        """Answer with the fields given; the others have their defaults."""
+        if not self.is_answered:
+            self.is_answered = True
+            type_ = self.service.type.response
+            self.session.respond(self, type_.to_json(type_.default() | response), True)
+
+    def fail(self, reason: str) -> None:
+        """Answer that the call failed."""
+        if not self.is_answered:
+            self.is_answered = True
+            self.session.respond(self, json.dumps(reason), False)
+
+
+@dataclass(slots=True, eq=False)
+class Service:
+    """A service.
+
+    Attributes:
+        name: Its name, with a leading slash.
+        type: Its type.
+        on_call: Answers a call, at once or later.
+    """
+
+    name: str
+    type: ServiceType
+    on_call: Callable[[Call], None]
+
+
+class Graph:
+    """The topics and services, and the sessions that use them.
+
+    Attributes:
+        topics: Topics by name.
+        services: Services by name.
+        sessions: Clients connected now.
+    """
+
+    def __init__(self) -> None:
+        self.topics: dict[str, Topic] = {}
+        self.services: dict[str, Service] = {}
+        self.sessions: set[Session] = set()
+        self._on_leave: list[Callable[[Session, float], None]] = []
+        self._add_rosapi()
+
+    def add_topic(
+        self,
+        name: str,
+        type_name: str,
+        on_publish: Callable[[Session, Message, float], None] | None = None,
+        *,
+        latched: bool = False,
+    ) -> Topic:
+        """A topic that the station publishes, or takes messages from."""
+        topic = Topic(name, MESSAGES[type_name], on_publish, latched)
+        self.topics[name] = topic
+        return topic
+
+    def add_service(self, name: str, type_name: str, on_call: Callable[[Call], None]) -> None:
+        """A service that the station offers."""
+        self.services[name] = Service(name, SERVICES[type_name], on_call)
+
+    def on_leave(self, callback: Callable[[Session, float], None]) -> None:
+        """Call this when a client has gone."""
+        self._on_leave.append(callback)
+
+    def publish(self, topic: Topic, message: Message, now: float) -> None:
+        """Give a message to every subscriber."""
+        if topic.latched:
+            topic.last = message
+        if topic.subscribers:
+            publication = Publication(topic, message)
+            for session in topic.subscribers:
+                session.deliver(publication, now)
+
+    def leave(self, session: Session, now: float) -> None:
+        """A client has gone."""
+        if session in self.sessions:
+            self.sessions.discard(session)
+            for topic in self.topics.values():
+                topic.subscribers.discard(session)
+            for callback in self._on_leave:
+                callback(session, now)
+
+    # -- rosapi: what roslib asks about topics and services --------------------------------------
+
+    def _add_rosapi(self) -> None:
+        def topics(call: Call) -> None:
+            names = sorted(self.topics)
+            types = [self.topics[name].type.name for name in names]
+            call.respond({"topics": names, "types": types})
+
+        def topic_type(call: Call) -> None:
+            topic = self.topics.get(canonical_name(call.request["topic"]))
+            call.respond({"type": topic.type.name if topic else ""})
+
+        def topics_for_type(call: Call) -> None:
+            wanted = call.request["type"]
+            found = [name for name, topic in self.topics.items() if topic.type.name == wanted]
+            call.respond({"topics": sorted(found)})
+
+        def services(call: Call) -> None:
+            call.respond({"services": sorted(self.services)})
+
+        def service_type(call: Call) -> None:
+            service = self.services.get(canonical_name(call.request["service"]))
+            call.respond({"type": service.type.name if service else ""})
+
+        self.add_service("/rosapi/topics", "rosapi/Topics", topics)
+        self.add_service("/rosapi/topic_type", "rosapi/TopicType", topic_type)
+        self.add_service("/rosapi/topics_for_type", "rosapi/TopicsForType", topics_for_type)
+        self.add_service("/rosapi/services", "rosapi/Services", services)
+        self.add_service("/rosapi/service_type", "rosapi/ServiceType", service_type)

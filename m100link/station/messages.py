@@ -1,0 +1,380 @@
+"""The ROS message and service types that the station speaks, and checks of values against them.
+
+Types are written as ROS writes them, one field after the other. A value is checked field by field:
+what is missing gets its default, what is unknown or of the wrong type is an error that names the
+field. Values live in Python form: a dict per message, ``bytes`` for ``uint8[]``, NaN for the JSON
+``null`` of a float.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["MESSAGES", "SERVICES", "BadMessage", "Message", "MessageType", "canonical_type"]
+
+Message = dict[str, Any]
+"""A ROS message: field names and values."""
+
+_DEFINITIONS = """
+std_msgs/Bool: bool data
+std_msgs/Empty:
+std_msgs/UInt8: uint8 data
+std_msgs/UInt16: uint16 data
+std_msgs/Int32: int32 data
+std_msgs/Float32: float32 data
+std_msgs/Float64: float64 data
+std_msgs/String: string data
+std_msgs/Header: uint32 seq, time stamp, string frame_id
+geometry_msgs/Vector3: float64 x, float64 y, float64 z
+geometry_msgs/Point: float64 x, float64 y, float64 z
+geometry_msgs/Quaternion: float64 x, float64 y, float64 z, float64 w
+geometry_msgs/Vector3Stamped: std_msgs/Header header, geometry_msgs/Vector3 vector
+geometry_msgs/PointStamped: std_msgs/Header header, geometry_msgs/Point point
+geometry_msgs/QuaternionStamped: std_msgs/Header header, geometry_msgs/Quaternion quaternion
+sensor_msgs/Imu: std_msgs/Header header, geometry_msgs/Quaternion orientation, \
+float64[9] orientation_covariance, geometry_msgs/Vector3 angular_velocity, \
+float64[9] angular_velocity_covariance, geometry_msgs/Vector3 linear_acceleration, \
+float64[9] linear_acceleration_covariance
+sensor_msgs/NavSatStatus: int8 status, uint16 service
+sensor_msgs/NavSatFix: std_msgs/Header header, sensor_msgs/NavSatStatus status, float64 latitude, \
+float64 longitude, float64 altitude, float64[9] position_covariance, uint8 position_covariance_type
+sensor_msgs/Joy: std_msgs/Header header, float32[] axes, int32[] buttons
+sensor_msgs/MagneticField: std_msgs/Header header, geometry_msgs/Vector3 magnetic_field, \
+float64[9] magnetic_field_covariance
+sensor_msgs/BatteryState: std_msgs/Header header, float32 voltage, float32 current, \
+float32 charge, float32 capacity, float32 design_capacity, float32 percentage, \
+uint8 power_supply_status, uint8 power_supply_health, uint8 power_supply_technology, \
+bool present, float32[] cell_voltage, string location, string serial_number
+dji_sdk/MobileData: uint8[] data
+"""
+
+_SERVICE_DEFINITIONS = """
+std_srvs/Empty: ->
+std_srvs/Trigger: -> bool success, string message
+dji_sdk/Activation: -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/SDKControlAuthority: uint8 control_enable -> bool result, uint8 cmd_set, uint8 cmd_id, \
+uint32 ack_data
+dji_sdk/DroneTaskControl: uint8 task -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/DroneArmControl: uint8 arm -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/QueryDroneVersion: -> uint32 version, string hardware
+dji_sdk/SetLocalPosRef: -> bool result
+dji_sdk/SendMobileData: uint8[] data -> bool result
+m100link/Lease: string action, string name, string token -> bool success, string message, \
+string holder, string token, float64 remaining
+rosapi/Topics: -> string[] topics, string[] types
+rosapi/TopicType: string topic -> string type
+rosapi/TopicsForType: string type -> string[] topics
+rosapi/Services: -> string[] services
+rosapi/ServiceType: string service -> string type
+rosapi/GetTime: -> time time
+"""
+
+_INTEGERS = {
+    name: (-(1 << bits - 1), (1 << bits - 1) - 1) if name.startswith("i") else (0, (1 << bits) - 1)
+    for name, bits in [(f"{sign}int{bits}", bits) for sign in ("", "u") for bits in (8, 16, 32, 64)]
+} | {"byte": (-128, 127), "char": (0, 255)}
+_FLOAT32_MAX = 3.4028235677973366e38
+_MAX_ARRAY = 100_000
+
+# RFC 8746 tags of little-endian typed arrays, and the struct letter of their elements.
+_TYPED_ARRAYS = {
+    "uint16": (69, "H"),
+    "uint32": (70, "I"),
+    "uint64": (71, "Q"),
+    "int8": (72, "b"),
+    "byte": (72, "b"),
+    "int16": (77, "h"),
+    "int32": (78, "i"),
+    "int64": (79, "q"),
+    "float32": (85, "f"),
+    "float64": (86, "d"),
+}
+
+
+class BadMessage(ValueError):
+    """A value that does not fit its type; the text names the field."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field of a message.
+
+    Attributes:
+        name: Its name.
+        type: Type of the value, or of the elements of an array.
+        length: None for a single value, 0 for an array of any length, else the exact length.
+    """
+
+    name: str
+    type: str
+    length: int | None
+
+    @property
+    def is_bytes(self) -> bool:
+        """Whether JSON carries it as a base64 string."""
+        return self.length is not None and self.type in ("uint8", "char")
+
+
+@dataclass(frozen=True, slots=True)
+class MessageType:
+    """A message type, or one half of a service type.
+
+    Attributes:
+        name: As ``package/Name``.
+        fields: In their order.
+    """
+
+    name: str
+    fields: tuple[Field, ...]
+
+    def default(self) -> Message:
+        """A message with every field at its default."""
+        return {field.name: _default(field) for field in self.fields}
+
+    def read(self, value: Any, where: str = "") -> Message:
+        """A complete, checked message from what JSON or CBOR gave.
+
+        Raises:
+            BadMessage: An unknown field, or a value of the wrong type or size.
+        """
+        if not isinstance(value, dict):
+            raise BadMessage(f"{where or self.name} is no object")
+        names = {field.name for field in self.fields}
+        if unknown := [name for name in value if name not in names]:
+            raise BadMessage(f"{self.name} has no field {str(unknown[0])[:64]!r}")
+        message = {}
+        for field in self.fields:
+            path = f"{where}.{field.name}" if where else field.name
+            if field.name in value:
+                message[field.name] = _read(field, value[field.name], path)
+            else:
+                message[field.name] = _default(field)
+        return message
+
+    def to_json(self, message: Message) -> str:
+        """JSON text of a message; NaN and infinities become null, bytes become base64."""
+        try:
+            return json.dumps(message, allow_nan=False, separators=(",", ":"), default=_base64)
+        except ValueError:
+            return json.dumps(_without_nan(message), separators=(",", ":"), default=_base64)
+
+    def to_cbor(self, message: Message) -> Message:
+        """The message with its numeric arrays as RFC 8746 typed arrays, to be dumped by cbor2."""
+        return {field.name: _for_cbor(field, message[field.name]) for field in self.fields}
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceType:
+    """A service type.
+
+    Attributes:
+        name: As ``package/Name``.
+        request: What is sent.
+        response: What comes back.
+    """
+
+    name: str
+    request: MessageType
+    response: MessageType
+
+    def read_request(self, args: Any) -> Message:
+        """The request from the ``args`` of a call: an object, a list in field order, or nothing.
+
+        Raises:
+            BadMessage: See :meth:`MessageType.read`.
+        """
+        if args is None:
+            args = {}
+        if isinstance(args, list):
+            fields = self.request.fields
+            if len(args) > len(fields):
+                raise BadMessage(f"{self.name} takes {len(fields)} values, there are {len(args)}")
+            args = {field.name: value for field, value in zip(fields, args, strict=False)}
+        return self.request.read(args)
+
+
+def _fields(text: str) -> tuple[Field, ...]:
+    fields = []
+    for part in text.split(","):
+        if not part.strip():
+            continue
+        kind, name = part.split()
+        kind, bracket, length = kind.partition("[")
+        fields.append(Field(name, kind, int(length[:-1] or 0) if bracket else None))
+    return tuple(fields)
+
+
+def _messages() -> dict[str, MessageType]:
+    lines = (line.partition(":") for line in _DEFINITIONS.strip().splitlines())
+    return {name: MessageType(name, _fields(text)) for name, _, text in lines}
+
+
+def _services() -> dict[str, ServiceType]:
+    services = {}
+    for line in _SERVICE_DEFINITIONS.strip().splitlines():
+        name, _, text = line.partition(":")
+        request, _, response = text.partition("->")
+        services[name] = ServiceType(
+            name,
+            MessageType(f"{name} request", _fields(request)),
+            MessageType(f"{name} response", _fields(response)),
+        )
+    return services
+
+
+MESSAGES: dict[str, MessageType] = _messages()
+"""Message types by name."""
+
+SERVICES: dict[str, ServiceType] = _services()
+"""Service types by name."""
+
+
+def canonical_type(name: str) -> str:
+    """``package/Name``; ROS 2 clients write ``package/msg/Name`` for it."""
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv") else name
+
+
+def _default(field: Field) -> Any:
+    if field.length is not None:
+        if field.is_bytes:
+            return bytes(field.length)
+        return [_scalar_default(field.type) for _ in range(field.length)]
+    return _scalar_default(field.type)
+
+
+def _scalar_default(kind: str) -> Any:
+    if kind in ("time", "duration"):
+        return {"secs": 0, "nsecs": 0}
+    if kind in MESSAGES:
+        return MESSAGES[kind].default()
+    return {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}.get(kind, 0)
+
+
+def _read(field: Field, value: Any, path: str) -> Any:
+    if field.length is None:
+        return _read_scalar(field.type, value, path)
+    if field.is_bytes:
+        value = _read_bytes(value, path)
+    elif not isinstance(value, list):
+        raise BadMessage(f"{path} is no list")
+    if len(value) > _MAX_ARRAY:
+        raise BadMessage(f"{path} has {len(value)} elements")
+    if field.length and len(value) != field.length:
+        raise BadMessage(f"{path} has {len(value)} elements, it takes {field.length}")
+    if field.is_bytes:
+        return value
+    return [_read_scalar(field.type, one, f"{path}[{i}]") for i, one in enumerate(value)]
+
+
+def _read_bytes(value: Any, path: str) -> bytes:
+    try:
+        if isinstance(value, str):
+            return base64.b64decode(value, validate=True)
+        if isinstance(value, list | bytes):
+            return bytes(value)
+    except (binascii.Error, ValueError, TypeError):
+        pass
+    raise BadMessage(f"{path} is neither base64 nor a list of bytes")
+
+
+def _fail(path: str, wanted: str) -> Any:
+    raise BadMessage(f"{path} is no {wanted}")
+
+
+def _read_scalar(kind: str, value: Any, path: str) -> Any:
+    reader = _READERS.get(kind)
+    if reader is not None:
+        return reader(value, path)
+    if kind in MESSAGES:
+        return MESSAGES[kind].read(value, path)
+    low, high = _INTEGERS[kind]
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if not isinstance(value, int) or isinstance(value, bool):
+        return _fail(path, kind)
+    if not low <= value <= high:
+        raise BadMessage(f"{path} is {value}, outside {low} to {high}")
+    return value
+
+
+def _read_float(limit: float) -> Callable[[Any, str], float]:
+    def read(value: Any, path: str) -> float:
+        if value is None:
+            return math.nan
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            return float(_fail(path, "number"))
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if math.isfinite(number) and abs(number) > limit:
+            raise BadMessage(f"{path} does not fit into a float32")
+        return number
+
+    return read
+
+
+def _read_string(value: Any, path: str) -> str:
+    return value if isinstance(value, str) else str(_fail(path, "string"))
+
+
+def _read_bool(value: Any, path: str) -> bool:
+    return value if isinstance(value, bool) else bool(_fail(path, "true or false"))
+
+
+def _read_time(value: Any, path: str) -> Message:
+    """ROS 1 writes secs and nsecs, ROS 2 sec and nanosec."""
+    if not isinstance(value, dict) or not set(value) <= {"secs", "nsecs", "sec", "nanosec"}:
+        raise BadMessage(f"{path} is no time")
+    return {
+        "secs": _read_scalar("uint32", value.get("secs", value.get("sec", 0)), path),
+        "nsecs": _read_scalar("uint32", value.get("nsecs", value.get("nanosec", 0)), path),
+    }
+
+
+_READERS: dict[str, Callable[[Any, str], Any]] = {
+    "string": _read_string,
+    "bool": _read_bool,
+    "float32": _read_float(_FLOAT32_MAX),
+    "float64": _read_float(math.inf),
+    "time": _read_time,
+    "duration": _read_time,
+}
+
+
+def _base64(value: Any) -> str:
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode("ascii")
+    raise TypeError(f"{type(value).__name__} is no value of a ROS message")
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: _without_nan(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(one) for one in value]
+    return value
+
+
+def _for_cbor(field: Field, value: Any) -> Any:
+    if field.type in MESSAGES:
+        nested = MESSAGES[field.type]
+        if field.length is None:
+            return nested.to_cbor(value)
+        return [nested.to_cbor(one) for one in value]
+    if field.length is None or field.type not in _TYPED_ARRAYS:
+        return value
+    from cbor2 import CBORTag
+
+    tag, letter = _TYPED_ARRAYS[field.type]
+    return CBORTag(tag, struct.pack(f"<{len(value)}{letter}", *value))

@@ -1,0 +1,443 @@
+"""rosbridge v2 with one client, without a transport and without a clock.
+
+Frames go in by :meth:`Session.receive` with the present time, frames come out of
+:meth:`Session.next_frame`; :meth:`Session.next_wakeup` says when to look again. Everything a client
+can make grow has a limit, and a client that is slow, noisy or malicious costs itself messages, not
+others.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from m100link.station.encoding import Reassembly, fragments
+from m100link.station.graph import Call, Graph, Publication, Topic, canonical_name
+from m100link.station.messages import BadMessage, canonical_type
+
+__all__ = ["Limits", "Session"]
+
+_LEVELS = ("none", "error", "warning", "info")
+_COMPRESSIONS = ("none", "png", "cbor")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What one client may use.
+
+    Attributes:
+        message_size: Bytes of a frame it sends, and of a message from fragments.
+        rate: Frames per second over time.
+        burst: Frames at once.
+        subscriptions: Subscriptions in force.
+        advertisements: Topics advertised.
+        calls: Service calls without an answer yet.
+        waiting: Messages that wait for a slow client; beyond it the oldest are dropped.
+        answers: Answers and statuses that wait; beyond it the client is disconnected.
+        queue_length: Longest queue of a throttled subscription.
+        faults: Frames over the rate or without meaning until the client is disconnected.
+    """
+
+    message_size: int = 256 * 1024
+    rate: float = 200.0
+    burst: float = 400.0
+    subscriptions: int = 100
+    advertisements: int = 100
+    calls: int = 16
+    waiting: int = 200
+    answers: int = 500
+    queue_length: int = 100
+    faults: int = 1000
+
+
+class _Fault(Exception):
+    """Something the client did wrong, in words for it."""
+
+
+class _Subscription:
+    """All subscriptions of one client to one topic under one spelling, merged."""
+
+    def __init__(self, topic: Topic, name: str) -> None:
+        self.topic = topic
+        self.name = name
+        self.wishes: dict[str, dict[str, Any]] = {}
+        self.waiting: deque[Publication] = deque()
+        self.next_at = float("-inf")
+        self.throttle = 0.0
+        self.queue_length = 0
+        self.fragment_size: int | None = None
+        self.compression = "none"
+
+    def merge(self, limits: Limits) -> None:
+        """The most generous of the wishes: every message that any of them asked for."""
+        wishes = self.wishes.values()
+        self.throttle = min(wish["throttle_rate"] for wish in wishes) / 1000.0
+        self.queue_length = min(max(wish["queue_length"] for wish in wishes), limits.queue_length)
+        sizes = [wish["fragment_size"] for wish in wishes if wish["fragment_size"] is not None]
+        self.fragment_size = min(sizes, default=None)
+        self.compression = max((wish["compression"] for wish in wishes), key=_COMPRESSIONS.index)
+
+    def advance(self, now: float) -> None:
+        """A message goes out now: the next one an interval later.
+
+        A late message does not shift those after it; a microsecond makes up for rounding.
+        """
+        due = self.next_at if now - self.next_at < self.throttle else now
+        self.next_at = due + self.throttle - 1e-6
+
+
+class Session:
+    """One client.
+
+    Args:
+        graph: Topics and services.
+        name: Who it is, for people.
+        limits: What it may use.
+        on_output: Called when there may be something to send.
+
+    Attributes:
+        dropped: Messages dropped because the client was slow.
+        refused: Frames not carried out.
+        close_reason: Set when the client has to be disconnected.
+        data: For the node: what it knows about this client.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        name: str = "client",
+        *,
+        limits: Limits | None = None,
+        on_output: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.graph = graph
+        self.name = name
+        self.limits = limits or Limits()
+        self.on_output = on_output
+        self.dropped = 0
+        self.refused = 0
+        self.close_reason: str | None = None
+        self.data: dict[str, Any] = {}
+        self._subscriptions: dict[str, _Subscription] = {}
+        self._advertised: dict[str, set[str]] = {}
+        self._answers: deque[str] = deque()
+        self._waiting: deque[tuple[_Subscription, Publication]] = deque()
+        self._ready: Iterator[str | bytes] = iter(())
+        self._reassembly = Reassembly(self.limits.message_size)
+        self._level = _LEVELS.index("error")
+        self._calls = 0
+        self._fragment_count = 0
+        self._allowance = self.limits.burst
+        self._allowance_at: float | None = None
+        self._operations: dict[str, Callable[[dict[str, Any], float], None]] = {
+            "advertise": self._advertise,
+            "unadvertise": self._unadvertise,
+            "publish": self._publish,
+            "subscribe": self._subscribe,
+            "unsubscribe": self._unsubscribe,
+            "call_service": self._call_service,
+            "fragment": self._fragment,
+            "set_level": self._set_level,
+            "status": self._ignore,
+        }
+        graph.sessions.add(self)
+
+    def close(self, now: float) -> None:
+        """The client has gone."""
+        self._subscriptions.clear()
+        self._waiting.clear()
+        self._answers.clear()
+        self.graph.leave(self, now)
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def receive(self, frame: str | bytes, now: float) -> None:
+        """Take a frame of the client. Never raises: what is wrong with it is told to the client."""
+        identity = None
+        try:
+            if not self._within_rate(now):
+                raise _Fault(f"more than {self.limits.rate:g} frames per second: frame dropped")
+            message = self._parse(frame)
+            given = message.get("id")
+            identity = given if isinstance(given, int) else str(given)[:256] if given else None
+            self._execute(message, now)
+        except (_Fault, BadMessage) as fault:
+            self.refused += 1
+            self.status("error", str(fault), identity)
+            if self.refused > self.limits.faults:
+                self._disconnect("too many frames that could not be carried out")
+
+    def _within_rate(self, now: float) -> bool:
+        limits = self.limits
+        if self._allowance_at is not None:
+            gained = (now - self._allowance_at) * limits.rate
+            self._allowance = min(limits.burst, self._allowance + gained)
+        self._allowance_at = now
+        if self._allowance < 1.0:
+            return False
+        self._allowance -= 1.0
+        return True
+
+    def _parse(self, frame: str | bytes) -> dict[str, Any]:
+        if len(frame) > self.limits.message_size:
+            raise _Fault(f"a frame has at most {self.limits.message_size} bytes")
+        try:
+            message = json.loads(frame, parse_constant=_refuse_constant)
+        except (ValueError, RecursionError) as error:
+            raise _Fault(f"this is no JSON: {str(error)[:200]}") from None
+        if not isinstance(message, dict):
+            raise _Fault("a frame is a JSON object")
+        return message
+
+    def _execute(self, message: dict[str, Any], now: float) -> None:
+        operation = message.get("op")
+        handler = self._operations.get(operation) if isinstance(operation, str) else None
+        if handler is None:
+            raise _Fault(f"there is no operation {str(operation)[:64]!r} here")
+        handler(message, now)
+
+    def _ignore(self, message: dict[str, Any], now: float) -> None:
+        """What a client tells about itself changes nothing."""
+
+    def _topic(self, message: dict[str, Any]) -> Topic:
+        name = _text(message, "topic")
+        topic = self.graph.topics.get(canonical_name(name))
+        if topic is None:
+            raise _Fault(
+                f"there is no topic {name[:128]!r} here; /rosapi/topics lists those there are"
+            )
+        given = message.get("type")
+        if given is not None and canonical_type(_text(message, "type")) != topic.type.name:
+            raise _Fault(f"{topic.name} is of type {topic.type.name}, not {str(given)[:128]}")
+        return topic
+
+    def _advertise(self, message: dict[str, Any], now: float) -> None:
+        _text(message, "type")
+        topic = self._topic(message)
+        if topic.on_publish is None:
+            raise _Fault(f"{topic.name} is published by the station alone")
+        if topic.name not in self._advertised:
+            if len(self._advertised) >= self.limits.advertisements:
+                raise _Fault(f"at most {self.limits.advertisements} topics can be advertised")
+            self._advertised[topic.name] = set()
+        identities = self._advertised[topic.name]
+        if len(identities) < self.limits.advertisements:
+            identities.add(str(message.get("id")))
+
+    def _unadvertise(self, message: dict[str, Any], now: float) -> None:
+        name = canonical_name(_text(message, "topic"))
+        identities = self._advertised.get(name)
+        if identities is None:
+            raise _Fault(f"{name[:128]} was not advertised")
+        if "id" in message:
+            identities.discard(str(message["id"]))
+        if "id" not in message or not identities:
+            del self._advertised[name]
+
+    def _publish(self, message: dict[str, Any], now: float) -> None:
+        topic = self._topic({"topic": message.get("topic")})
+        if topic.name not in self._advertised or topic.on_publish is None:
+            raise _Fault(f"{topic.name} has to be advertised before it is published")
+        value = topic.type.read(message.get("msg", {}))
+        topic.on_publish(self, value, now)
+        self.graph.publish(topic, value, now)
+
+    def _subscribe(self, message: dict[str, Any], now: float) -> None:
+        topic = self._topic(message)
+        name = message["topic"]
+        wish = {
+            "throttle_rate": _number(message, "throttle_rate", 0, 86_400_000),
+            "queue_length": _number(message, "queue_length", 0, 1_000_000),
+            "fragment_size": None,
+            "compression": message.get("compression", "none"),
+        }
+        if message.get("fragment_size") is not None:
+            wish["fragment_size"] = _number(message, "fragment_size", 100, 1 << 31)
+        if wish["compression"] not in _COMPRESSIONS:
+            raise _Fault(
+                f"there is no compression {str(wish['compression'])[:64]!r} here, "
+                f"but {', '.join(_COMPRESSIONS)}"
+            )
+        subscription = self._subscriptions.get(name)
+        count = sum(len(one.wishes) for one in self._subscriptions.values())
+        if count >= self.limits.subscriptions:
+            raise _Fault(f"at most {self.limits.subscriptions} subscriptions are possible")
+        if subscription is None:
+            subscription = self._subscriptions[name] = _Subscription(topic, name)
+            topic.subscribers.add(self)
+        is_new = not subscription.wishes
+        subscription.wishes[str(message.get("id"))] = wish
+        subscription.merge(self.limits)
+        if is_new and topic.last is not None:
+            self._queue(subscription, Publication(topic, topic.last), now)
+
+    def _unsubscribe(self, message: dict[str, Any], now: float) -> None:
+        name = _text(message, "topic")
+        subscription = self._subscriptions.get(name)
+        if subscription is None:
+            raise _Fault(f"{name[:128]!r} was not subscribed")
+        if "id" in message:
+            subscription.wishes.pop(str(message["id"]), None)
+        else:
+            subscription.wishes.clear()
+        if subscription.wishes:
+            subscription.merge(self.limits)
+            return
+        del self._subscriptions[name]
+        topic = subscription.topic
+        if not any(one.topic is topic for one in self._subscriptions.values()):
+            topic.subscribers.discard(self)
+
+    def _call_service(self, message: dict[str, Any], now: float) -> None:
+        name = _text(message, "service")
+        identity = message.get("id")
+        service = self.graph.services.get(canonical_name(name))
+        try:
+            if service is None:
+                raise _Fault(f"there is no service {name[:128]!r}; /rosapi/services lists them")
+            if self._calls >= self.limits.calls:
+                raise _Fault(f"{self._calls} calls wait for their answers already")
+            request = service.type.read_request(message.get("args"))
+        except (_Fault, BadMessage) as fault:
+            self._answer(_response(name, identity, json.dumps(str(fault)), False))
+            raise
+        self._calls += 1
+        call = Call(self, service, request, (name, identity), now)
+        service.on_call(call)
+
+    def _fragment(self, message: dict[str, Any], now: float) -> None:
+        try:
+            text = self._reassembly.add(message, now)
+        except ValueError as error:
+            raise _Fault(str(error)) from None
+        if text is not None:
+            whole = self._parse(text)
+            if whole.get("op") == "fragment":
+                raise _Fault("a fragment of fragments")
+            self._execute(whole, now)
+
+    def _set_level(self, message: dict[str, Any], now: float) -> None:
+        level = message.get("level")
+        if level not in _LEVELS:
+            raise _Fault(f"there is no level {str(level)[:64]!r}, but {', '.join(_LEVELS)}")
+        self._level = _LEVELS.index(level)
+
+    # -- what goes out ---------------------------------------------------------------------------
+
+    def status(self, level: str, text: str, identity: object = None) -> None:
+        """Tell the client something, if it wants to hear of this level."""
+        if _LEVELS.index(level) <= self._level:
+            message = {"op": "status", "level": level, "msg": text}
+            if identity is not None:
+                message["id"] = identity  # type: ignore[assignment]  # a string or a number
+            self._answer(json.dumps(message))
+
+    def respond(self, call: Call, values: str, result: bool) -> None:
+        """Answer a service call; ``values`` is JSON."""
+        self._calls -= 1
+        name, identity = call.identity
+        self._answer(_response(name, identity, values, result))
+
+    def deliver(self, publication: Publication, now: float) -> None:
+        """A message was published on a topic that this client subscribed."""
+        for subscription in self._subscriptions.values():
+            if subscription.topic is publication.topic:
+                self._queue(subscription, publication, now)
+
+    def deliver_alone(self, publication: Publication, now: float) -> None:
+        """The same for a message that is meant for this client only."""
+        if self in publication.topic.subscribers:
+            self.deliver(publication, now)
+
+    def _queue(self, subscription: _Subscription, publication: Publication, now: float) -> None:
+        if not subscription.throttle:
+            self._put(subscription, publication)
+        elif now >= subscription.next_at and not subscription.waiting:
+            subscription.advance(now)
+            self._put(subscription, publication)
+        elif subscription.queue_length:
+            subscription.waiting.append(publication)
+            while len(subscription.waiting) > subscription.queue_length:
+                subscription.waiting.popleft()
+            self.on_output()
+
+    def _put(self, subscription: _Subscription, publication: Publication) -> None:
+        self._waiting.append((subscription, publication))
+        if len(self._waiting) > self.limits.waiting:
+            self._waiting.popleft()
+            self.dropped += 1
+        self.on_output()
+
+    def _answer(self, frame: str) -> None:
+        self._answers.append(frame)
+        if len(self._answers) > self.limits.answers:
+            self._disconnect("the client does not read")
+        self.on_output()
+
+    def _disconnect(self, reason: str) -> None:
+        if self.close_reason is None:
+            self.close_reason = reason
+            self.on_output()
+
+    def advance(self, now: float) -> None:
+        """Let time pass: release what throttled subscriptions held back."""
+        for subscription in self._subscriptions.values():
+            while subscription.waiting and now >= subscription.next_at:
+                subscription.advance(now)
+                self._put(subscription, subscription.waiting.popleft())
+
+    def next_wakeup(self) -> float | None:
+        """When :meth:`advance` has something to do."""
+        times = [one.next_at for one in self._subscriptions.values() if one.waiting]
+        return min(times, default=None)
+
+    def next_frame(self) -> str | bytes | None:
+        """The next frame to send; packed now, so that what is dropped costs nothing."""
+        frame = next(self._ready, None)
+        if frame is not None:
+            return frame
+        if self._answers:
+            return self._answers.popleft()
+        if not self._waiting:
+            return None
+        subscription, publication = self._waiting.popleft()
+        self._ready = self._pack(subscription, publication)
+        return next(self._ready)
+
+    def _pack(self, subscription: _Subscription, publication: Publication) -> Iterator[str | bytes]:
+        frame = publication.pack(subscription.name, subscription.compression)
+        if isinstance(frame, bytes) or subscription.fragment_size is None:
+            yield frame
+            return
+        self._fragment_count += 1
+        yield from fragments(frame, subscription.fragment_size, str(self._fragment_count))
+
+
+def _refuse_constant(text: str) -> float:
+    raise ValueError(f"{text} is not JSON; null stands for no number")
+
+
+def _text(message: dict[str, Any], name: str) -> str:
+    value = message.get(name)
+    if not isinstance(value, str) or not value:
+        raise _Fault(f"{name} is missing, or no string")
+    return value
+
+
+def _number(message: dict[str, Any], name: str, low: int, high: int) -> int:
+    value = message.get(name)
+    if value is None:
+        return low if name != "fragment_size" else high
+    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
+        raise _Fault(f"{name} is a number from {low} to {high}")
+    return int(value)
+
+
+def _response(name: str, identity: object, values: str, result: bool) -> str:
+    begin: dict[str, object] = {"op": "service_response", "service": name, "result": result}
+    if identity is not None:
+        begin["id"] = identity
+    return f'{json.dumps(begin)[:-1]}, "values": {values}}}'

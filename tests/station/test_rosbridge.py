@@ -1,0 +1,385 @@
+"""rosbridge v2, operation by operation, without a socket."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import cbor2
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from m100link.station.graph import Call, Graph
+from m100link.station.messages import Message
+from m100link.station.rosbridge import Limits, Session
+from tests.station.test_messages import unpack_png
+
+
+class Bench:
+    """A graph with one topic each way, one service, and one client."""
+
+    def __init__(self, limits: Limits | None = None) -> None:
+        self.graph = Graph()
+        self.published: list[Message] = []
+        self.calls: list[Call] = []
+        self.height = self.graph.add_topic("/height", "std_msgs/Float32")
+        self.joy = self.graph.add_topic("/joy", "sensor_msgs/Joy")
+        self.graph.add_topic(
+            "/steer", "std_msgs/Float32", lambda _, message, __: self.published.append(message)
+        )
+        self.graph.add_service("/task", "dji_sdk/DroneTaskControl", self.calls.append)
+        self.client = Session(self.graph, limits=limits)
+        self.now = 0.0
+
+    def send(self, op: str, **fields: Any) -> list[Any]:
+        self.client.receive(json.dumps({"op": op, **fields}), self.now)
+        return self.output()
+
+    def output(self) -> list[Any]:
+        frames: list[str | bytes] = []
+        while (frame := self.client.next_frame()) is not None:
+            frames.append(frame)
+        return [cbor2.loads(f) if isinstance(f, bytes) else json.loads(f) for f in frames]
+
+    def publish(self, *values: float, every: float = 0.0) -> None:
+        for value in values:
+            self.client.advance(self.now)
+            self.graph.publish(self.height, {"data": value}, self.now)
+            self.now += every
+
+    def values(self) -> list[float]:
+        return [frame["msg"]["data"] for frame in self.output()]
+
+
+def test_a_subscriber_gets_what_is_published_under_the_name_it_used() -> None:
+    bench = Bench()
+    assert bench.send("subscribe", topic="height", type="std_msgs/msg/Float32") == []
+    bench.publish(1.5)
+    assert bench.output() == [{"op": "publish", "topic": "height", "msg": {"data": 1.5}}]
+    assert bench.send("unsubscribe", topic="height") == []
+    bench.publish(2.5)
+    assert bench.output() == []
+
+
+def test_publishing_needs_an_advertisement_and_a_valid_message() -> None:
+    bench = Bench()
+    (refused,) = bench.send("publish", topic="/steer", msg={"data": 1}, id="p1")
+    assert (refused["op"], refused["level"], refused["id"]) == ("status", "error", "p1")
+    assert "advertised" in refused["msg"]
+    assert bench.send("advertise", topic="/steer", type="std_msgs/Float32", id="a") == []
+    assert bench.send("publish", topic="/steer", msg={"data": 2}) == []
+    (mistyped,) = bench.send("publish", topic="/steer", msg={"data": "fast"})
+    assert "data is no number" in mistyped["msg"]
+    assert bench.send("unadvertise", topic="/steer", id="a") == []
+    assert len(bench.send("publish", topic="/steer", msg={"data": 3})) == 1
+    assert bench.published == [{"data": 2.0}]
+
+
+@pytest.mark.parametrize(
+    ("frame", "says"),
+    [
+        ({"op": "advertise", "topic": "/steer", "type": "std_msgs/String"}, "of type std_msgs/Fl"),
+        ({"op": "subscribe", "topic": "/height", "type": "std_msgs/UInt8"}, "of type std_msgs/Fl"),
+        ({"op": "advertise", "topic": "/nothing", "type": "std_msgs/String"}, "no topic"),
+        ({"op": "subscribe", "topic": "/nothing"}, "/rosapi/topics"),
+        ({"op": "publish", "topic": "/nothing", "msg": {}}, "no topic"),
+        ({"op": "advertise", "topic": "/height", "type": "std_msgs/Float32"}, "station alone"),
+        ({"op": "advertise", "topic": "/steer"}, "type is missing"),
+        ({"op": "subscribe"}, "topic is missing"),
+        ({"op": "subscribe", "topic": 5}, "topic is missing"),
+        ({"op": "unsubscribe", "topic": "/height"}, "not subscribed"),
+        ({"op": "unadvertise", "topic": "/steer"}, "not advertised"),
+        ({"op": "subscribe", "topic": "/height", "compression": "cbor-raw"}, "no compression"),
+        ({"op": "subscribe", "topic": "/height", "throttle_rate": -1}, "throttle_rate"),
+        ({"op": "subscribe", "topic": "/height", "queue_length": "many"}, "queue_length"),
+        ({"op": "subscribe", "topic": "/height", "fragment_size": 1}, "fragment_size"),
+        ({"op": "set_level", "level": "loud"}, "no level"),
+        ({"op": "advertise_service", "service": "/x"}, "no operation"),
+        ({"op": "fragment"}, "fragment needs"),
+        ({"op": ["publish"]}, "no operation"),
+        ({}, "no operation"),
+        ([], "JSON object"),
+        ("nonsense", "JSON object"),
+    ],
+)
+def test_what_is_wrong_is_said(frame: Any, says: str) -> None:
+    bench = Bench()
+    bench.client.receive(json.dumps(frame), 0.0)
+    (status,) = bench.output()
+    assert (status["op"], status["level"]) == ("status", "error")
+    assert says in status["msg"]
+
+
+@pytest.mark.parametrize(
+    "frame", ["", "{", "[" * 5000, '{"op":NaN}', b"\xff\xfe", b"\0", '{"a":' * 3000, "1" * 5000]
+)
+def test_what_is_no_json_is_refused(frame: str | bytes) -> None:
+    bench = Bench()
+    bench.client.receive(frame, 0.0)
+    (status,) = bench.output()
+    assert status["level"] == "error"
+
+
+@given(st.binary(max_size=200) | st.text(max_size=200))
+def test_no_frame_raises(frame: str | bytes) -> None:
+    bench = Bench()
+    bench.client.receive(frame, 0.0)
+    assert all(one["op"] == "status" for one in bench.output())
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=5,
+)
+_FIELDS = ["topic", "type", "id", "msg", "service", "args", "throttle_rate", "queue_length"]
+_FIELDS += ["fragment_size", "compression", "level", "num", "total", "data"]
+_NAMES = st.sampled_from(["/height", "steer", "/joy", "/task", "std_msgs/Float32"])
+_OPERATIONS = st.sampled_from(
+    [
+        "advertise",
+        "unadvertise",
+        "publish",
+        "subscribe",
+        "unsubscribe",
+        "call_service",
+        "fragment",
+        "set_level",
+    ]
+)
+
+
+@given(
+    st.lists(
+        st.fixed_dictionaries({"op": _OPERATIONS, "topic": _NAMES | _JSON}).flatmap(
+            lambda base: st.dictionaries(st.sampled_from(_FIELDS), _NAMES | _JSON).map(
+                lambda more: base | more
+            )
+        ),
+        max_size=8,
+    )
+)
+def test_no_sequence_of_operations_raises(frames: list[Any]) -> None:
+    bench = Bench()
+    for frame in frames:
+        bench.client.receive(json.dumps(frame), 0.0)
+        bench.publish(1.0)
+    bench.output()
+    bench.client.close(0.0)
+    assert not bench.height.subscribers
+
+
+def test_throttling_without_a_queue_drops_what_comes_between() -> None:
+    bench = Bench()
+    bench.send("subscribe", topic="/height", throttle_rate=100)
+    bench.publish(*range(10), every=0.05)
+    assert bench.values() == [0, 2, 4, 6, 8]
+    assert bench.client.next_wakeup() is None
+
+
+def test_throttling_with_a_queue_keeps_the_newest_and_sends_them_later() -> None:
+    bench = Bench()
+    bench.send("subscribe", topic="/height", throttle_rate=100, queue_length=2)
+    bench.publish(*range(6))
+    assert bench.values() == [0]
+    assert bench.client.next_wakeup() == pytest.approx(0.1, abs=1e-5)
+    for bench.now in (0.1, 0.2, 0.3):
+        bench.client.advance(bench.now)
+    assert bench.values() == [4, 5]
+
+
+def test_subscriptions_of_one_client_merge() -> None:
+    bench = Bench()
+    bench.send("subscribe", topic="/height", id="slow", throttle_rate=1000, fragment_size=1000)
+    bench.send("subscribe", topic="/height", id="fast", throttle_rate=0, compression="png")
+    bench.publish(1, 2)
+    frames = bench.output()
+    assert [frame["op"] for frame in frames] == ["png", "png"]  # once each, at the lowest throttle
+    assert json.loads(unpack_png(json.dumps(frames[1])))["msg"] == {"data": 2}
+    bench.send("unsubscribe", topic="/height", id="fast")
+    bench.publish(3, 4)
+    assert bench.values() == [3]  # only the slow one is left
+    bench.send("unsubscribe", topic="/height", id="slow")
+    bench.publish(5)
+    assert bench.values() == []
+
+
+def test_fragments_both_ways() -> None:
+    bench = Bench()
+    bench.send("subscribe", topic="/joy", fragment_size=100)
+    bench.graph.publish(bench.joy, bench.joy.type.read({"axes": [1.0] * 50}), 0.0)
+    pieces = bench.output()
+    assert len(pieces) > 3
+    assert {piece["op"] for piece in pieces} == {"fragment"}
+    assert all(len(piece["data"]) <= 100 for piece in pieces)
+    whole = json.loads("".join(piece["data"] for piece in pieces))
+    assert whole["msg"]["axes"] == [1.0] * 50
+
+    bench.send("advertise", topic="/steer", type="std_msgs/Float32")
+    text = json.dumps({"op": "publish", "topic": "/steer", "msg": {"data": 3}})
+    for number, at in enumerate(range(0, len(text), 20)):
+        piece = text[at : at + 20]
+        total = -(-len(text) // 20)
+        assert bench.send("fragment", id="f", data=piece, num=number, total=total) == []
+    assert bench.published == [{"data": 3.0}]
+
+
+def test_fragments_do_not_nest() -> None:
+    bench = Bench()
+    inner = json.dumps({"op": "fragment", "id": "x", "data": "{}", "num": 0, "total": 1})
+    (status,) = bench.send("fragment", id="f", data=inner, num=0, total=1)
+    assert "fragments" in status["msg"]
+
+
+def test_cbor_is_a_binary_frame_with_typed_arrays() -> None:
+    bench = Bench()
+    bench.send("subscribe", topic="/joy", compression="cbor")
+    bench.graph.publish(bench.joy, bench.joy.type.read({"axes": [1.0]}), 0.0)
+    (frame,) = bench.output()
+    assert (frame["op"], frame["topic"], frame["msg"]["axes"].tag) == ("publish", "/joy", 85)
+
+
+def test_a_service_answers_once_now_or_later() -> None:
+    bench = Bench()
+    assert bench.send("call_service", service="task", args={"task": 4}, id="c1") == []
+    (call,) = bench.calls
+    assert call.request == {"task": 4}
+    call.respond({"result": True})
+    call.fail("too late")
+    assert bench.output() == [
+        {
+            "op": "service_response",
+            "service": "task",
+            "result": True,
+            "id": "c1",
+            "values": {"result": True, "cmd_set": 0, "cmd_id": 0, "ack_data": 0},
+        }
+    ]
+
+
+def test_a_failed_call_says_why() -> None:
+    bench = Bench()
+    bench.send("call_service", service="/task", args=[4])
+    bench.calls[0].fail('"no"')
+    (answer,) = bench.output()
+    assert (answer["result"], answer["values"]) == (False, '"no"')
+    for name, args in (("/none", {}), ("/task", {"task": 999})):
+        answer, status = bench.send("call_service", service=name, args=args, id=5)
+        assert (answer["op"], answer["result"], answer["id"]) == ("service_response", False, 5)
+        assert (status["op"], status["msg"]) == ("status", answer["values"])
+
+
+def test_calls_without_an_answer_are_limited() -> None:
+    bench = Bench(Limits(calls=2))
+    for _ in range(2):
+        assert bench.send("call_service", service="/task") == []
+    answer, _ = bench.send("call_service", service="/task")
+    assert "2 calls wait" in answer["values"]
+    bench.calls[0].respond({})
+    bench.output()
+    assert bench.send("call_service", service="/task") == []
+
+
+def test_the_level_decides_which_statuses_are_sent() -> None:
+    bench = Bench()
+    bench.client.status("warning", "w")
+    assert bench.output() == []
+    bench.send("set_level", level="warning")
+    bench.client.status("warning", "w")
+    bench.client.status("info", "i")
+    assert [frame["msg"] for frame in bench.output()] == ["w"]
+    bench.send("set_level", level="none")
+    assert bench.send("publish", topic="/nothing") == []
+
+
+def test_a_latched_topic_greets_a_subscriber_with_its_last_message() -> None:
+    bench = Bench()
+    bench.height.latched = True
+    bench.publish(7)
+    (greeting,) = bench.send("subscribe", topic="/height", id="1")
+    assert greeting["msg"] == {"data": 7}
+    assert bench.send("subscribe", topic="/height", id="2") == []  # it has it already
+
+
+def test_rosapi_lists_topics_and_services() -> None:
+    bench = Bench()
+    (answer,) = bench.send("call_service", service="/rosapi/topics")
+    assert dict(zip(answer["values"]["topics"], answer["values"]["types"], strict=True)) == {
+        "/height": "std_msgs/Float32",
+        "/joy": "sensor_msgs/Joy",
+        "/steer": "std_msgs/Float32",
+    }
+    (answer,) = bench.send("call_service", service="/rosapi/topic_type", args={"topic": "height"})
+    assert answer["values"] == {"type": "std_msgs/Float32"}
+    (answer,) = bench.send(
+        "call_service", service="/rosapi/topics_for_type", args=["sensor_msgs/Joy"]
+    )
+    assert answer["values"] == {"topics": ["/joy"]}
+    (answer,) = bench.send("call_service", service="/rosapi/service_type", args=["/task"])
+    assert answer["values"] == {"type": "dji_sdk/DroneTaskControl"}
+    (answer,) = bench.send("call_service", service="/rosapi/services")
+    assert "/task" in answer["values"]["services"]
+
+
+def test_a_flood_is_dropped_and_in_the_end_disconnected() -> None:
+    bench = Bench(Limits(rate=10, burst=20, faults=50))
+    bench.send("advertise", topic="/steer", type="std_msgs/Float32")
+    for _ in range(60):
+        bench.send("publish", topic="/steer", msg={"data": 1})
+    assert len(bench.published) == 19
+    assert bench.client.close_reason is None
+    bench.now = 1.0
+    bench.send("publish", topic="/steer", msg={"data": 1})
+    assert len(bench.published) == 20  # a calm client is heard again
+    for _ in range(40):
+        bench.send("publish", topic="/steer", msg={"data": 1})
+    assert bench.client.close_reason is not None
+
+
+def test_a_slow_reader_loses_its_oldest_messages_and_nothing_else() -> None:
+    bench = Bench(Limits(waiting=5))
+    other = Session(bench.graph)
+    for client in (bench.client, other):
+        client.receive('{"op":"subscribe","topic":"/height"}', 0.0)
+    bench.publish(*range(8))
+    assert (bench.values(), bench.client.dropped) == ([3, 4, 5, 6, 7], 3)
+    assert other.dropped == 0
+
+
+def test_a_client_that_asks_and_never_reads_is_disconnected() -> None:
+    bench = Bench(Limits(answers=10))
+    for _ in range(11):
+        bench.client.receive("{", 0.0)
+    assert bench.client.close_reason == "the client does not read"
+
+
+def test_a_thousand_subscriptions_are_a_hundred() -> None:
+    bench = Bench()
+    for number in range(300):
+        bench.send("subscribe", topic="/height", id=str(number))
+    for number in range(700):
+        bench.now += 0.01
+        bench.send("subscribe", topic=f"/nothing{number}", id=str(number))
+    bench.publish(1)
+    assert bench.values() == [1]  # merged: one message, however many subscriptions
+    assert bench.client.refused == 900
+
+
+def test_an_oversized_frame_is_refused_before_it_is_read() -> None:
+    bench = Bench(Limits(message_size=100))
+    bench.client.receive("[" * 101, 0.0)
+    (status,) = bench.output()
+    assert "at most 100 bytes" in status["msg"]
+
+
+def test_a_client_that_leaves_leaves_nothing() -> None:
+    bench = Bench()
+    left: list[Session] = []
+    bench.graph.on_leave(lambda session, now: left.append(session))
+    bench.send("subscribe", topic="/height")
+    bench.send("call_service", service="/task")
+    bench.client.close(0.0)
+    bench.client.close(0.0)
+    bench.calls[0].respond({})  # the answer comes after the client
+    assert (left, bench.graph.sessions, bench.height.subscribers) == ([bench.client], set(), set())
