@@ -13,6 +13,7 @@
 from m100link import errors
 from m100link.aircraft import ActivationProgress, Aircraft, connect
 from m100link.authority import Authority, AuthorityState
+from m100link.clock_model import DeviceClock, HostTime
 from m100link.control import Control, Hold
 from m100link.errors import (
     AckTimeout,
@@ -54,6 +55,7 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.guards import Envelope, Guards
+from m100link.guidance import Arrival, GuidanceProgress
 from m100link.link import LinkStatistics
 from m100link.pacing import Tick, Ticker
 from m100link.protocol import (
@@ -111,6 +113,7 @@ __all__ = [
     "Aircraft",
     "AircraftState",
     "AngularVelocity",
+    "Arrival",
     "Attitude",
     "Authority",
     "AuthorityCode",
@@ -130,6 +133,7 @@ __all__ = [
     "ControlMode",
     "Credentials",
     "Device",
+    "DeviceClock",
     "Envelope",
     "FirmwareProfile",
     "FlightPhase",
@@ -138,7 +142,9 @@ __all__ = [
     "Gimbal",
     "GuardRefused",
     "Guards",
+    "GuidanceProgress",
     "Hold",
+    "HostTime",
     "ItemStatistics",
     "Key",
     "KeyRejected",

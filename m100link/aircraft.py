@@ -11,31 +11,26 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.authority import Authority, AuthorityInput, AuthorityState
+from m100link.clock_model import DeviceClock
 from m100link.control import Control, PauseAction, StopAction
 from m100link.errors import (
     AckTimeout,
     ActivationRefused,
-    CommandNotSupported,
     CommandRefused,
-    KeyRejected,
     LayoutMismatch,
-    LevelTooLow,
     LinkError,
-    NoAnswer,
-    NotActivated,
-    NoValidFrame,
-    SilentLine,
     TelemetryStalled,
     UsageError,
 )
 from m100link.guards import Guards
 from m100link.link import Link, LinkStatistics, open_link
 from m100link.protocol.activation import Activate, Credentials, GetVersion, SendToMobile, Version
-from m100link.protocol.codes import AckCode, ActivationCode, SystemCode
+from m100link.protocol.codes import AckCode, ActivationCode
 from m100link.protocol.command import Command, encode_code
 from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfile, profile
 from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
 from m100link.protocol.telemetry import RECORDS
+from m100link.refusals import key_rejected, no_aircraft, system_error
 from m100link.subscription import (
     AircraftState,
     Hub,
@@ -101,6 +96,7 @@ class Aircraft:
         self.state = AircraftState(self._clock)
         self.authority = Authority(self._authority_changed)
         self.telemetry_mismatches = 0
+        self._device_clock: DeviceClock | None = None
         self._handlers: dict[tuple[int, int], Callable[[Frame, float], None]] = {
             PushTelemetry.ADDRESS: self._on_telemetry,
             AuthorityChanged.ADDRESS: self._on_authority_changed,
@@ -150,35 +146,7 @@ class Aircraft:
                 continue
             self._take_version(GetVersion.parse_ack(payload))
             return
-        raise self._silence(timeout)
-
-    def _silence(self, timeout: float) -> SilentLine | NoValidFrame | NoAnswer:
-        numbers = self.link.statistics()
-        where = f"{self.link.name}, {timeout:g} s"
-        received = {
-            "bytes_received": numbers.bytes_received,
-            "frames_received": numbers.frames_received,
-        }
-        if not numbers.bytes_received:
-            return SilentLine(
-                f"not one byte arrived ({where})",
-                cause="no power, TX and RX swapped, no common ground, or the wrong port",
-                remedy="swap TX and RX, check ground and the port name; docs: howto/silent-line",
-                **received,
-            )
-        if not numbers.frames_received:
-            return NoValidFrame(
-                f"{numbers.bytes_received} bytes arrived and not one valid frame ({where})",
-                cause="another baud rate than the one set in the PC assistant, or noise",
-                remedy="try 230400, 115200, 921600; docs: howto/silent-line",
-                **received,
-            )
-        return NoAnswer(
-            f"{numbers.frames_received} frames arrived, but no answer to a version query ({where})",
-            cause="the wire from our TX to the aircraft's RX, or two programs on one port",
-            remedy="check that wire; docs: howto/silent-line",
-            **received,
-        )
+        raise no_aircraft(self.link, timeout)
 
     @property
     def link(self) -> Link:
@@ -346,12 +314,12 @@ class Aircraft:
             )
         except AckTimeout as error:
             if encrypted and await self._answers_plain():
-                raise _key_rejected(command.NAME) from error
+                raise key_rejected(command.NAME) from error
             raise
         code = command.parse_ack(payload)
         assert isinstance(code, AckCode)
         if code.is_system:
-            raise _system_error(command.NAME, code, encrypted, refusal)
+            raise system_error(command.NAME, code, encrypted, refusal)
         return code
 
     async def _answers_plain(self) -> bool:
@@ -450,6 +418,14 @@ class Aircraft:
             accepts=(lambda sample: bool(sample.flags & wanted)) if wanted else None,
         )
 
+    @property
+    def device_clock(self) -> DeviceClock:
+        """Relates the aircraft's tick to this computer's time, with offset, skew, uncertainty."""
+        clock = self._device_clock
+        if clock is None or clock.tick_hz != self._firmware.tick_hz:
+            clock = self._device_clock = DeviceClock(self._firmware.tick_hz)
+        return clock
+
     async def wait_for(
         self,
         predicate: Callable[[AircraftState], bool],
@@ -517,6 +493,9 @@ class Aircraft:
                 _logger.warning("telemetry refused: %s", error)
             return
         self.state.update(sample)
+        time = sample.time
+        if time is not None:
+            self.device_clock.update(time.tick, now)
         remote_control = sample.remote_control
         if remote_control is not None:
             self.authority.observe_remote_control(remote_control)
@@ -544,34 +523,6 @@ class Aircraft:
         _logger.debug("authority: %s -> %s", before.value, after.value)
         if self._control is not None:
             self._control.authority_changed(before, after, self.authority.reason)
-
-
-def _key_rejected(name: str) -> KeyRejected:
-    return KeyRejected(
-        f"{name} was encrypted and got no usable answer, while plain requests are answered",
-        command=name,
-        cause="the key of this program is not the one that the aircraft was activated with",
-        remedy="check the enc key of the app id, and activate again",
-    )
-
-
-def _system_error(
-    name: str, code: AckCode, encrypted: bool, refusal: type[CommandRefused]
-) -> CommandRefused | KeyRejected:
-    if code == SystemCode.NOT_SUPPORTED and encrypted:
-        return _key_rejected(name)
-    kind = {
-        SystemCode.NOT_SUPPORTED: CommandNotSupported,
-        SystemCode.NOT_ACTIVATED: NotActivated,
-        SystemCode.LEVEL_TOO_LOW: LevelTooLow,
-    }.get(SystemCode(int(code)), refusal)
-    return kind(
-        f"{name} was refused: {code.meaning} (code 0x{code:04X})",
-        command=name,
-        code=int(code),
-        cause=code.cause,
-        remedy=code.remedy,
-    )
 
 
 @asynccontextmanager

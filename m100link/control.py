@@ -13,10 +13,8 @@ from typing import Literal, Self
 
 import anyio
 
-from m100link.authority import AuthorityInput, AuthorityState
+from m100link.authority import AuthorityState
 from m100link.errors import (
-    AuthorityLost,
-    AuthorityRefused,
     LinkError,
     M100Error,
     NoAuthority,
@@ -25,15 +23,17 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.guards import GuardKeeper, Guards
+from m100link.guidance import ClosedLoops
+from m100link.handshake import authority_lost, obtain_authority, release_authority
 from m100link.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
-from m100link.protocol.codes import AuthorityCode
-from m100link.protocol.control import Move, RequestAuthority, Task
+from m100link.protocol.control import Move, Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.protocol.telemetry import FlightPhase
 from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
+from m100link.subscription import AircraftState
 from m100link.tasks import Commander, TaskProgress, run_task, task_name
 
-__all__ = ["Control", "Hold", "PauseAction", "StopAction", "authority_lost"]
+__all__ = ["Control", "Hold", "PauseAction", "StopAction"]
 
 _logger = logging.getLogger("m100link.control")
 
@@ -43,11 +43,6 @@ StopAction = Literal["hover", "land"]
 PauseAction = Literal["raise", "wait"]
 """What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""
 
-AUTHORITY_PAUSE = 0.05
-"""Seconds between the requests of a firmware that wants two (DJI's C library waits as long)."""
-
-_AUTHORITY_REQUESTS = 10
-_RELEASE_DEADLINE = 2.0
 _STOP_LANDING_DEADLINE = 60.0
 
 SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
@@ -71,7 +66,7 @@ class Hold:
         self._control.send(setpoint, lifetime=self._lifetime, rate_hz=self._rate_hz)
 
 
-class Control:
+class Control(ClosedLoops):
     """Control of the aircraft while an ``async with aircraft.control()`` block runs.
 
     Entering obtains authority. Leaving, in whatever way, takes one path: the mode's neutral, hover
@@ -113,10 +108,10 @@ class Control:
             raise UsageError("this control block was entered before; ask for a new one")
         self._is_entered = True
         try:
-            await self._obtain()
+            await obtain_authority(self._commander)
         except BaseException:
             # The ack may be lost and authority ours all the same.
-            await _finish(self._release())
+            await _finish(release_authority(self._commander))
             self._is_over = True
             raise
         self._catch_sigterm()
@@ -158,61 +153,6 @@ class Control:
         ):
             self.fail(authority_lost(reason))
 
-    async def _obtain(self) -> None:
-        authority = self._commander.authority
-        authority.feed(AuthorityInput.OBTAIN)
-        code = AuthorityCode.NOT_CHANGED
-        try:
-            for attempt in range(self._requests()):
-                if attempt:
-                    await asyncio.sleep(AUTHORITY_PAUSE)
-                code = AuthorityCode(await self._request_authority(obtain=True))
-                if code != AuthorityCode.NOT_CHANGED:
-                    break
-            if code == AuthorityCode.OBTAINED:
-                authority.feed(AuthorityInput.OBTAINED)
-                _logger.info("control authority obtained")
-                return
-        finally:
-            if authority.state is AuthorityState.OBTAINING:
-                authority.feed(AuthorityInput.REFUSED)
-        situation = self._commander.state.situation()
-        raise AuthorityRefused(
-            f"the aircraft did not give control authority: {code.meaning or code.name} "
-            f"(code 0x{code:04X}; mode switch {situation['mode_switch'] or 'unknown'})",
-            command=RequestAuthority.NAME,
-            code=int(code),
-            cause=code.cause,
-            remedy=code.remedy,
-        )
-
-    def _requests(self) -> int:
-        """How often to ask: firmware that wants two requests answers the first "in progress"."""
-        return _AUTHORITY_REQUESTS if self._commander.firmware.authority_requests > 1 else 1
-
-    async def _request_authority(self, *, obtain: bool) -> int:
-        return await self._commander.execute(
-            RequestAuthority(obtain=obtain), timeout=0.5, tries=2, refusal=AuthorityRefused
-        )
-
-    async def _release(self) -> None:
-        authority = self._commander.authority
-        authority.feed(AuthorityInput.RELEASE)
-        try:
-            async with asyncio.timeout(_RELEASE_DEADLINE):
-                for attempt in range(self._requests()):
-                    if attempt:
-                        await asyncio.sleep(AUTHORITY_PAUSE)
-                    code = await self._request_authority(obtain=False)
-                    if code not in (AuthorityCode.NOT_CHANGED, AuthorityCode.RELEASING):
-                        break
-            _logger.info("control authority released")
-        except (M100Error, TimeoutError) as error:
-            # The block ends all the same: without setpoints the aircraft hovers.
-            _logger.warning("control authority may not be released: %s", error)
-        finally:
-            authority.feed(AuthorityInput.RELEASED)
-
     async def _stop_path(self) -> None:
         """Neutral, hover or land, release. Every wait in it is bounded."""
         if isinstance(self._failure, LinkError):
@@ -228,7 +168,7 @@ class Control:
                 await run_task(self._commander, Task.LAND, timeout=_STOP_LANDING_DEADLINE)
             except M100Error as error:
                 _logger.error("the stop path could not land: %s", error)
-        await self._release()
+        await release_authority(self._commander)
 
     def _is_airborne(self) -> bool:
         status = self._commander.state.flight_status
@@ -276,6 +216,11 @@ class Control:
     def is_paused(self) -> bool:
         """With ``on_pause="wait"``: the pilot took the aircraft and :meth:`resume` is needed."""
         return self._is_paused
+
+    @property
+    def state(self) -> AircraftState:
+        """Telemetry of the aircraft."""
+        return self._commander.state
 
     @property
     def setpoints_sent(self) -> int:
@@ -537,18 +482,3 @@ async def _finish(work: Awaitable[None]) -> None:
     task.result()
     if cancelled is not None:
         raise cancelled
-
-
-def authority_lost(reason: str) -> AuthorityLost:
-    """The error for a loss of authority with that reason."""
-    meaning, remedy = {
-        "mode_switch": (
-            "the pilot moved the mode switch out of F",
-            "the pilot has the aircraft; back in F, start a new control block",
-        ),
-        "app": (
-            "the mobile app took control",
-            "let the app release control, then start a new control block",
-        ),
-    }.get(reason, ("the aircraft says that authority passed away", "ask the pilot what happened"))
-    return AuthorityLost(meaning, reason=reason, remedy=remedy)

@@ -1,0 +1,377 @@
+"""Closed loops: fly to a place, climb, turn, orbit. Each measures, corrects, and says how it ended.
+
+The autopilot's position mode takes offsets from where the aircraft is, so the loop measures what
+remains and sends that anew at each tick (document 3.2, "offset"; DJI's own samples do the same).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from m100link.errors import NotObserved, TelemetryStalled, UsageError
+from m100link.geodesy import LocalFrame, normalize_degrees
+from m100link.pacing import MAX_RATE_HZ, Ticker
+from m100link.protocol.setpoint import Setpoint
+from m100link.protocol.telemetry import Attitude, Position, Velocity
+
+if TYPE_CHECKING:
+    from m100link.subscription import AircraftState
+
+__all__ = ["Arrival", "ClosedLoops", "GuidanceProgress"]
+
+_FRESH_S = 0.5
+_SETTLED_S = 0.5
+_SETTLED_M_S = 0.3
+_MAX_OFFSET_M = 10.0  # the autopilot flies larger offsets no faster; a wrong fix must not matter
+_ORBIT_GAIN = 0.8  # m/s inwards per metre outside the circle
+
+
+@dataclass(frozen=True, slots=True)
+class GuidanceProgress:
+    """How far a closed loop is.
+
+    Attributes:
+        elapsed: Seconds since it began.
+        distance_m: Horizontal distance that remains, m; on an orbit, distance from the circle.
+        height_error_m: Height that remains, m, positive when it has to climb.
+        heading_error_deg: Turn that remains, °, positive clockwise; on an orbit, angle to go.
+    """
+
+    elapsed: float
+    distance_m: float
+    height_error_m: float
+    heading_error_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """How a closed loop ended well (otherwise it raises).
+
+    Attributes:
+        elapsed: Seconds that it took.
+        distance_m: Horizontal distance from the target at the end, m.
+        height_error_m: Height that was missing at the end, m.
+        heading_error_deg: Turn that was missing at the end, °.
+    """
+
+    elapsed: float
+    distance_m: float
+    height_error_m: float
+    heading_error_deg: float
+
+
+Progress = Callable[[GuidanceProgress], None]
+
+
+def _position(flyer: ClosedLoops) -> Position:
+    position = flyer.state.fresh(Position, within=_FRESH_S)
+    if position is None:
+        age = flyer.state.age(Position)
+        raise TelemetryStalled(
+            "the position is needed and "
+            + ("was never received" if age is None else f"is {age:.1f} s old"),
+            cause="the position item is not sent, or the line is broken",
+            remedy="set the item to 10 Hz or more in the PC assistant",
+        )
+    return position
+
+
+def _heading(flyer: ClosedLoops) -> float:
+    attitude = flyer.state.fresh(Attitude, within=_FRESH_S)
+    if attitude is None:
+        raise TelemetryStalled(
+            "the heading is needed and the attitude item does not arrive",
+            remedy="set the item to 10 Hz or more in the PC assistant",
+        )
+    return attitude.yaw_deg
+
+
+class _Settling:
+    """True once the error stayed within tolerance for a moment, at low speed."""
+
+    def __init__(self, flyer: ClosedLoops) -> None:
+        self._flyer = flyer
+        self._since: float | None = None
+
+    def update(self, is_within: bool) -> bool:
+        velocity = self._flyer.state.get(Velocity)
+        is_slow = velocity is None or (
+            velocity.ground_speed_m_s < _SETTLED_M_S and abs(velocity.up_m_s) < _SETTLED_M_S
+        )
+        if not (is_within and is_slow):
+            self._since = None
+            return False
+        now = asyncio.get_running_loop().time()
+        if self._since is None:
+            self._since = now
+        return now - self._since >= _SETTLED_S
+
+
+async def _run(
+    flyer: ClosedLoops,
+    name: str,
+    step: Callable[[], tuple[Setpoint, GuidanceProgress]],
+    is_within: Callable[[GuidanceProgress], bool],
+    timeout: float,
+    progress: Progress | None,
+) -> Arrival:
+    """Send what ``step`` computes at each tick until its error settles within tolerance."""
+    clock = asyncio.get_running_loop().time
+    began_at = clock()
+    settling = _Settling(flyer)
+    try:
+        async for _ in flyer.ticks():
+            setpoint, found = step()
+            elapsed = clock() - began_at
+            found = GuidanceProgress(
+                elapsed, found.distance_m, found.height_error_m, found.heading_error_deg
+            )
+            if progress is not None:
+                progress(found)
+            if settling.update(is_within(found)):
+                break
+            if elapsed > timeout:
+                raise NotObserved(
+                    f"{name} did not arrive within {timeout:g} s; {found.distance_m:.1f} m, "
+                    f"{found.height_error_m:+.1f} m of height and "
+                    f"{found.heading_error_deg:+.0f}° remain",
+                    situation=flyer.state.situation(),
+                    cause="wind, an envelope of the autopilot, or a mode that it ignores",
+                )
+            flyer.send(setpoint)
+    finally:
+        await flyer.stop()
+    return Arrival(elapsed, found.distance_m, found.height_error_m, found.heading_error_deg)
+
+
+def _target(
+    here: Position,
+    relative: tuple[float | None, float | None, float | None],
+    absolute: tuple[float | None, float | None, float | None],
+) -> tuple[float, float, float]:
+    """Latitude, longitude and height of the target, from either way of giving it."""
+    if None not in relative and absolute == (None, None, None):
+        north, east, up = relative
+        assert north is not None
+        assert east is not None
+        assert up is not None
+        frame = LocalFrame(here.latitude_deg, here.longitude_deg)
+        return (*frame.to_geodetic(north, east), here.height_m + up)
+    if None not in absolute and relative == (None, None, None):
+        return absolute  # type: ignore[return-value]  # none of the three is None
+    raise UsageError(
+        "the target is given neither as an offset nor as a place",
+        remedy="give north, east and up, or latitude_deg, longitude_deg and height",
+    )
+
+
+class ClosedLoops(ABC):
+    """Flights that measure and correct; the part of :class:`~m100link.Control` that stands here."""
+
+    @property
+    @abstractmethod
+    def state(self) -> AircraftState:
+        """Telemetry of the aircraft."""
+
+    @abstractmethod
+    def send(self, setpoint: Setpoint) -> None:
+        """Send a setpoint."""
+
+    @abstractmethod
+    def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
+        """Ticks of a control loop."""
+
+    @abstractmethod
+    async def stop(self) -> None:
+        """Neutral, then silence."""
+
+    async def fly_to(
+        self,
+        *,
+        north: float | None = None,
+        east: float | None = None,
+        up: float | None = None,
+        latitude_deg: float | None = None,
+        longitude_deg: float | None = None,
+        height: float | None = None,
+        yaw_deg: float | None = None,
+        tolerance_m: float = 0.5,
+        timeout: float = 120.0,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Fly to an offset from here, or to a place, and hover there.
+
+        Args:
+            north: With ``east`` and ``up``: metres from where the aircraft is now.
+            east: See ``north``.
+            up: See ``north``.
+            latitude_deg: With ``longitude_deg`` and ``height``: a place, WGS 84.
+            longitude_deg: See ``latitude_deg``.
+            height: Metres above the take-off point.
+            yaw_deg: Heading to fly with; by default the present one.
+            tolerance_m: Distance and height error that count as arrived.
+            timeout: Seconds until it gives up, hovering.
+            progress: Called at each tick.
+
+        Raises:
+            NotObserved: It did not arrive in time; it hovers where it is.
+            TelemetryStalled: Position or attitude do not arrive.
+            NoAuthority, GuardRefused, UsageError: See :meth:`send`.
+        """
+        target = _target(_position(self), (north, east, up), (latitude_deg, longitude_deg, height))
+        latitude, longitude, target_height = target
+        if not all(map(math.isfinite, target)) or target_height < 0:
+            raise UsageError(f"a target at height {target_height:g} m cannot be flown to")
+        heading = _heading(self) if yaw_deg is None else yaw_deg
+        there = LocalFrame(latitude, longitude)
+
+        def step() -> tuple[Setpoint, GuidanceProgress]:
+            here = _position(self)
+            from_north, from_east = there.to_local(here.latitude_deg, here.longitude_deg)
+            distance = math.hypot(from_north, from_east)
+            scale = -min(1.0, _MAX_OFFSET_M / distance) if distance else 0.0
+            setpoint = Setpoint.position_offset(
+                north=from_north * scale,
+                east=from_east * scale,
+                height=target_height,
+                yaw_deg=heading,
+            )
+            turn = normalize_degrees(heading - _heading(self)) if yaw_deg is not None else 0.0
+            return setpoint, GuidanceProgress(0.0, distance, target_height - here.height_m, turn)
+
+        def is_within(found: GuidanceProgress) -> bool:
+            return (
+                found.distance_m <= tolerance_m
+                and abs(found.height_error_m) <= tolerance_m
+                and abs(found.heading_error_deg) <= 5.0
+            )
+
+        return await _run(self, "fly_to", step, is_within, timeout, progress)
+
+    async def climb_to(
+        self,
+        height: float,
+        *,
+        tolerance_m: float = 0.3,
+        timeout: float = 60.0,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Climb or descend in place to a height above the take-off point, m.
+
+        Raises: as :meth:`fly_to`.
+        """
+
+        def step() -> tuple[Setpoint, GuidanceProgress]:
+            here = _position(self)
+            setpoint = Setpoint.velocity(north=0.0, east=0.0, height=height, yaw_rate_deg_s=0.0)
+            return setpoint, GuidanceProgress(0.0, 0.0, height - here.height_m, 0.0)
+
+        return await _run(
+            self,
+            "climb_to",
+            step,
+            lambda found: abs(found.height_error_m) <= tolerance_m,
+            timeout,
+            progress,
+        )
+
+    async def turn_to(
+        self,
+        yaw_deg: float,
+        *,
+        tolerance_deg: float = 2.0,
+        timeout: float = 30.0,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Turn in place to a heading, −180 to 180°, 0 north, 90 east.
+
+        Raises: as :meth:`fly_to`.
+        """
+        setpoint = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_deg=yaw_deg)
+
+        def step() -> tuple[Setpoint, GuidanceProgress]:
+            turn = normalize_degrees(yaw_deg - _heading(self))
+            return setpoint, GuidanceProgress(0.0, 0.0, 0.0, turn)
+
+        return await _run(
+            self,
+            "turn_to",
+            step,
+            lambda found: abs(found.heading_error_deg) <= tolerance_deg,
+            timeout,
+            progress,
+        )
+
+    async def orbit(
+        self,
+        *,
+        center_north: float,
+        center_east: float,
+        speed: float = 2.0,
+        turns: float = 1.0,
+        clockwise: bool = True,
+        timeout: float = 300.0,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Fly a circle around a point, looking at it.
+
+        The circle goes through where the aircraft is now.
+
+        Args:
+            center_north: Metres from here to the centre, north; with ``center_east`` 1 m or more.
+            center_east: Metres from here to the centre, east.
+            speed: Along the circle, up to 10 m/s.
+            turns: How many, more than 0.
+            clockwise: Seen from above.
+            timeout: Seconds until it gives up, hovering.
+            progress: Called at each tick.
+
+        Raises: as :meth:`fly_to`.
+        """
+        radius = math.hypot(center_north, center_east)
+        if radius < 1.0 or not 0 < speed <= 10 or not turns > 0:
+            raise UsageError(
+                f"{turns:g} turns of {radius:.1f} m radius at {speed:g} m/s cannot be flown",
+                remedy="radius 1 m or more, speed up to 10 m/s, turns more than 0",
+            )
+        start = _position(self)
+        here_frame = LocalFrame(start.latitude_deg, start.longitude_deg)
+        center = LocalFrame(*here_frame.to_geodetic(center_north, center_east))
+        height = start.height_m
+        sense = 1.0 if clockwise else -1.0
+        to_go = 360.0 * turns
+        last_bearing: float | None = None
+
+        def step() -> tuple[Setpoint, GuidanceProgress]:
+            nonlocal to_go, last_bearing
+            here = _position(self)
+            north, east = center.to_local(here.latitude_deg, here.longitude_deg)
+            bearing = math.degrees(math.atan2(east, north))
+            if last_bearing is not None:
+                to_go -= sense * normalize_degrees(bearing - last_bearing)
+            last_bearing = bearing
+            distance = math.hypot(north, east) or 1e-6
+            out_n, out_e = north / distance, east / distance
+            inward = max(-speed, min(speed, _ORBIT_GAIN * (distance - radius)))
+            # Slow down over the last degrees, so that it ends where it should.
+            arc = math.radians(to_go) * radius
+            along = min(speed, 0.2 + 0.5 * arc) if arc > 0 else 0.0
+            setpoint = Setpoint.velocity(
+                north=-out_e * sense * along - out_n * inward,
+                east=out_n * sense * along - out_e * inward,
+                height=height,
+                yaw_deg=normalize_degrees(bearing + 180.0),
+            )
+            return setpoint, GuidanceProgress(
+                0.0, abs(distance - radius), height - here.height_m, to_go
+            )
+
+        def is_within(found: GuidanceProgress) -> bool:
+            return found.heading_error_deg <= 2.0
+
+        return await _run(self, "orbit", step, is_within, timeout, progress)
