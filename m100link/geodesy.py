@@ -137,16 +137,20 @@ class LocalFrame:
     def to_local(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
         """Metres north and east of the origin of a point in degrees: the inverse, to a micrometre.
 
-        Newton steps with the first-order coefficients: each shrinks the error by the ratio of
-        distance to the Earth's radius, so four are plenty within some hundred kilometres.
+        Newton steps with the first-order coefficients: each shrinks the error by about the ratio
+        of distance to the Earth's radius, so three or four are the rule.
         """
-        wanted = self.longitude_deg + normalize_degrees(longitude_deg - self.longitude_deg)
+        east_of_origin = normalize_degrees(longitude_deg - self.longitude_deg)
         north = (latitude_deg - self.latitude_deg) / self._n
-        east = (wanted - self.longitude_deg) / self._longitude_e
-        for _ in range(4):
+        east = east_of_origin / self._longitude_e
+        for _ in range(20):
             latitude, longitude = self.to_geodetic(north, east)
-            north += (latitude_deg - latitude) / self._n
-            east += normalize_degrees(wanted - longitude) / self._longitude_e
+            step_north = (latitude_deg - latitude) / self._n
+            step_east = normalize_degrees(longitude_deg - longitude) / self._longitude_e
+            north += step_north
+            east += step_east
+            if abs(step_north) + abs(step_east) < 1e-7:
+                break
         return north, east
 
 

@@ -1,0 +1,390 @@
+"""The flight model against closed forms, and its parts against each other."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from m100link.protocol import Attitude
+from m100link.sim.dynamics import (
+    GRAVITY,
+    STEP_S,
+    Airframe,
+    Dynamics,
+    Guidance,
+    Horizontal,
+    Vertical,
+    Yaw,
+)
+
+STILL = Airframe(drag=0.0)
+
+
+def hovering(airframe: Airframe | None = None, *, yaw_deg: float = 0.0) -> Dynamics:
+    motion = Dynamics(airframe)
+    motion.place(0.0, 0.0, 50.0, yaw_deg)
+    return motion
+
+
+def run(motion: Dynamics, guidance: Guidance, seconds: float) -> None:
+    for _ in range(round(seconds / STEP_S)):
+        motion.step(guidance)
+
+
+# --- step responses -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("axis", ["roll", "pitch"])
+@pytest.mark.parametrize("seconds", [0.05, 0.1, 0.2, 0.5, 1.0])
+def test_tilt_responds_as_a_critically_damped_second_order_system(
+    axis: str, seconds: float
+) -> None:
+    motion, wanted, w = hovering(), math.radians(10), Airframe().tilt_frequency
+    a, b = (wanted, 0.0) if axis == "roll" else (0.0, wanted)
+    run(motion, Guidance(Horizontal.TILT, a, b), seconds)
+    closed_form = wanted * (1 - (1 + w * seconds) * math.exp(-w * seconds))
+    assert getattr(motion, axis) == pytest.approx(closed_form, rel=1e-9)
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.35, 1.0])
+def test_climb_rate_responds_as_a_first_order_lag(seconds: float) -> None:
+    motion, lag = hovering(), Airframe().vertical_time_constant
+    run(motion, Guidance(vertical=Vertical.VELOCITY, up=1.5), seconds)
+    assert motion.velocity_up == pytest.approx(1.5 * (1 - math.exp(-seconds / lag)), rel=1e-9)
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.5, 2.0])
+def test_yaw_rate_responds_as_a_first_order_lag(seconds: float) -> None:
+    motion, lag, rate = hovering(), Airframe().yaw_time_constant, math.radians(60)
+    run(motion, Guidance(yaw_mode=Yaw.RATE, yaw=rate), seconds)
+    angle = rate * (seconds - lag * (1 - math.exp(-seconds / lag)))
+    assert motion.yaw == pytest.approx(angle, rel=1e-9)
+
+
+def test_velocity_at_constant_tilt_without_drag_grows_with_g_tan_tilt() -> None:
+    motion = hovering(STILL)
+    guidance = Guidance(Horizontal.TILT, 0.0, math.radians(-10))
+    run(motion, guidance, 2.0)
+    before = motion.velocity_north
+    run(motion, guidance, 3.0)
+    assert motion.velocity_north - before == pytest.approx(
+        3.0 * GRAVITY * math.tan(math.radians(10)), rel=1e-6
+    )
+
+
+def test_velocity_at_constant_tilt_ends_where_drag_balances_it() -> None:
+    motion = hovering()
+    run(motion, Guidance(Horizontal.TILT, math.radians(5), 0.0), 30.0)
+    assert motion.velocity_east == pytest.approx(
+        GRAVITY * math.tan(math.radians(5)) / Airframe().drag, rel=1e-3
+    )
+
+
+def test_drag_slows_exponentially() -> None:
+    motion = hovering()
+    motion.velocity_north = 5.0
+    run(motion, Guidance(Horizontal.TILT), 4.0)
+    assert motion.velocity_north == pytest.approx(5.0 * math.exp(-4.0 * Airframe().drag), rel=0.01)
+
+
+def test_velocity_control_takes_about_a_second_and_hardly_overshoots() -> None:
+    motion = hovering()
+    guidance = Guidance(Horizontal.VELOCITY, 4.0, 0.0)
+    reached, highest = 0.0, 0.0
+    for step in range(1, 600):
+        motion.step(guidance)
+        highest = max(highest, motion.velocity_north)
+        if not reached and motion.velocity_north > 0.63 * 4.0:
+            reached = step * STEP_S
+    assert 0.5 < reached < 1.3
+    assert highest < 4.0 * 1.03
+    assert motion.velocity_north == pytest.approx(4.0, abs=0.02)
+
+
+def test_position_control_arrives_and_stays() -> None:
+    motion = hovering()
+    guidance = Guidance(Horizontal.POSITION, 12.0, -7.0)
+    run(motion, guidance, 20.0)
+    assert (motion.north, motion.east) == pytest.approx((12.0, -7.0), abs=0.02)
+    assert motion.speed < 0.02
+
+
+def test_height_control_arrives_and_stays() -> None:
+    motion = hovering()
+    run(motion, Guidance(vertical=Vertical.HEIGHT, up=60.0), 15.0)
+    assert motion.height == pytest.approx(60.0, abs=0.01)
+    assert abs(motion.velocity_up) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("start", "target", "turn"), [(170, -170, 20), (-170, 170, -20), (0, 90, 90), (90, -45, -135)]
+)
+def test_yaw_angle_turns_the_short_way(start: float, target: float, turn: float) -> None:
+    motion = hovering(yaw_deg=start)
+    guidance = Guidance(yaw_mode=Yaw.ANGLE, yaw=math.radians(target))
+    turned, before = 0.0, motion.yaw
+    for _ in range(1000):
+        motion.step(guidance)
+        turned += math.remainder(motion.yaw - before, 2 * math.pi)
+        before = motion.yaw
+    assert math.degrees(turned) == pytest.approx(turn, abs=0.1)
+
+
+def test_braking_stops_and_holds_the_place() -> None:
+    motion = hovering()
+    run(motion, Guidance(Horizontal.VELOCITY, 8.0, 0.0), 5.0)
+    run(motion, Guidance(), 6.0)
+    place = motion.north, motion.east
+    run(motion, Guidance(), 20.0)
+    assert motion.speed < 0.01
+    assert (motion.north, motion.east) == pytest.approx(place, abs=0.05)
+
+
+def test_hovering_thrust_keeps_the_height_and_more_climbs() -> None:
+    airframe = Airframe(vertical_drag=0.0)
+    motion = hovering(airframe)
+    thrust = airframe.hover_thrust
+    run(motion, Guidance(Horizontal.TILT, vertical=Vertical.THRUST, up=thrust), 5.0)
+    assert motion.height == pytest.approx(50.0)
+    run(motion, Guidance(Horizontal.TILT, vertical=Vertical.THRUST, up=1.1 * thrust), 2.0)
+    assert motion.velocity_up == pytest.approx(0.1 * GRAVITY * 2.0, rel=1e-9)
+    assert motion.height == pytest.approx(50.0 + 0.5 * 0.1 * GRAVITY * 2.0**2, rel=1e-9)
+
+
+# --- limits ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("guidance", "read", "limit"),
+    [
+        (Guidance(Horizontal.TILT, 1.5, 0.0), "roll", math.radians(30)),
+        (Guidance(Horizontal.TILT, 0.0, -1.5), "pitch", -math.radians(30)),
+        (Guidance(up=9.0), "velocity_up", 4.0),
+        (Guidance(up=-9.0), "velocity_up", -4.0),
+        (Guidance(yaw_mode=Yaw.RATE, yaw=9.0), "rate_z", math.radians(100)),
+    ],
+)
+def test_limits_of_the_document_are_kept(guidance: Guidance, read: str, limit: float) -> None:
+    motion = hovering()
+    run(motion, guidance, 3.0)
+    assert getattr(motion, read) == pytest.approx(limit, rel=1e-3)
+
+
+def test_tilt_stays_below_the_cruise_tilt_in_velocity_control() -> None:
+    motion = hovering()
+    guidance = Guidance(Horizontal.VELOCITY, 10.0, 10.0)
+    for _ in range(500):
+        motion.step(guidance)
+        tilt = math.acos(math.cos(motion.roll) * math.cos(motion.pitch))
+        assert math.degrees(tilt) < Airframe().cruise_tilt_deg + 1.5
+
+
+# --- signs, frames --------------------------------------------------------------------------
+
+
+def test_forward_is_a_negative_pitch_and_right_a_positive_roll() -> None:
+    motion = hovering(yaw_deg=0)
+    run(motion, Guidance(Horizontal.VELOCITY, 3.0, 2.0, body=True), 0.5)
+    assert motion.pitch < 0 < motion.roll
+    assert motion.velocity_north > 0
+    assert motion.velocity_east > 0
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 37, 90, 180, -135])
+@pytest.mark.parametrize("horizontal", [Horizontal.VELOCITY, Horizontal.TILT])
+def test_ground_frame_tracks_ignore_the_heading(yaw_deg: float, horizontal: Horizontal) -> None:
+    motion, reference = hovering(yaw_deg=yaw_deg), hovering()
+    a, b = (0.05, -0.1) if horizontal is Horizontal.TILT else (3.0, 1.0)
+    for each in (motion, reference):
+        run(each, Guidance(horizontal, a, b), 4.0)
+    assert (motion.north, motion.east) == pytest.approx(
+        (reference.north, reference.east), abs=0.03
+    )
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 37, 90, 180, -135])
+@pytest.mark.parametrize("horizontal", [Horizontal.VELOCITY, Horizontal.TILT])
+def test_body_frame_tracks_turn_with_the_heading(yaw_deg: float, horizontal: Horizontal) -> None:
+    motion, reference = hovering(yaw_deg=yaw_deg), hovering()
+    a, b = (0.05, -0.1) if horizontal is Horizontal.TILT else (3.0, 1.0)
+    for each in (motion, reference):
+        run(each, Guidance(horizontal, a, b, body=True), 4.0)
+    yaw = math.radians(yaw_deg)
+    assert (motion.north, motion.east) == pytest.approx(
+        (
+            reference.north * math.cos(yaw) - reference.east * math.sin(yaw),
+            reference.north * math.sin(yaw) + reference.east * math.cos(yaw),
+        ),
+        abs=1e-6,
+    )
+
+
+def test_a_turning_body_frame_velocity_flies_a_circle() -> None:
+    """At v and yaw rate w the radius is v / w; one turn ends where it began."""
+    motion, rate = hovering(), math.radians(20)
+    guidance = Guidance(Horizontal.VELOCITY, 3.0, 0.0, body=True, yaw_mode=Yaw.RATE, yaw=rate)
+    run(motion, guidance, 10.0)
+    start = motion.north, motion.east
+    places = []
+    for _ in range(1800):
+        motion.step(guidance)
+        places.append((motion.north, motion.east))
+    assert (motion.north, motion.east) == pytest.approx(start, abs=0.05)
+    across = max(north for north, _ in places) - min(north for north, _ in places)
+    assert across / 2 == pytest.approx(motion.speed / rate, rel=0.01)
+
+
+# --- consistency ----------------------------------------------------------------------------
+
+
+def wild_flight() -> list[Guidance]:
+    return [
+        Guidance(Horizontal.VELOCITY, 6.0, -4.0, up=2.0, yaw=0.8),
+        Guidance(Horizontal.TILT, 0.3, -0.2, body=True, up=-1.0, yaw=-1.2),
+        Guidance(Horizontal.POSITION, -20.0, 30.0, vertical=Vertical.HEIGHT, up=70.0),
+        Guidance(),
+        Guidance(Horizontal.TILT, -0.1, 0.4, vertical=Vertical.THRUST, up=60.0, yaw=1.0),
+    ]
+
+
+def test_velocity_is_the_sum_of_acceleration_and_position_that_of_velocity() -> None:
+    motion = hovering()
+    motion.wind_north, motion.wind_east = 3.0, -2.0
+    for guidance in wild_flight():
+        for _ in range(200):
+            before = [getattr(motion, f"velocity_{axis}") for axis in ("north", "east", "up")]
+            place = [motion.north, motion.east, motion.height]
+            motion.step(guidance)
+            after = [getattr(motion, f"velocity_{axis}") for axis in ("north", "east", "up")]
+            for index, axis in enumerate(("north", "east", "up")):
+                acceleration = getattr(motion, f"acceleration_{axis}")
+                assert after[index] - before[index] == pytest.approx(
+                    acceleration * STEP_S, abs=1e-12
+                )
+                moved = (motion.north, motion.east, motion.height)[index] - place[index]
+                assert moved == pytest.approx((before[index] + after[index]) / 2 * STEP_S, abs=1e-12)
+
+
+def test_thrust_along_the_body_axis_makes_the_acceleration() -> None:
+    """Rotating the thrust by the quaternion gives what the velocities show, less gravity and drag."""
+    motion = hovering()
+    for guidance in wild_flight():
+        for _ in range(150):
+            velocity = motion.velocity_north, motion.velocity_east
+            motion.step(guidance)
+            q0, q1, q2, q3 = motion.quaternion()
+            down = 2 * (q1 * q3 + q0 * q2), 2 * (q2 * q3 - q0 * q1), q0**2 - q1**2 - q2**2 + q3**2
+            drag = Airframe().drag
+            lift = motion.acceleration_up + GRAVITY
+            thrust = lift / down[2]
+            assert motion.acceleration_north == pytest.approx(
+                -thrust * down[0] - drag * velocity[0], abs=1e-9
+            )
+            assert motion.acceleration_east == pytest.approx(
+                -thrust * down[1] - drag * velocity[1], abs=1e-9
+            )
+
+
+def test_quaternion_and_angles_say_the_same() -> None:
+    """Read back by the formulas that DJI's later libraries use."""
+    motion = hovering()
+    for guidance in wild_flight():
+        for _ in range(150):
+            motion.step(guidance)
+            attitude = Attitude(*motion.quaternion())
+            assert sum(value * value for value in attitude) == pytest.approx(1.0)
+            assert attitude.roll_deg == pytest.approx(math.degrees(motion.roll), abs=1e-9)
+            assert attitude.pitch_deg == pytest.approx(math.degrees(motion.pitch), abs=1e-9)
+            assert attitude.yaw_deg == pytest.approx(math.degrees(motion.yaw), abs=1e-9)
+
+
+def test_quaternion_of_level_flight_to_north_and_east() -> None:
+    assert hovering(yaw_deg=0).quaternion() == pytest.approx((1, 0, 0, 0))
+    half = math.sqrt(0.5)
+    assert hovering(yaw_deg=90).quaternion() == pytest.approx((half, 0, 0, half))
+
+
+def test_body_rates_turn_the_quaternion() -> None:
+    """q' = q * (0, w) / 2, measured over one step."""
+    motion = hovering()
+    for guidance in wild_flight():
+        for _ in range(150):
+            q0, q1, q2, q3 = motion.quaternion()
+            x0, y0, z0 = motion.rate_x, motion.rate_y, motion.rate_z
+            motion.step(guidance)
+            x, y, z = ((a + b) / 2 for a, b in zip(
+                (x0, y0, z0), (motion.rate_x, motion.rate_y, motion.rate_z), strict=True))  # fmt: skip
+            after = motion.quaternion()
+            if q0 * after[0] + q1 * after[1] + q2 * after[2] + q3 * after[3] < 0:
+                after = tuple(-value for value in after)  # type: ignore[assignment]
+            expected = (
+                q0 - STEP_S / 2 * (q1 * x + q2 * y + q3 * z),
+                q1 + STEP_S / 2 * (q0 * x + q2 * z - q3 * y),
+                q2 + STEP_S / 2 * (q0 * y + q3 * x - q1 * z),
+                q3 + STEP_S / 2 * (q0 * z + q1 * y - q2 * x),
+            )
+            assert after == pytest.approx(expected, abs=3e-4)
+
+
+# --- wind, ground ---------------------------------------------------------------------------
+
+
+def test_wind_is_held_against_by_tilting_into_it() -> None:
+    motion = hovering()
+    motion.wind_north = 6.0
+    run(motion, Guidance(Horizontal.POSITION, 0.0, 0.0), 30.0)
+    assert motion.north == pytest.approx(0.0, abs=0.02)
+    assert math.tan(motion.pitch) * GRAVITY == pytest.approx(
+        Airframe().drag * 6.0 * -1.0 * -1.0, rel=0.02
+    ), "the nose goes up to fly backwards against wind from behind"
+
+
+def test_without_position_control_wind_carries_it_away() -> None:
+    motion = hovering()
+    motion.wind_east = 4.0
+    run(motion, Guidance(Horizontal.TILT), 30.0)
+    assert motion.velocity_east == pytest.approx(4.0, abs=0.01)
+
+
+def test_on_the_ground_with_motors_off_nothing_moves() -> None:
+    motion = Dynamics()
+    run(motion, Guidance(Horizontal.VELOCITY, 5.0, 5.0, up=4.0), 3.0)
+    assert (motion.north, motion.east, motion.height, motion.yaw) == (0, 0, 0, 0)
+
+
+def test_on_the_ground_with_idle_motors_only_climbing_moves() -> None:
+    motion = Dynamics()
+    motion.motors_on = True
+    run(motion, Guidance(Horizontal.VELOCITY, 5.0, 5.0, up=0.0, yaw=1.0), 3.0)
+    assert (motion.north, motion.east, motion.height, motion.yaw) == (0, 0, 0, 0)
+    run(motion, Guidance(up=1.0), 3.0)
+    assert motion.height == pytest.approx(3.0 - Airframe().vertical_time_constant, rel=0.01)
+
+
+def test_sinking_ends_on_the_ground() -> None:
+    motion = hovering()
+    run(motion, Guidance(up=-4.0), 20.0)
+    assert motion.height == 0.0
+    assert motion.on_ground
+    assert motion.touchdown_speed == pytest.approx(4.0, rel=0.01)
+    assert motion.velocity_up == 0.0
+
+
+def test_motors_off_in_the_air_falls() -> None:
+    motion = hovering()
+    motion.motors_on = False
+    run(motion, Guidance(), 2.0)
+    assert motion.height == pytest.approx(50.0 - 0.5 * GRAVITY * 2.0**2, rel=1e-9)
+    run(motion, Guidance(), 5.0)
+    assert motion.on_ground
+    assert motion.touchdown_speed == pytest.approx(math.sqrt(2 * GRAVITY * 50.0), rel=0.01)
+
+
+def test_equal_inputs_give_equal_flights() -> None:
+    first, second = hovering(), hovering()
+    for motion in (first, second):
+        for guidance in wild_flight():
+            run(motion, guidance, 3.0)
+    names = ("north", "east", "height", "roll", "pitch", "yaw", "velocity_up")
+    assert [getattr(first, name) for name in names] == [getattr(second, name) for name in names]

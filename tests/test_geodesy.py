@@ -1,0 +1,156 @@
+"""Geodesy against an independent library, against Earth-centred coordinates, and by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from geographiclib.geodesic import Geodesic
+from hypothesis import given
+from hypothesis import strategies as st
+
+from m100link import geodesy
+from m100link.geodesy import LocalFrame, bearing_deg, destination, distance_m, dji_offset, geodesic
+
+LATITUDES = [-80.0, -33.0, 0.0, 22.5, 47.0, 60.0, 80.0]
+
+
+def earth_centred(latitude_deg: float, longitude_deg: float) -> tuple[float, float, float]:
+    flattening = geodesy.WGS84_FLATTENING
+    e2 = flattening * (2 - flattening)
+    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
+    radius = geodesy.WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1 - e2 * math.sin(latitude) ** 2)
+    return (
+        radius * math.cos(latitude) * math.cos(longitude),
+        radius * math.cos(latitude) * math.sin(longitude),
+        radius * (1 - e2) * math.sin(latitude),
+    )
+
+
+def tangent_plane(
+    origin: tuple[float, float], point: tuple[float, float]
+) -> tuple[float, float]:
+    """Metres north and east by rotation of Earth-centred coordinates."""
+    dx, dy, dz = (
+        b - a for a, b in zip(earth_centred(*origin), earth_centred(*point), strict=True)
+    )
+    latitude, longitude = map(math.radians, origin)
+    flat = math.cos(longitude) * dx + math.sin(longitude) * dy
+    north = -math.sin(latitude) * flat + math.cos(latitude) * dz
+    return north, -math.sin(longitude) * dx + math.cos(longitude) * dy
+
+
+@pytest.mark.parametrize("latitude", LATITUDES)
+@pytest.mark.parametrize(("distance", "tolerance"), [(100, 1e-5), (1000, 3e-4), (5000, 8e-3)])
+def test_local_frame_agrees_with_the_geodesic(
+    latitude: float, distance: float, tolerance: float
+) -> None:
+    frame = LocalFrame(latitude, 113.9)
+    for azimuth in range(0, 360, 15):
+        north = distance * math.cos(math.radians(azimuth))
+        east = distance * math.sin(math.radians(azimuth))
+        point = frame.to_geodetic(north, east)
+        line = Geodesic.WGS84.Inverse(latitude, 113.9, *point)
+        along, bearing = line["s12"], math.radians(line["azi1"])
+        assert along * math.cos(bearing) == pytest.approx(north, abs=tolerance)
+        assert along * math.sin(bearing) == pytest.approx(east, abs=tolerance)
+
+
+@pytest.mark.parametrize("latitude", LATITUDES)
+def test_local_frame_agrees_with_the_tangent_plane_at_1_km(latitude: float) -> None:
+    frame = LocalFrame(latitude, -71.0)
+    for azimuth in range(0, 360, 30):
+        offset = 1000 * math.cos(math.radians(azimuth)), 1000 * math.sin(math.radians(azimuth))
+        assert tangent_plane((latitude, -71.0), frame.to_geodetic(*offset)) == pytest.approx(
+            offset, abs=1e-3
+        )
+
+
+@given(
+    latitude=st.floats(-82, 82),
+    longitude=st.floats(-180, 180),
+    north=st.floats(-20_000, 20_000),
+    east=st.floats(-20_000, 20_000),
+)
+def test_there_and_back_is_here(
+    latitude: float, longitude: float, north: float, east: float
+) -> None:
+    frame = LocalFrame(latitude, longitude)
+    assert frame.to_local(*frame.to_geodetic(north, east)) == pytest.approx(
+        (north, east), abs=2e-5
+    )
+
+
+def test_the_antimeridian_is_no_edge() -> None:
+    frame = LocalFrame(10.0, 179.999)
+    latitude, longitude = frame.to_geodetic(0.0, 1000.0)
+    assert -180.0 < longitude < -179.9
+    assert frame.to_local(latitude, longitude) == pytest.approx((0.0, 1000.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("latitude", [89.5, -90.0, math.nan, math.inf])
+def test_no_local_frame_at_a_pole(latitude: float) -> None:
+    with pytest.raises(ValueError, match="latitude"):
+        LocalFrame(latitude, 0.0)
+
+
+def test_no_local_frame_at_an_infinite_longitude() -> None:
+    with pytest.raises(ValueError, match="longitude"):
+        LocalFrame(0.0, math.inf)
+
+
+@given(
+    a=st.tuples(st.floats(-89, 89), st.floats(-180, 180)),
+    b=st.tuples(st.floats(-89, 89), st.floats(-180, 180)),
+)
+def test_geodesic_agrees_with_geographiclib(
+    a: tuple[float, float], b: tuple[float, float]
+) -> None:
+    line = Geodesic.WGS84.Inverse(*a, *b)
+    distance, bearing = geodesic(*a, *b)
+    if line["a12"] > 178:  # nearly opposite: the documented way out, to half a percent
+        assert distance == pytest.approx(line["s12"], rel=6e-3)
+        return
+    assert distance == pytest.approx(line["s12"], abs=2e-3)
+    if line["s12"] > 1000:
+        turn = geodesy.normalize_degrees(bearing - line["azi1"])
+        assert abs(turn) < 1e-5
+
+
+def test_a_point_is_no_distance_from_itself() -> None:
+    assert geodesic(22.5, 113.9, 22.5, 113.9) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("point", "bearing"),
+    [((1.0, 0.0), 0.0), ((0.0, 1.0), 90.0), ((-1.0, 0.0), 180.0), ((0.0, -1.0), -90.0)],
+)
+def test_bearing_counts_clockwise_from_north(point: tuple[float, float], bearing: float) -> None:
+    assert bearing_deg(0.0, 0.0, *point) == pytest.approx(bearing)
+
+
+def test_distance_and_destination_undo_each_other() -> None:
+    point = destination(47.4, 8.5, 300.0, -400.0)
+    assert distance_m(47.4, 8.5, *point) == pytest.approx(500.0, abs=1e-3)
+
+
+def test_opposite_points_do_not_hang() -> None:
+    distance, _ = geodesic(0.0, 0.0, 0.3, 179.7)
+    assert distance == pytest.approx(19_936_288.579, rel=6e-3)
+
+
+@pytest.mark.parametrize(
+    ("angle", "same"),
+    [(0, 0), (180, 180), (-180, 180), (181, -179), (540, 180), (-540, 180), (-181, 179), (720, 0)],
+)
+def test_normalize_degrees(angle: float, same: float) -> None:
+    assert geodesy.normalize_degrees(angle) == same
+
+
+def test_djis_offset_is_their_formula_and_its_error_is_known() -> None:
+    """Meridian radius at 22.5 degrees 6344.8 km, theirs 6378.1: 0.5 percent too far north."""
+    latitude, longitude = LocalFrame(22.5, 113.9).to_geodetic(1000.0, 1000.0)
+    north, east = dji_offset(22.5, 113.9, latitude, longitude)
+    assert north == pytest.approx(math.radians(latitude - 22.5) * 6_378_137.0)
+    assert north == pytest.approx(1005.2, abs=0.1)
+    assert east == pytest.approx(999.5, abs=0.1)
