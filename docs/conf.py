@@ -24,8 +24,8 @@ extensions = [
     "tables",
 ]
 exclude_patterns = ["_build"]
-# `Frame` is two things: m100link.Frame (ground or body) and m100link.wire.Frame (bytes). A bare name
-# means the first of them.
+# `Frame` is two things: m100link.Frame (ground or body) and m100link.wire.Frame (bytes). A bare
+# name means the first of them.
 suppress_warnings = ["ref.python"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "fieldlist"]
@@ -51,7 +51,7 @@ nitpick_ignore_regex = [
     # Attributes are described by their class, they are no entries of their own.
     (r"py:attr", r"state"),
     # Programs get a Control from the aircraft and never make one.
-    (r"py:class", r"m100link\.control\.Commander"),
+    (r"py:class", r"m100link\.(control|tasks)\.Commander"),
     # Type variables.
     (r"py:class", r"m100link\.[\w.]+\.[RT]"),
     # A default factory makes a signature that Sphinx cannot parse; it guesses at the pieces.

@@ -1,0 +1,189 @@
+"""What the project promises about itself: its commands, its names, its error tree, its files."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.resources
+import inspect
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import m100link
+from m100link import errors
+from m100link.sim import VirtualClockEventLoop
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+FLY = "python3 -m venv .venv && .venv/bin/pip install '.[cli]' && .venv/bin/m100link demo"
+TEST = "python3 -m venv .venv && .venv/bin/pip install nox && .venv/bin/nox"
+
+
+def code_blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def test_readme_shows_one_sentence_and_two_commands_before_any_prose() -> None:
+    title, sentence, *rest = [block for block in README.split("\n\n") if block]
+    assert title == "# m100link"
+    assert sentence.count(".") == 1
+    commands = code_blocks(README, "sh")
+    assert commands == [FLY + "\n", TEST + "\n"]
+    before = "\n\n".join(rest)[: "\n\n".join(rest).index(TEST)]
+    prose = [
+        line for line in before.splitlines() if line and not line.startswith(("```", "python3"))
+    ]
+    assert all(line.endswith(":") and len(line) < 60 for line in prose), prose
+
+
+def test_readme_program_prints_what_readme_says(capsys: pytest.CaptureFixture[str]) -> None:
+    [program] = code_blocks(README, "python")
+    [expected] = code_blocks(README, "text")
+    source, _, call = program.strip().rpartition("\n")
+    assert call == "asyncio.run(main())"
+    namespace: dict[str, object] = {}
+    exec(compile(source, "README.md", "exec"), namespace)
+    main = namespace["main"]
+    assert inspect.iscoroutinefunction(main)
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        runner.run(main())
+    assert capsys.readouterr().out == expected
+
+
+@pytest.mark.parametrize("page", sorted(["README.md", "CHANGELOG.md"]))
+def test_links_of_the_front_pages_lead_somewhere(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)#]+)", text)
+    assert targets
+    missing = [t for t in targets if "://" not in t and not (ROOT / t).exists()]
+    assert not missing
+
+
+def test_ci_runs_the_command_of_the_readme() -> None:
+    script = ROOT / ".ci" / "run"
+    assert script.stat().st_mode & stat.S_IXUSR
+    lines = script.read_text(encoding="utf-8").splitlines()
+    commands = [line for line in lines if line.startswith(("python3 -m venv", '"$place/venv/bin/'))]
+    plain = [
+        line.replace('"', "").replace("$place/venv", ".venv").replace(" --quiet", "")
+        for line in commands
+    ]
+    assert " && ".join(plain).removesuffix(" $@") == TEST
+
+
+def test_nox_runs_what_must_be_green_and_the_tests_last() -> None:
+    text = (ROOT / "noxfile.py").read_text(encoding="utf-8")
+    assert 'nox.options.sessions = ["lint", "types", "docs", "examples", "tests"]' in text
+
+
+def test_package_is_marked_as_typed() -> None:
+    assert (importlib.resources.files("m100link") / "py.typed").is_file()
+
+
+def test_versions_agree() -> None:
+    assert m100link.__version__ == PYPROJECT["project"]["version"]
+
+
+def test_core_dependencies_are_the_four() -> None:
+    names = [re.split(r"[<>=!~ ]", d)[0] for d in PYPROJECT["project"]["dependencies"]]
+    assert sorted(names) == ["anyio", "crcmod", "cryptography", "pyserial-asyncio"]
+
+
+def test_public_names_exist_and_are_listed_once() -> None:
+    assert len(m100link.__all__) == len(set(m100link.__all__))
+    missing = [name for name in m100link.__all__ if not hasattr(m100link, name)]
+    assert not missing
+
+
+def test_public_names_are_described_in_the_reference() -> None:
+    pages = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs/reference").glob("*.md"))
+    described = set(re.findall(r"(?:auto\w+|py:data):: m100link\.(?:[\w.]+\.)?(\w+)", pages))
+    # The errors page describes its whole module.
+    missing = set(m100link.__all__) - described - set(errors.__all__)
+    assert not missing, f"describe them in docs/reference: {sorted(missing)}"
+
+
+def error_tree() -> dict[str, str]:
+    """Name of each error and of its parent, from the drawing in the docstring."""
+    parents: dict[str, str] = {}
+    path: list[str] = []
+    for line in inspect.cleandoc(errors.__doc__ or "").splitlines():
+        match = re.match(r"(?P<indent>\s*(?:│ {3}| {4})*)(?P<branch>[├└]── )?(?P<name>\w+)\b", line)
+        if match is None or match["name"] not in vars(errors):
+            continue
+        name = match["name"]
+        depth = (len(match["indent"]) - 4) // 4 + (1 if match["branch"] else 0)
+        del path[depth:]
+        if path:
+            parents[name] = path[-1]
+        path.append(name)
+    return parents
+
+
+def test_drawing_of_the_error_tree_matches_the_classes() -> None:
+    classes = [vars(errors)[name] for name in errors.__all__]
+    actual = {
+        cls.__name__: base.__name__
+        for cls in classes
+        for base in cls.__bases__
+        if issubclass(base, errors.M100Error)
+    }
+    assert error_tree() == actual
+
+
+def test_every_error_is_public_and_derives_from_one_base() -> None:
+    defined = {
+        name
+        for name, value in vars(errors).items()
+        if inspect.isclass(value) and issubclass(value, BaseException)
+    }
+    assert defined == set(errors.__all__)
+    assert defined <= set(m100link.__all__)
+
+
+def test_errata_are_all_there_and_every_number_in_the_code_exists() -> None:
+    page = (ROOT / "docs/explanation/errata.md").read_text(encoding="utf-8")
+    headings = re.findall(r"^### (\d+)\. |^\| (\d+) \|", page, re.MULTILINE)
+    numbers = sorted(int(a or b) for a, b in headings)
+    assert numbers == list(range(1, 73))
+    package = Path(str(importlib.resources.files("m100link")))
+    for module in package.rglob("*.py"):
+        text = module.read_text(encoding="utf-8")
+        for cited in re.findall(r"errata (\d+(?:(?:,| and) \d+)*)", text):
+            assert {int(n) for n in re.findall(r"\d+", cited)} <= set(numbers), module
+
+
+def test_code_named_by_the_manual_exists() -> None:
+    names = set()
+    for page in (ROOT / "docs").rglob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        names |= set(re.findall(r"(?<![\w/])`(m100link(?:\.\w+)+)`", text))
+    assert names
+    missing = []
+    for name in sorted(names):
+        parts = name.split(".")
+        for split in range(len(parts), 0, -1):
+            try:
+                target: object = importlib.import_module(".".join(parts[:split]))
+            except ImportError:
+                continue
+            for part in parts[split:]:
+                target = getattr(target, part, None)
+            if target is None and name != "m100link.transports":
+                missing.append(name)
+            break
+    assert not missing
+
+
+def test_nothing_tracked_names_a_place_on_one_machine() -> None:
+    owned = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "noxfile.py", ROOT / ".ci" / "run"]
+    home = str(Path.home()) + os.sep
+    for path in [*owned, *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.py")]:
+        if "_build" not in path.parts:
+            assert home not in path.read_text(encoding="utf-8"), path
