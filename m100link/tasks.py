@@ -93,6 +93,12 @@ def task_name(task: Task) -> str:
     return task.name.lower().replace("_", " ")
 
 
+def describe_situation(situation: dict[str, object]) -> str:
+    """A situation in one line; what was never received is left out."""
+    known = {name: value for name, value in situation.items() if value is not None}
+    return ", ".join(f"{name} {value}" for name, value in known.items()) or "no telemetry"
+
+
 async def run_task(
     commander: Commander,
     task: Task,
@@ -112,11 +118,13 @@ async def run_task(
         )
     )
     if code != TaskStartCode.STARTED:
+        situation = commander.state.situation()
         raise TaskRefused(
-            f"{task_name(task)} was refused: {code.meaning} (code 0x{code:04X})",
+            f"{task_name(task)} was refused: {code.meaning} (code 0x{code:04X}; "
+            f"{describe_situation(situation)})",
             command=task_name(task),
             code=int(code),
-            situation=commander.state.situation(),
+            situation=situation,
             cause=code.cause,
             remedy=code.remedy,
         )
@@ -154,7 +162,8 @@ class _Watch:
                 return
             if elapsed >= timeout:
                 raise NotObserved(
-                    f"{task_name(self._task)} was accepted {timeout:g} s ago and is not seen done",
+                    f"{task_name(self._task)} was accepted {timeout:g} s ago and is not seen done "
+                    f"({describe_situation(self._state.situation())})",
                     situation=self._state.situation(),
                     cause="flight status or position is not among the telemetry items, "
                     "or something holds the aircraft",

@@ -7,7 +7,7 @@ import sys
 from cyclopts import App, CycloptsError
 
 import m100link
-from m100link.cli import aircraft, decode, demo, monitor, sim
+from m100link.cli import aircraft, decode, demo, flight, monitor, sim, telemetry
 from m100link.cli.common import ExitCode, complain
 from m100link.errors import M100Error
 
@@ -18,12 +18,23 @@ app = App(
     help="Fly and watch a DJI Matrice 100 through its Onboard API, or a virtual one.",
     version=m100link.__version__,
 )
-app.command(demo.demo)
-app.command(aircraft.info)
-app.command(aircraft.activate)
-app.command(monitor.monitor)
-app.command(decode.decode)
-app.command(sim.app)
+for _command in (
+    demo.demo,
+    aircraft.info,
+    aircraft.activate,
+    monitor.monitor,
+    telemetry.echo,
+    telemetry.hz,
+    telemetry.plot,
+    flight.takeoff,
+    flight.land,
+    flight.home,
+    flight.fly,
+    flight.release,
+    decode.decode,
+    sim.app,
+):
+    app.command(_command)
 
 
 def run() -> None:

@@ -1,0 +1,211 @@
+"""``m100link takeoff``, ``land``, ``home``, ``fly`` and ``release``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Awaitable, Callable
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.prompt import Confirm
+
+from m100link.aircraft import ActivationProgress, Aircraft, connect
+from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
+from m100link.control import Control
+from m100link.errors import UsageError
+from m100link.guards import Envelope, Guards
+from m100link.guidance import GuidanceProgress
+from m100link.handshake import release_authority
+from m100link.tasks import TaskProgress, describe_situation
+
+__all__ = ["fly", "home", "land", "release", "takeoff"]
+
+Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
+
+_Flight = Callable[[Control], Awaitable[object]]
+
+
+def takeoff(
+    url: Url,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    yes: Yes = False,
+) -> int:
+    """Start the motors and climb to about 1.2 m; the aircraft hovers there.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        yes: Do not ask.
+    """
+    return _fly(url, app, link, yes, "take off", lambda control: control.take_off(progress=_tell))
+
+
+def land(
+    url: Url,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    yes: Yes = False,
+) -> int:
+    """Land in place and stop the motors.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        yes: Do not ask.
+    """
+    return _fly(url, app, link, yes, "land", lambda control: control.land(progress=_tell))
+
+
+def home(
+    url: Url,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    yes: Yes = False,
+) -> int:
+    """Fly to the home point and land there.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        yes: Do not ask.
+    """
+    return _fly(url, app, link, yes, "go home", lambda control: control.go_home(progress=_tell))
+
+
+def fly(
+    url: Url,
+    north: float,
+    east: float,
+    up: float,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    max_height: float = 50.0,
+    max_radius: float = 150.0,
+    yes: Yes = False,
+) -> int:
+    """Fly so many metres north, east and up from here, and hover there.
+
+    Negative numbers go behind ``--``: m100link fly URL -- -5 0 1.
+
+    Args:
+        url: Where the aircraft is.
+        north: Metres north.
+        east: Metres east.
+        up: Metres up.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        max_height: Height above the take-off point that is not exceeded, m.
+        max_radius: Distance from here that is not exceeded, m.
+        yes: Do not ask.
+    """
+    guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
+
+    def progress(found: GuidanceProgress) -> None:
+        if sys.stderr.isatty():
+            err.print(
+                f"{found.distance_m:7.1f} m to go, {found.height_error_m:+6.1f} m of height",
+                end="\r",
+            )
+
+    return _fly(
+        url,
+        app,
+        link,
+        yes,
+        f"fly {north:g} m north, {east:g} m east, {up:g} m up",
+        lambda control: control.fly_to(north=north, east=east, up=up, progress=progress),
+        guards,
+    )
+
+
+def release(url: Url, /, *, app: AppOptions | None = None, link: LinkOptions | None = None) -> int:
+    """Give control authority back; the aircraft hovers and the pilot flies on.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+    """
+
+    async def run() -> None:
+        async with connect(url, **(link or LinkOptions()).arguments()) as aircraft:
+            await _activate(aircraft, app or AppOptions())
+            await release_authority(aircraft)
+            out.print("released")
+
+    return run_async(run())
+
+
+def _fly(
+    url: str,
+    app: AppOptions | None,
+    link: LinkOptions | None,
+    yes: bool,
+    what: str,
+    flight: _Flight,
+    guards: Guards | None = None,
+) -> int:
+    options = app or AppOptions(), link or LinkOptions()
+    return run_async(_run(url, *options, yes, what, flight, guards))
+
+
+async def _run(
+    url: str,
+    app: AppOptions,
+    link: LinkOptions,
+    yes: bool,
+    what: str,
+    flight: _Flight,
+    guards: Guards | None,
+) -> int:
+    app.credentials()  # what is wrong with them is told before a port is opened
+    async with connect(url, **link.arguments()) as aircraft:
+        if not yes and not url.startswith("sim:"):
+            _confirm(aircraft, what)
+        await _activate(aircraft, app)
+        async with aircraft.control(guards=guards) as control:
+            await flight(control)
+        out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
+    return 0
+
+
+async def _activate(aircraft: Aircraft, app: AppOptions) -> None:
+    def tell(progress: ActivationProgress) -> None:
+        if progress.next_attempt_in is not None:
+            err.print(f"activation: {progress.code.meaning}; again in a moment")
+
+    await aircraft.activate(app.credentials(), progress=tell)
+
+
+def _confirm(aircraft: Aircraft, what: str) -> None:
+    """Ask the person in front of the terminal.
+
+    Raises:
+        UsageError: There is none, or the answer is no.
+    """
+    if not sys.stdin.isatty():
+        raise UsageError(
+            f"{what} was not confirmed", remedy="say --yes when nobody is there to be asked"
+        )
+    err.print(f"{aircraft.link.name}: firmware {aircraft.firmware}")
+    if not Confirm.ask(f"Clear of people? Really {what}?", default=False, console=err):
+        raise UsageError(f"{what} was not confirmed")
+
+
+def _tell(progress: TaskProgress) -> None:
+    if sys.stderr.isatty():
+        height = "" if progress.height_m is None else f"{progress.height_m:5.2f} m"
+        phase = "" if progress.phase is None else progress.phase.name.lower().replace("_", " ")
+        err.print(f"{progress.elapsed:5.1f} s  {phase:<18} {height}", end="\r")

@@ -1,0 +1,282 @@
+"""``m100link echo``, ``hz`` and ``plot``."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import csv
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from m100link.aircraft import Aircraft, connect
+from m100link.cli.canvas import line_plot
+from m100link.cli.common import ExitCode, LinkOptions, Url, complain, out, print_json, run_async
+from m100link.cli.values import columns_of, items_named, row
+from m100link.errors import UsageError
+from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.telemetry import RECORDS
+from m100link.subscription import Lossless, Sample
+
+__all__ = ["echo", "hz", "plot"]
+
+
+async def _until(seconds: float | None, work: Any) -> None:
+    """Run for so long; whatever ends it earlier is raised."""
+    try:
+        async with asyncio.timeout(seconds) as limit:
+            await work
+    except TimeoutError:
+        if not limit.expired():
+            raise
+
+
+def echo(
+    url: Url,
+    /,
+    *items: str,
+    link: LinkOptions | None = None,
+    rate: float | None = None,
+    duration: float | None = None,
+    count: int | None = None,
+    csv: bool = False,
+    json: bool = False,
+) -> int:
+    """Print telemetry as it arrives: one JSON object, or one row of CSV, per package.
+
+    Every column is named item.field; ``received_at`` is this computer's monotonic clock, s.
+
+    Args:
+        url: Where the aircraft is.
+        items: Item names, such as position; all without one.
+        link: How to talk to it.
+        rate: At most so many packages per second.
+        duration: Seconds until it ends by itself.
+        count: Packages until it ends by itself.
+        csv: CSV with a header line.
+        json: JSON lines; the default.
+    """
+    if csv and json:
+        return complain(UsageError("--csv and --json exclude each other"))
+    return run_async(_echo(url, items, link or LinkOptions(), rate, duration, count, csv))
+
+
+async def _echo(
+    url: str,
+    items: tuple[str, ...],
+    link: LinkOptions,
+    rate: float | None,
+    duration: float | None,
+    count: int | None,
+    as_csv: bool,
+) -> None:
+    records = items_named(items)
+    columns = ["received_at", *columns_of(records)]
+    writer = csv.DictWriter(sys.stdout, columns, lineterminator="\n")
+
+    async def print_all(aircraft: Aircraft) -> None:
+        printed = 0
+        async with aircraft.telemetry(*records, policy=Lossless(2000), rate_hz=rate) as samples:
+            async for sample in samples:
+                values = _values(sample, records)
+                if as_csv:
+                    writer.writerow(values)
+                else:
+                    print_json(values)
+                printed += 1
+                if printed == count:
+                    return
+
+    async with connect(url, **link.arguments()) as aircraft:
+        if as_csv:
+            writer.writeheader()
+        await _until(duration, print_all(aircraft))
+    sys.stdout.flush()
+
+
+def _values(sample: Sample, records: list[type[Any]]) -> dict[str, Any]:
+    values: dict[str, Any] = {"received_at": round(sample.received_at, 6)}
+    for record in records:
+        found = sample.get(record)
+        if found is not None:
+            values |= row(found)
+    return values
+
+
+def hz(
+    url: Url,
+    /,
+    *,
+    link: LinkOptions | None = None,
+    duration: float = 5.0,
+    json: bool = False,
+) -> int:
+    """Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock.
+
+    Args:
+        url: Where the aircraft is.
+        link: How to talk to it.
+        duration: Seconds to measure.
+        json: One JSON object instead of the table; the default in a pipe.
+    """
+    return run_async(_hz(url, link or LinkOptions(), duration, json or not sys.stdout.isatty()))
+
+
+async def _hz(url: str, link: LinkOptions, duration: float, as_json: bool) -> None:
+    async with connect(url, **link.arguments()) as aircraft:
+        if as_json:
+            await asyncio.sleep(duration)
+        else:
+            with Live(console=out, refresh_per_second=4) as live:
+                end = asyncio.get_running_loop().time() + duration
+                while asyncio.get_running_loop().time() < end and aircraft.link.is_open:
+                    await asyncio.sleep(0.25)
+                    live.update(_rates_table(aircraft))
+        if aircraft.link.failure is not None:
+            raise aircraft.link.failure
+        if as_json:
+            print_json(_rates(aircraft))
+
+
+def _rates(aircraft: Aircraft) -> dict[str, Any]:
+    items = {}
+    for name, record in zip(ITEM_NAMES, RECORDS, strict=True):
+        statistics = aircraft.state.statistics(record)
+        items[name] = {
+            "count": statistics.count,
+            "rate_hz": statistics.rate_hz,
+            "jitter_s": statistics.jitter_s,
+            "longest_gap_s": statistics.longest_gap_s if statistics.count > 1 else None,
+        }
+    clock = aircraft.device_clock
+    return {
+        "items": items,
+        "device_clock": {
+            "tick_hz": clock.tick_hz,
+            "offset_s": clock.offset_s,
+            "skew_ppm": clock.skew_ppm,
+            "uncertainty_s": clock.uncertainty_s,
+            "resets": clock.resets,
+        },
+        "telemetry_mismatches": aircraft.telemetry_mismatches,
+    }
+
+
+def _rates_table(aircraft: Aircraft) -> Table:
+    measured = _rates(aircraft)
+    clock = measured["device_clock"]
+    table = Table(
+        box=None,
+        caption=f"device clock {clock['tick_hz']} Hz, skew {clock['skew_ppm']:.1f} ppm, "
+        f"known to {clock['uncertainty_s'] * 1000:.1f} ms",
+    )
+    for title in ("item", "Hz", "jitter ms", "longest gap ms", "count"):
+        table.add_column(title, justify="left" if title == "item" else "right")
+    for name, values in measured["items"].items():
+        if not values["count"]:
+            table.add_row(f"[dim]{name}[/]", "[dim]never received[/]")
+            continue
+        table.add_row(
+            name,
+            _number(values["rate_hz"], 1, 1),
+            _number(values["jitter_s"], 1000, 2),
+            _number(values["longest_gap_s"], 1000, 1),
+            str(values["count"]),
+        )
+    return table
+
+
+def _number(value: float | None, factor: float, digits: int) -> str:
+    return "" if value is None else f"{value * factor:.{digits}f}"
+
+
+def plot(
+    source: Annotated[str, Parameter(help="A URL, or a CSV file that `m100link echo --csv` wrote")],
+    /,
+    *fields: str,
+    link: LinkOptions | None = None,
+    duration: float = 10.0,
+) -> int:
+    """Plot columns over time: live from an aircraft, or of a recorded span.
+
+    Args:
+        source: A URL, or a CSV file.
+        fields: Columns, such as position.height_m; that one without any.
+        link: How to talk to the aircraft.
+        duration: Seconds to plot live.
+    """
+    wanted = fields or ("position.height_m",)
+    known = columns_of(RECORDS)
+    for field in wanted:
+        if field not in known:
+            return complain(
+                UsageError(f"no column is called {field!r}", remedy=f"columns: {', '.join(known)}")
+            )
+    if source.endswith(".csv"):
+        return _plot_file(Path(source), wanted)
+    return run_async(_plot_live(source, wanted, link or LinkOptions(), duration))
+
+
+def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
+    points: dict[str, list[tuple[float, float]]] = {field: [] for field in fields}
+    lines = 1
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for values in csv.DictReader(file):
+                lines += 1
+                for field in fields:
+                    if values.get(field):
+                        points[field].append((float(values["received_at"]), float(values[field])))
+    except (OSError, KeyError, ValueError) as error:
+        return complain(
+            UsageError(
+                f"{path} cannot be plotted, line {lines}: {error}",
+                cause="not a file of `m100link echo --csv`, or a column without numbers",
+            )
+        )
+    _draw(points)
+    return ExitCode.OK if any(points.values()) else ExitCode.FAILED
+
+
+async def _plot_live(url: str, fields: tuple[str, ...], link: LinkOptions, duration: float) -> int:
+    records = items_named(dict.fromkeys(field.partition(".")[0] for field in fields))
+    points: dict[str, list[tuple[float, float]]] = {field: [] for field in fields}
+
+    async def collect(aircraft: Aircraft) -> None:
+        async with aircraft.telemetry(*records, policy=Lossless(2000), rate_hz=50) as samples:
+            async for sample in samples:
+                values = _values(sample, records)
+                for field in fields:
+                    value = values.get(field)
+                    if isinstance(value, int | float):
+                        points[field].append((sample.received_at, float(value)))
+
+    async with connect(url, **link.arguments()) as aircraft:
+        shown = Live(console=out, refresh_per_second=5) if sys.stdout.isatty() else None
+        with shown or contextlib.nullcontext():
+            task = asyncio.ensure_future(_until(duration, collect(aircraft)))
+            while not task.done():
+                await asyncio.wait([task], timeout=0.2)
+                if shown is not None:
+                    shown.update(Text("\n".join(_lines(points))))
+        task.result()
+    if shown is None:
+        _draw(points)
+    return ExitCode.OK if any(points.values()) else ExitCode.FAILED
+
+
+def _lines(points: dict[str, list[tuple[float, float]]]) -> list[str]:
+    lines = []
+    for field, values in points.items():
+        lines.append(field)
+        lines += line_plot(values, columns=60) if values else ["  nothing received"]
+    return lines
+
+
+def _draw(points: dict[str, list[tuple[float, float]]]) -> None:
+    out.print(Text("\n".join(_lines(points))))
