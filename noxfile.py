@@ -19,6 +19,8 @@ nox.options.sessions = ["lint", "types", "docs", "examples", "tests"]
 nox.options.reuse_venv = "yes"
 
 PYPROJECT = nox.project.load_toml("pyproject.toml")
+EXTRAS = PYPROJECT["project"].get("optional-dependencies", {})
+PACKAGE = f".[{','.join(EXTRAS)}]"
 DOCS_OUTPUT = "docs/_build"
 
 
@@ -44,7 +46,7 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def types(session: nox.Session) -> None:
     """mypy --strict and pyright."""
-    session.install("-e", ".[cli]", *group("types", "test", "docs", "bench"))
+    session.install("-e", PACKAGE, *group("types", "test", "docs", "bench"))
     checked = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
     session.run("mypy", *checked)
     session.run("pyright")
@@ -53,7 +55,7 @@ def types(session: nox.Session) -> None:
 @nox.session
 def docs(session: nox.Session) -> None:
     """The manual: every warning is an error, every example in it is run."""
-    session.install(".[cli]", *group("docs"))
+    session.install(PACKAGE, *group("docs"))
     options = ("--nitpicky", "--fail-on-warning", "--keep-going", "--quiet")
     for builder in ("html", "doctest"):
         session.run("sphinx-build", *options, "-b", builder, "docs", f"{DOCS_OUTPUT}/{builder}")
@@ -62,7 +64,7 @@ def docs(session: nox.Session) -> None:
 @nox.session
 def examples(session: nox.Session) -> None:
     """Every example program flies, against a virtual aircraft."""
-    session.install(".[cli]")
+    session.install(PACKAGE)
     for example in sorted(Path("examples").glob("*.py")):
         session.run("python", "-W", "error", str(example))
 
@@ -82,22 +84,23 @@ def pythons(session: nox.Session) -> None:
 @nox.session(default=False)
 def minimum(session: nox.Session) -> None:
     """The test suite on the lowest versions that pyproject.toml allows."""
-    project = PYPROJECT["project"]
-    declared = [*project["dependencies"], *project["optional-dependencies"]["cli"]]
+    declared = [*PYPROJECT["project"]["dependencies"], *(one for e in EXTRAS.values() for one in e)]
     lowest = [re.sub(r">=\s*", "==", requirement) for requirement in declared]
     run_tests(session, constrained_to=lowest)
 
 
 def run_tests(session: nox.Session, *options: str, constrained_to: list[str] | None = None) -> None:
     """Install as a user would, with the extras, and run pytest."""
-    session.install(".[cli]", *group("test"), *(constrained_to or []))
-    session.run("pytest", *options, *session.posargs)
+    session.install(PACKAGE, *group("test"), *(constrained_to or []))
+    # Appending the tree to the path instead of prepending it leaves `import m100link` to the
+    # installed package.
+    session.run("pytest", "--import-mode=append", *options, *session.posargs)
 
 
 @nox.session(default=False)
 def bench(session: nox.Session) -> None:
     """The benchmarks, beside their rivals on the same machine."""
-    session.install(".[cli]", *group("bench"))
+    session.install(PACKAGE, *group("bench"))
     session.run("python", "benchmarks/run.py", *session.posargs)
 
 
