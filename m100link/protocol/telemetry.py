@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum, IntFlag
 from functools import lru_cache
+from operator import itemgetter
 from struct import Struct
 from typing import Any, NamedTuple, TypeVar
 
@@ -432,41 +433,54 @@ _WIRE_FIELDS: tuple[tuple[str, ...], ...] = (
 )
 
 R = TypeVar("R", bound=tuple[Any, ...])
-_Build = Callable[[tuple[Any, ...]], tuple[Any, ...]]
+_Values = tuple[Any, ...]
+_Pick = Callable[[_Values], _Values]
+_new = tuple.__new__
+
+_LACKING, _TICK_HZ = -2, -1  # behind unpacked values stand None and the tick rate
 
 
-def _builder(index: int, layout: ItemLayout, profile: FirmwareProfile) -> _Build:
-    """How unpacked values become the record: as they come, padded, or put in order."""
-    record, wanted = RECORDS[index], _WIRE_FIELDS[index]
-    extra: tuple[Any, ...] = (profile.tick_hz,) if record is Time else ()
-    new = tuple.__new__
-    if layout.fields == wanted[: len(layout.fields)]:
-        tail = (None,) * (len(wanted) - len(layout.fields)) + extra
-        if not tail:
-            return lambda values: new(record, values)
-        return lambda values: new(record, values + tail)
-    places = [layout.fields.index(name) if name in layout.fields else None for name in wanted]
-    return lambda values: new(
-        record, tuple(None if at is None else values[at] for at in places) + extra
-    )
+def _picker(index: int, layout: ItemLayout, start: int) -> _Pick:
+    """How the fields of a record are picked out of unpacked values, those of the item at start."""
+    places = [
+        start + layout.fields.index(name) if name in layout.fields else _LACKING
+        for name in _WIRE_FIELDS[index]
+    ]
+    if RECORDS[index] is Time:
+        places.append(_TICK_HZ)
+    first, end = places[0], places[0] + len(places)
+    if places == list(range(first, end)):
+        return itemgetter(slice(first, end))
+    return itemgetter(*places)
 
 
 class _Plan:
-    """Where everything is in a packet with one set of flags under one profile."""
+    """Where everything is in a packet with one set of flags under one profile.
 
-    __slots__ = ("items", "pack", "size")
+    Attributes:
+        size: Bytes of the packet.
+        pack: Makes a packet of flag word and values.
+        unpack: Reads all of them at once.
+        extras: What has to follow unpacked values before records are picked out of them.
+        items: Per item its offset, how to read it alone, and how to pick its record.
+        records: Record class per item, and how to pick it out of all values.
+    """
+
+    __slots__ = ("extras", "items", "pack", "records", "size", "unpack")
 
     def __init__(self, flags: int, profile: FirmwareProfile) -> None:
-        offset = 2
-        self.items: dict[int, tuple[int, Struct, _Build]] = {}
+        self.extras = (None, profile.tick_hz)
+        self.items: dict[int, tuple[int, Callable[[bytes, int], _Values], _Pick]] = {}
+        self.records: list[tuple[type[Any], _Pick]] = []
+        whole, start = Struct("<H"), 1
         for index, layout in enumerate(profile.items):
             if flags >> index & 1:
-                unpacker = Struct("<" + layout.format)
-                self.items[index] = (offset, unpacker, _builder(index, layout, profile))
-                offset += unpacker.size
-        self.size = offset
-        formats = (profile.items[index].format for index in self.items)
-        self.pack = Struct("<H" + "".join(formats)).pack
+                alone = Struct("<" + layout.format)
+                self.items[index] = (whole.size, alone.unpack_from, _picker(index, layout, 0))
+                self.records.append((RECORDS[index], _picker(index, layout, start)))
+                whole = Struct(whole.format + layout.format)
+                start += len(layout.fields)
+        self.size, self.pack, self.unpack = whole.size, whole.pack, whole.unpack
 
 
 @lru_cache(maxsize=4 * 4096)
@@ -502,14 +516,15 @@ class TelemetryPacket:
     __slots__ = ("_plan", "flags", "profile", "value")
 
     def __init__(self, value: bytes, profile: FirmwareProfile) -> None:
+        size = len(value)
+        flags = value[0] | value[1] << 8 if size >= 2 else ~ALL_ITEMS
+        plan = _plan(flags & ALL_ITEMS, profile.name)
+        if flags & ~ALL_ITEMS or size != plan.size:
+            raise _mismatch(value, profile)
         self.value = value
         self.profile = profile
-        self.flags = flags = value[0] | value[1] << 8 if len(value) >= 2 else 0
-        if flags > ALL_ITEMS or len(value) < 2:
-            raise _mismatch(value, profile)
-        self._plan = plan = _plan(flags, profile.name)
-        if len(value) != plan.size:
-            raise _mismatch(value, profile)
+        self.flags = flags
+        self._plan = plan
 
     @property
     def indices(self) -> Iterable[int]:
@@ -518,23 +533,18 @@ class TelemetryPacket:
 
     def get(self, record: type[R]) -> R | None:
         """The record of that class, None when the packet does not carry it."""
-        found: R | None = self._read(_INDEX[record])
-        return found
-
-    def _read(self, index: int) -> Any:
-        place = self._plan.items.get(index)
+        plan = self._plan
+        place = plan.items.get(_INDEX[record])
         if place is None:
             return None
-        offset, unpacker, build = place
-        return build(unpacker.unpack_from(self.value, offset))
+        offset, unpack, pick = place
+        return _new(record, pick(unpack(self.value, offset) + plan.extras))
 
     def records(self) -> list[Any]:
         """Every record that the packet carries, in bit order."""
-        value = self.value
-        return [
-            build(unpacker.unpack_from(value, offset))
-            for offset, unpacker, build in self._plan.items.values()
-        ]
+        plan = self._plan
+        values = plan.unpack(self.value) + plan.extras
+        return [_new(record, pick(values)) for record, pick in plan.records]
 
     def raw_items(self) -> dict[str, dict[str, Any]]:
         """Raw values by item name and wire field name, for dumps and golden vectors."""
@@ -542,11 +552,11 @@ class TelemetryPacket:
             ITEM_NAMES[index]: dict(
                 zip(
                     self.profile.items[index].fields,
-                    unpacker.unpack_from(self.value, offset),
+                    unpack(self.value, offset),
                     strict=True,
                 )
             )
-            for index, (offset, unpacker, _) in self._plan.items.items()
+            for index, (offset, unpack, _) in self._plan.items.items()
         }
 
     @property
