@@ -1,0 +1,290 @@
+"""Every pair of authority state and input, against a table written from the document by hand."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from m100link.authority import TRANSITIONS, Authority, AuthorityInput, AuthorityState
+from m100link.protocol.telemetry import ControlDevice, RcMode, RemoteControl
+
+S, I = AuthorityState, AuthorityInput  # noqa: E741
+
+# (state, input): (next state, reason afterwards, why). QS is the quick start's "Safety during
+# flight" and "Remote Controller, Onboard API & Mobile API"; the numbers are sections.
+NOTHING_TO_LOSE = "no authority was asked for, so none can pass away"
+REQUEST_FIRST = "QS: the onboard device requests authority; a switch or an item gives none"
+ACK_DECIDES = "2.2.2.1: the request's own ack says whether authority was obtained"
+NOT_ASKED = "an answer to nothing that was sent changes nothing"
+GONE_ALREADY = "it passed away before; saying so again is no news"
+STILL_OURS = "the item says what is known already"
+NEW_REQUEST = "2.2.2.1: after the app took control a new request is needed"
+RELEASE_ANY_TIME = "2.2.2.1: a release may be sent at any time; it is how one makes sure"
+RELEASE_PENDING = "2.2.2.1: the ack of the release decides, whoever holds control meanwhile"
+ASK_AGAIN = "2.2.2.1: a request may be sent at any time"
+NO_LINE = "without a line nothing is obeyed and nothing is heard"
+
+EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str, str]] = {
+    (S.NONE, I.OBTAIN): (S.OBTAINING, "", ASK_AGAIN),
+    (S.NONE, I.OBTAINED): (S.NONE, "", NOT_ASKED),
+    (S.NONE, I.REFUSED): (S.NONE, "", NOT_ASKED),
+    (S.NONE, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
+    (S.NONE, I.RELEASED): (S.NONE, "", NOT_ASKED),
+    (S.NONE, I.NOTIFIED): (S.NONE, "", NOTHING_TO_LOSE),
+    (S.NONE, I.RC_LEFT_F): (S.NONE, "", NOTHING_TO_LOSE),
+    (S.NONE, I.RC_IN_F): (S.NONE, "", REQUEST_FIRST),
+    (S.NONE, I.DEVICE_RC): (S.NONE, "", NOTHING_TO_LOSE),
+    (S.NONE, I.DEVICE_APP): (S.NONE, "", NOTHING_TO_LOSE),
+    (S.NONE, I.DEVICE_ONBOARD): (S.NONE, "", REQUEST_FIRST),
+    (S.NONE, I.LINK_LOST): (S.NONE, "", NOTHING_TO_LOSE),
+    (S.OBTAINING, I.OBTAIN): (S.OBTAINING, "", "firmware 2.3 and 3.1 want the request twice"),
+    (S.OBTAINING, I.OBTAINED): (S.HELD, "", "2.2.2.1: 0x0002, successfully obtained"),
+    (S.OBTAINING, I.REFUSED): (S.NONE, "", "2.2.2.1: 0x0003, failed to change"),
+    (S.OBTAINING, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
+    (S.OBTAINING, I.RELEASED): (S.OBTAINING, "", NOT_ASKED),
+    (S.OBTAINING, I.NOTIFIED): (S.OBTAINING, "", ACK_DECIDES),
+    (S.OBTAINING, I.RC_LEFT_F): (S.OBTAINING, "", ACK_DECIDES),
+    (S.OBTAINING, I.RC_IN_F): (S.OBTAINING, "", ACK_DECIDES),
+    (S.OBTAINING, I.DEVICE_RC): (S.OBTAINING, "", ACK_DECIDES),
+    (S.OBTAINING, I.DEVICE_APP): (S.OBTAINING, "", ACK_DECIDES),
+    (S.OBTAINING, I.DEVICE_ONBOARD): (S.OBTAINING, "", ACK_DECIDES),
+    (S.OBTAINING, I.LINK_LOST): (S.LOST, "link", NO_LINE),
+    (S.HELD, I.OBTAIN): (S.OBTAINING, "", ASK_AGAIN),
+    (S.HELD, I.OBTAINED): (S.HELD, "", NOT_ASKED),
+    (S.HELD, I.REFUSED): (S.HELD, "", NOT_ASKED),
+    (S.HELD, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
+    (S.HELD, I.RELEASED): (S.HELD, "", NOT_ASKED),
+    (S.HELD, I.NOTIFIED): (
+        S.PAUSED,
+        "unknown",
+        "2.2.3.2: RC or app took it, it does not say which; the pilot is the usual case",
+    ),
+    (S.HELD, I.RC_LEFT_F): (S.PAUSED, "mode_switch", "QS: out of F, API control is turned off"),
+    (S.HELD, I.RC_IN_F): (S.HELD, "", STILL_OURS),
+    (S.HELD, I.DEVICE_RC): (S.PAUSED, "mode_switch", "2.2.3.1 CTRL_DEVICE: the RC has control"),
+    (S.HELD, I.DEVICE_APP): (
+        S.LOST,
+        "app",
+        "2.2.2.1: the mobile API can interrupt ongoing onboard control",
+    ),
+    (S.HELD, I.DEVICE_ONBOARD): (S.HELD, "", STILL_OURS),
+    (S.HELD, I.LINK_LOST): (S.LOST, "link", NO_LINE),
+    (S.PAUSED, I.OBTAIN): (S.OBTAINING, "", ASK_AGAIN),
+    (S.PAUSED, I.OBTAINED): (S.PAUSED, "mode_switch", NOT_ASKED),
+    (S.PAUSED, I.REFUSED): (S.PAUSED, "mode_switch", NOT_ASKED),
+    (S.PAUSED, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
+    (S.PAUSED, I.RELEASED): (S.PAUSED, "mode_switch", NOT_ASKED),
+    (S.PAUSED, I.NOTIFIED): (S.PAUSED, "mode_switch", GONE_ALREADY),
+    (S.PAUSED, I.RC_LEFT_F): (S.PAUSED, "mode_switch", GONE_ALREADY),
+    (S.PAUSED, I.RC_IN_F): (
+        S.HELD,
+        "",
+        "QS: back in F the onboard application need not request again",
+    ),
+    (S.PAUSED, I.DEVICE_RC): (S.PAUSED, "mode_switch", GONE_ALREADY),
+    (S.PAUSED, I.DEVICE_APP): (S.LOST, "app", "2.2.2.1: the app has it now"),
+    (S.PAUSED, I.DEVICE_ONBOARD): (S.HELD, "", "2.2.3.1 CTRL_DEVICE: we have control again"),
+    (S.PAUSED, I.LINK_LOST): (S.LOST, "link", NO_LINE),
+    (S.LOST, I.OBTAIN): (S.OBTAINING, "", NEW_REQUEST),
+    (S.LOST, I.OBTAINED): (S.LOST, "app", NOT_ASKED),
+    (S.LOST, I.REFUSED): (S.LOST, "app", NOT_ASKED),
+    (S.LOST, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
+    (S.LOST, I.RELEASED): (S.LOST, "app", NOT_ASKED),
+    (S.LOST, I.NOTIFIED): (S.LOST, "app", GONE_ALREADY),
+    (S.LOST, I.RC_LEFT_F): (S.LOST, "app", GONE_ALREADY),
+    (S.LOST, I.RC_IN_F): (S.LOST, "app", NEW_REQUEST),
+    (S.LOST, I.DEVICE_RC): (S.LOST, "app", GONE_ALREADY),
+    (S.LOST, I.DEVICE_APP): (S.LOST, "app", GONE_ALREADY),
+    (S.LOST, I.DEVICE_ONBOARD): (S.LOST, "app", NEW_REQUEST),
+    (S.LOST, I.LINK_LOST): (S.LOST, "app", GONE_ALREADY),
+    (S.RELEASING, I.OBTAIN): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.OBTAINED): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.REFUSED): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.RELEASE): (S.RELEASING, "", "firmware 2.3 and 3.1 want the release twice"),
+    (S.RELEASING, I.RELEASED): (S.NONE, "released", "2.2.2.1: 0x0001, successfully released"),
+    (S.RELEASING, I.NOTIFIED): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.RC_LEFT_F): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.RC_IN_F): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.DEVICE_RC): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.DEVICE_APP): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.DEVICE_ONBOARD): (S.RELEASING, "", RELEASE_PENDING),
+    (S.RELEASING, I.LINK_LOST): (S.LOST, "link", NO_LINE),
+}
+
+# How a program really comes to each state; a state is nothing that one could set.
+WAY_TO: dict[AuthorityState, tuple[AuthorityInput, ...]] = {
+    S.NONE: (),
+    S.OBTAINING: (I.OBTAIN,),
+    S.HELD: (I.OBTAIN, I.OBTAINED),
+    S.PAUSED: (I.OBTAIN, I.OBTAINED, I.RC_LEFT_F),
+    S.LOST: (I.OBTAIN, I.OBTAINED, I.DEVICE_APP),
+    S.RELEASING: (I.OBTAIN, I.OBTAINED, I.RELEASE),
+}
+
+
+def authority_in(state: AuthorityState) -> Authority:
+    authority = Authority()
+    for what in WAY_TO[state]:
+        authority.feed(what)
+    assert authority.state is state
+    return authority
+
+
+@pytest.mark.parametrize("state", S, ids=lambda s: s.name)
+@pytest.mark.parametrize("what", I, ids=lambda i: i.name)
+def test_each_input_in_each_state_leads_where_the_document_says(
+    state: AuthorityState, what: AuthorityInput
+) -> None:
+    after, reason, why = EXPECTED[state, what]
+    authority = authority_in(state)
+    changed = authority.feed(what)
+    assert authority.state is after, why
+    assert authority.reason == reason, why
+    assert changed is (after is not state)
+
+
+def test_every_transition_of_the_code_stands_in_the_expectation() -> None:
+    in_code = {(s, i): after for s, row in TRANSITIONS.items() for i, after in row.items()}
+    changing = {pair: row[0] for pair, row in EXPECTED.items() if row[0] is not pair[0]}
+    assert in_code == changing
+    assert set(TRANSITIONS) == set(S)
+
+
+def test_nothing_but_an_ack_or_the_pilots_return_gives_authority() -> None:
+    into_held = {(s, i) for s, row in TRANSITIONS.items() for i, to in row.items() if to is S.HELD}
+    assert into_held == {
+        (S.OBTAINING, I.OBTAINED),
+        (S.PAUSED, I.RC_IN_F),
+        (S.PAUSED, I.DEVICE_ONBOARD),
+    }
+
+
+def test_each_change_is_reported_once_and_no_change_is_not() -> None:
+    seen: list[tuple[AuthorityState, AuthorityState]] = []
+    authority = Authority(lambda before, after: seen.append((before, after)))
+    for what in (I.OBTAIN, I.OBTAIN, I.OBTAINED, I.NOTIFIED, I.RC_LEFT_F, I.RC_IN_F, I.RC_IN_F):
+        authority.feed(what)
+    assert seen == [
+        (S.NONE, S.OBTAINING),
+        (S.OBTAINING, S.HELD),
+        (S.HELD, S.PAUSED),
+        (S.PAUSED, S.HELD),
+    ]
+
+
+# -- cross-checks --------------------------------------------------------------------------------
+
+
+def rc(mode: RcMode) -> RemoteControl:
+    return RemoteControl(0, 0, 0, 0, mode, -4545)
+
+
+def device(number: int) -> ControlDevice:
+    return ControlDevice(number, None)
+
+
+def test_a_mode_switch_that_was_never_seen_to_move_proves_nothing() -> None:
+    """No published source gives the channel values of the first firmware."""
+    authority = authority_in(S.HELD)
+    authority.observe_remote_control(rc(RcMode.P))
+    authority.observe_remote_control(rc(RcMode.P))
+    assert authority.state is S.HELD
+
+
+def test_mode_switch_seen_leaving_f_pauses_without_any_notification() -> None:
+    authority = authority_in(S.HELD)
+    authority.observe_remote_control(rc(RcMode.F))
+    authority.observe_remote_control(rc(RcMode.P))
+    assert (authority.state, authority.reason) == (S.PAUSED, "mode_switch")
+
+
+@pytest.mark.parametrize("away", [RcMode.P, RcMode.A])
+def test_mode_switch_seen_returning_to_f_gives_authority_back(away: RcMode) -> None:
+    authority = authority_in(S.HELD)
+    for mode in (RcMode.F, away, RcMode.F):
+        authority.observe_remote_control(rc(mode))
+    assert (authority.state, authority.reason) == (S.HELD, "")
+
+
+def test_turning_the_switch_between_p_and_a_is_no_return() -> None:
+    authority = authority_in(S.HELD)
+    for mode in (RcMode.F, RcMode.P, RcMode.A, RcMode.P):
+        authority.observe_remote_control(rc(mode))
+    assert authority.state is S.PAUSED
+
+
+def test_the_mode_switch_gives_the_notification_its_reason() -> None:
+    """The notification says nothing, and overtakes the channels by up to 20 ms."""
+    authority = authority_in(S.HELD)
+    authority.observe_remote_control(rc(RcMode.F))
+    authority.feed(I.NOTIFIED)
+    assert authority.reason == "unknown"
+    authority.observe_remote_control(rc(RcMode.F))  # made before the switch moved
+    assert (authority.state, authority.reason) == (S.PAUSED, "unknown")
+    authority.observe_remote_control(rc(RcMode.P))
+    assert (authority.state, authority.reason) == (S.PAUSED, "mode_switch")
+
+
+def test_a_switch_outside_f_explains_the_notification_even_if_it_was_never_seen_in_f() -> None:
+    authority = authority_in(S.HELD)
+    authority.feed(I.NOTIFIED)
+    authority.observe_remote_control(rc(RcMode.A))
+    assert (authority.state, authority.reason) == (S.PAUSED, "mode_switch")
+
+
+def test_the_control_device_item_tells_the_app_from_the_pilot() -> None:
+    authority = authority_in(S.HELD)
+    authority.feed(I.NOTIFIED)
+    authority.observe_control_device(device(1))
+    assert (authority.state, authority.reason) == (S.LOST, "app")
+
+
+def test_an_item_made_before_the_grant_takes_nothing_away() -> None:
+    authority = authority_in(S.HELD)
+    authority.observe_control_device(device(0))
+    assert authority.state is S.HELD
+
+
+def test_control_device_going_from_us_to_the_remote_controller_pauses() -> None:
+    authority = authority_in(S.HELD)
+    authority.observe_control_device(device(2))
+    authority.observe_control_device(device(0))
+    assert (authority.state, authority.reason) == (S.PAUSED, "mode_switch")
+    authority.observe_control_device(device(2))
+    assert authority.state is S.HELD
+
+
+@pytest.mark.parametrize("number", [3, 4, 5, 6, 7])
+def test_a_control_device_that_no_source_lists_changes_nothing(number: int) -> None:
+    authority = authority_in(S.HELD)
+    authority.observe_control_device(device(2))
+    authority.observe_control_device(device(number))
+    assert authority.state is S.HELD
+
+
+def test_the_request_bit_of_later_firmware_does_not_hide_the_device() -> None:
+    authority = authority_in(S.HELD)
+    authority.observe_control_device(device(0x08 | 1))
+    assert (authority.state, authority.reason) == (S.LOST, "app")
+
+
+# -- waiting -------------------------------------------------------------------------------------
+
+
+@pytest.mark.anyio
+async def test_waiting_for_the_present_state_returns_at_once() -> None:
+    await authority_in(S.HELD).wait_for(S.HELD)
+
+
+@pytest.mark.anyio
+async def test_waiting_ends_with_the_change_and_a_cancelled_wait_leaves_nothing_behind() -> None:
+    authority = authority_in(S.PAUSED)
+    waits = [asyncio.create_task(authority.wait_for(S.HELD)) for _ in range(2)]
+    await asyncio.sleep(0)
+    waits[0].cancel()
+    await asyncio.sleep(0)
+    authority.feed(I.RC_IN_F)
+    await waits[1]
+    assert waits[0].cancelled()
+    assert authority._waiters == []
