@@ -55,7 +55,7 @@ def types(session: nox.Session) -> None:
 @nox.session
 def docs(session: nox.Session) -> None:
     """The manual: every warning is an error, every example in it is run."""
-    session.install(PACKAGE, *group("docs"))
+    session.install(PACKAGE, *group("docs", "test"))  # m100link.testing needs pytest
     options = ("--nitpicky", "--fail-on-warning", "--keep-going", "--quiet")
     for builder in ("html", "doctest"):
         session.run("sphinx-build", *options, "-b", builder, "docs", f"{DOCS_OUTPUT}/{builder}")
