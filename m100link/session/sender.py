@@ -20,6 +20,7 @@ NO_ACK_SESSION = 0
 ACK_ONCE_SESSION = 1
 RELIABLE_SESSIONS = range(2, MAX_SESSION + 1)
 
+_REMEMBERED_UNANSWERED = 1024  # numbers per session that went unanswered one after the other
 _REMEMBERED = 256  # finished requests whose acks are still told apart from foreign ones
 
 
@@ -28,7 +29,7 @@ class _Request:
     token: int
     data: bytes
     mode: SessionMode
-    encrypted: bool
+    cipher: Cipher | None
     timeout: float
     tries_left: int
     session: int = -1
@@ -62,7 +63,7 @@ class Sender:
         self._by_token: dict[int, _Request] = {}
         self._waiting: OrderedDict[int, _Request] = OrderedDict()
         self._free = list(RELIABLE_SESSIONS)
-        self._last_sequence: dict[int, int] = {}
+        self._taken: dict[int, set[int]] = {}
         self._finished: OrderedDict[tuple[int, int], bool] = OrderedDict()
         self._output: deque[bytes] = deque()
         self._events: deque[Expired] = deque()
@@ -121,9 +122,10 @@ class Sender:
                 remedy="use tries=1, or SessionMode.RELIABLE",
             )
         # Encoded once here, so that a payload that cannot be sent fails before it takes a session.
-        encode_frame(data, session=0, sequence=0, cipher=self._cipher_for(encrypted))
+        cipher = self._cipher_for(encrypted)
+        encode_frame(data, session=0, sequence=0, cipher=cipher)
         self._tokens += 1
-        request = _Request(self._tokens, data, mode, encrypted, timeout, tries)
+        request = _Request(self._tokens, data, mode, cipher, timeout, tries)
         self._by_token[request.token] = request
         if mode is SessionMode.ACK_ONCE:
             self._begin(request, ACK_ONCE_SESSION, now)
@@ -159,6 +161,7 @@ class Sender:
                 self.statistics.late_acks += 1
             return None
         self._retire(request, was_answered=True)
+        self._taken[frame.session] = {frame.sequence}
         self._begin_waiting(now)
         if request.is_abandoned:
             self.statistics.late_acks += 1
@@ -225,7 +228,7 @@ class Sender:
             request.data,
             session=session,
             sequence=request.sequence,
-            cipher=self.cipher if request.encrypted else None,
+            cipher=request.cipher,
         )
         self._in_flight[session, request.sequence] = request
         self.statistics.requests += 1
@@ -249,13 +252,20 @@ class Sender:
             self._free.append(request.session)
 
     def _next_sequence(self, session: int) -> int:
-        """One counter for all sessions; never the number that a session used last."""
+        """One counter for all sessions, but no number that the other end may remember.
+
+        It remembers one per session: the last that it acked, or one sent since whose ack was lost.
+        """
+        taken: set[int] = set()
+        if session != NO_ACK_SESSION:
+            taken = self._taken.setdefault(session, set())
         while True:
             sequence = self._sequence
             self._sequence = (sequence + 1) & 0xFFFF
-            is_repeat = session != NO_ACK_SESSION and self._last_sequence.get(session) == sequence
-            if not is_repeat and (session, sequence) not in self._in_flight:
+            if sequence not in taken and (session, sequence) not in self._in_flight:
                 break
+        if len(taken) >= _REMEMBERED_UNANSWERED:
+            taken.clear()  # nobody is there, and memory is bounded
+        taken.add(sequence)
         self._finished.pop((session, sequence), None)
-        self._last_sequence[session] = sequence
         return sequence
