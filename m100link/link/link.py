@@ -438,6 +438,10 @@ async def open_link(
     address = url if isinstance(url, Address) else parse_url(url, baud_rate=baud_rate)
     link = Link(on_received=on_received, on_lost=on_lost, first_sequence=first_sequence)
     link.name = str(address)
-    await open_transport(address, link)
-    await link.wait_connected()
+    transport = await open_transport(address, link)
+    try:
+        await link.wait_connected()
+    except BaseException:
+        transport.abort()
+        raise
     return link
