@@ -243,18 +243,20 @@ class Autopilot:
         else:
             reply = self._commands.execute(frame)
             if reply is not None:
-                encrypted = False if reply.plain else None
-                if self.endpoint.cipher is None:
-                    encrypted = False
+                encrypted = frame.encrypted and not reply.plain
                 self.endpoint.acknowledge(frame, reply.payload, now=now, encrypted=encrypted)
 
     def _is_readable(self, frame: Frame) -> bool:
-        return self.endpoint.cipher is not None and self._commands.knows(frame.data)
+        return self._has_key and self._commands.knows(frame.data)
+
+    @property
+    def _has_key(self) -> bool:
+        return self.endpoint.receiver.cipher is not None  # the decoder's may be the stand-in
 
     def _answer_undecodable(self, frame: Frame, now: float) -> None:
         self.counters.undecodable += 1
         code: int = SystemCode.NOT_SUPPORTED
-        if self.endpoint.cipher is None and len(frame.data) == _ACTIVATION_SIZE:
+        if not self._has_key and len(frame.data) == _ACTIVATION_SIZE:
             code = ActivationCode.ENCRYPTED  # unreadable, but no other command is that long
         elif self.settings.undecodable is Undecodable.SILENCE:
             return

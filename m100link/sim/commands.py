@@ -136,9 +136,14 @@ class Commands:
         if handler is None or address is None:
             reply: Reply | None = _code(SystemCode.NOT_SUPPORTED)
         else:
-            reply = self._gate(address, frame) or handler(frame)
-            if reply is not None and address in _WITHOUT_ACK:
+            reply = self._gate(address, frame)
+            if reply is None:
+                reply = handler(frame)
+            elif address in _WITHOUT_ACK:
                 reply = None
+                if address == Move.ADDRESS:
+                    self._autopilot.counters.movements += 1
+                    self._autopilot.counters.ignored_movements += 1
         if address != Move.ADDRESS:
             code = int.from_bytes(reply.payload[:2], "little") if reply else None
             self._note(frame, address, code)
@@ -246,6 +251,7 @@ class Commands:
             try:
                 move = Move.parse(value, self._profile)
             except ValueError:
+                autopilot.counters.movements += 1
                 autopilot.counters.ignored_movements += 1
                 return
             try:

@@ -39,7 +39,7 @@ class Host:
 
     def __init__(self, aircraft: VirtualAircraft | None = None, **options: Any) -> None:
         self.aircraft = aircraft or VirtualAircraft(**options)
-        print(self.aircraft)
+        print(self.aircraft)  # noqa: T201 (the seed, for tests that fail)
         self.autopilot = self.aircraft.autopilot
         self.profile = self.autopilot.profile
         self.now = 0.0
@@ -98,9 +98,7 @@ class Host:
 
     # --- commands ---------------------------------------------------------------------------
 
-    def ask(
-        self, command: Command, *, encrypted: bool | None = None, session: int = 2
-    ) -> int | Any | None:
+    def ask(self, command: Command, *, encrypted: bool | None = None, session: int = 2) -> Any:
         """Send a command and return its parsed ack, None if there is none."""
         ack = self.ask_raw(command.encode(self.profile), encrypted=encrypted, session=session)
         return None if ack is None else command.parse_ack(ack.data)

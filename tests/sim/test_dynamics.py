@@ -198,9 +198,7 @@ def test_ground_frame_tracks_ignore_the_heading(yaw_deg: float, horizontal: Hori
     a, b = (0.05, -0.1) if horizontal is Horizontal.TILT else (3.0, 1.0)
     for each in (motion, reference):
         run(each, Guidance(horizontal, a, b), 4.0)
-    assert (motion.north, motion.east) == pytest.approx(
-        (reference.north, reference.east), abs=0.03
-    )
+    assert (motion.north, motion.east) == pytest.approx((reference.north, reference.east), abs=0.03)
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 37, 90, 180, -135])
@@ -263,11 +261,13 @@ def test_velocity_is_the_sum_of_acceleration_and_position_that_of_velocity() -> 
                     acceleration * STEP_S, abs=1e-12
                 )
                 moved = (motion.north, motion.east, motion.height)[index] - place[index]
-                assert moved == pytest.approx((before[index] + after[index]) / 2 * STEP_S, abs=1e-12)
+                assert moved == pytest.approx(
+                    (before[index] + after[index]) / 2 * STEP_S, abs=1e-12
+                )
 
 
 def test_thrust_along_the_body_axis_makes_the_acceleration() -> None:
-    """Rotating the thrust by the quaternion gives what the velocities show, less gravity and drag."""
+    """Thrust rotated by the quaternion gives what the velocities show, less gravity and drag."""
     motion = hovering()
     for guidance in wild_flight():
         for _ in range(150):
