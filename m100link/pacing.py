@@ -8,6 +8,7 @@ import math
 import os
 import sys
 import time
+import weakref
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -111,7 +112,8 @@ class Alarm:
             self._fd = _create_timer()
         self._waiter: asyncio.Future[None] | None = None
         if self._fd >= 0:
-            self._loop.add_reader(self._fd, self._on_alarm)
+            # The loop must not keep it alive: a Ticker has no end that its user would mark.
+            self._loop.add_reader(self._fd, _ring, weakref.ref(self))
 
     async def sleep_until(self, deadline: float) -> None:
         """Return at ``deadline`` or a little later; at once when it has passed."""
@@ -159,9 +161,14 @@ class Alarm:
         self.close()
 
     def __del__(self) -> None:
-        # A Ticker has no end that its user would mark; the descriptor goes with it.
         if getattr(self, "_fd", -1) >= 0:
             self.close()
+
+
+def _ring(reference: weakref.ref[Alarm]) -> None:
+    alarm = reference()
+    if alarm is not None:
+        alarm._on_alarm()
 
 
 class _Timespec(ctypes.Structure):

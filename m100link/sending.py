@@ -19,14 +19,22 @@ SETPOINT_LIFETIME = 0.2
 NEUTRAL_TIME = 0.3
 """Seconds of neutral after a setpoint expired; then silence, on which the aircraft hovers."""
 
+_SLACK = 0.1
+"""Part of a period by which a program that ticks itself may be early or late on our grid."""
+
 
 class SetpointLoop:
     """Sends the present setpoint at a steady rate until it expires.
 
-    A setpoint goes out at once when the last transmission is a period ago, and is repeated each
-    period until it is renewed, replaced, or expires. After expiry: the mode's neutral for a
-    moment, then silence. Nothing older than its lifetime is ever repeated, and there is never more
-    than one frame per period.
+    A setpoint goes out at once when the last transmission is a period ago, else at the end of that
+    period, and is repeated each period until it is renewed, replaced, or expires. After expiry: the
+    mode's neutral for a moment, then silence. Nothing older than its lifetime is ever repeated.
+
+    Time is cut into periods, and no period gets two frames, however often the program sends: faster
+    than 50 Hz the autopilot is said to ignore commands at random. A program that ticks at the same
+    rate jitters around our grid; so what comes a little early goes out at once, and while a
+    program renews, repeating waits that little for it. Otherwise every frame would carry the
+    value of the tick before.
 
     Args:
         send: Puts a setpoint on the line.
@@ -44,6 +52,7 @@ class SetpointLoop:
         self._expires_at = 0.0
         self._silent_at = 0.0
         self._next_at = float("-inf")
+        self._is_renewed = False
         self._news = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
         self.sent = 0
@@ -63,10 +72,14 @@ class SetpointLoop:
         self._period = period
         self._expires_at = now + lifetime
         self._silent_at = self._expires_at + NEUTRAL_TIME
-        # A program that ticks at the full rate itself jitters around our grid: what is due within
-        # half a period is sent now instead of a moment later.
-        if now >= self._next_at - period / 2:
-            self._transmit(setpoint, now)
+        self._is_renewed = True
+        self._send_if_due(now)
+
+    def _send_if_due(self, now: float) -> None:
+        """Send now unless this period has had its frame; the task sends it when the next begins."""
+        assert self._setpoint is not None
+        if now >= self._next_at - _SLACK * self._period:
+            self._transmit(self._setpoint, now)
         if self._task is None:
             self._task = asyncio.create_task(self._run(), name="m100link setpoints")
         self._news.set()
@@ -78,8 +91,8 @@ class SetpointLoop:
             self._setpoint = self._setpoint.neutral()
             self._expires_at = now
             self._silent_at = now + NEUTRAL_TIME
-            self._transmit(self._setpoint, now)
-            self._news.set()
+            self._is_renewed = False
+            self._send_if_due(now)
 
     def silence(self) -> None:
         """Send nothing more until the next setpoint."""
@@ -95,8 +108,8 @@ class SetpointLoop:
 
     def _transmit(self, setpoint: Setpoint, now: float) -> None:
         # The grid is kept through small lateness and taken up anew after a gap: no drift, no burst.
-        late = now - self._next_at
-        self._next_at = (self._next_at if 0 <= late < self._period else now) + self._period
+        is_on_grid = abs(now - self._next_at) < self._period / 2
+        self._next_at = (self._next_at if is_on_grid else now) + self._period
         self.sent += 1
         self._send(setpoint)
 
@@ -107,9 +120,11 @@ class SetpointLoop:
                     self._news.clear()
                     await self._news.wait()
                     continue
-                if self._loop.time() < self._next_at:
-                    await alarm.sleep_until(self._next_at)
+                due = self._next_at + (_SLACK * self._period if self._is_renewed else 0.0)
+                if self._loop.time() < due:
+                    await alarm.sleep_until(due)
                     continue  # the program may have sent one itself meanwhile
+                self._is_renewed = False
                 self._repeat(self._loop.time())
                 # A send that blocks for longer than a period must not starve the other tasks.
                 await asyncio.sleep(0)

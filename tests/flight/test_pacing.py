@@ -1,0 +1,213 @@
+"""Ticks: absolute deadlines, missed ones skipped and counted, never early, never a burst."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import time
+from itertools import islice, pairwise
+from pathlib import Path
+
+import pytest
+
+from m100link.errors import UsageError
+from m100link.pacing import MAX_RATE_HZ, Alarm, Tick, Ticker
+from m100link.sim import VirtualClockEventLoop
+
+pytestmark = pytest.mark.anyio
+
+
+def virtual_loop() -> VirtualClockEventLoop:
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualClockEventLoop)
+    return loop
+
+
+def block(seconds: float) -> None:
+    """What a blocking call does to the loop: time passes and nothing runs."""
+    virtual_loop()._jumping.now += seconds
+
+
+async def take(ticker: Ticker, count: int) -> list[Tick]:
+    ticks: list[Tick] = []
+    async for tick in ticker:
+        ticks.append(tick)
+        if len(ticks) == count:
+            break
+    return ticks
+
+
+async def test_ten_minutes_at_50_hz_are_exactly_30000_ticks_without_drift() -> None:
+    start = virtual_loop().time()
+    ticks = await take(Ticker(50), 30_001)
+    assert ticks[-1].index == 30_000
+    assert ticks[-1].missed == 0
+    assert virtual_loop().time() - start == pytest.approx(600.0, abs=1e-6)
+
+
+async def test_first_tick_comes_at_once() -> None:
+    ticker = Ticker(10)
+    await asyncio.sleep(1.0)
+    before = virtual_loop().time()
+    (tick,) = await take(ticker, 1)
+    assert virtual_loop().time() == before
+    assert tick == Tick(index=0, elapsed=0.0, missed=0, lateness=0.0)
+
+
+async def test_deadlines_are_absolute_work_does_not_shift_them() -> None:
+    times = []
+    async for tick in Ticker(50):
+        times.append(virtual_loop().time())
+        await asyncio.sleep(0.013)  # work of the caller
+        if tick.index == 500:
+            break
+    assert times[-1] - times[0] == pytest.approx(10.0, abs=1e-6)
+
+
+async def test_a_stall_of_six_and_a_half_periods_is_one_gap_and_counted_not_a_burst() -> None:
+    ticker = Ticker(50)
+    times, ticks = [], []
+    async for tick in ticker:
+        times.append(virtual_loop().time())
+        ticks.append(tick)
+        if tick.index == 10:
+            block(6.5 * 0.02)
+        if tick.index >= 30:
+            break
+    gaps = [later - earlier for earlier, later in pairwise(times)]
+    assert [tick.index for tick in ticks][10:13] == [10, 17, 18]
+    assert ticks[11].missed == 6
+    assert ticker.missed == 6
+    assert gaps[10] == pytest.approx(0.14)
+    assert min(gaps) == pytest.approx(0.02)
+    assert ticks[11].elapsed == pytest.approx(17 * 0.02)
+
+
+async def test_less_than_a_period_late_is_made_up_for_on_the_grid() -> None:
+    times = []
+    async for tick in Ticker(50):
+        times.append(virtual_loop().time())
+        if tick.index == 5:
+            block(0.03)  # tick 6 is 10 ms late, tick 7 on time
+        if tick.index == 8:
+            break
+    gaps = [round(later - earlier, 6) for earlier, later in pairwise(times)]
+    assert gaps == [0.02] * 5 + [0.03, 0.01, 0.02]
+
+
+async def test_lateness_is_measured_from_the_deadline() -> None:
+    latenesses = []
+    async for tick in Ticker(50):
+        latenesses.append(round(tick.lateness, 6))
+        if tick.index == 1:
+            block(0.025)
+        if tick.index == 3:
+            break
+    assert latenesses == [0.0, 0.0, 0.005, 0.0]
+
+
+async def test_a_consumer_that_is_always_late_does_not_starve_others() -> None:
+    others = 0
+
+    async def other() -> None:
+        nonlocal others
+        while True:
+            await asyncio.sleep(0.001)
+            others += 1
+
+    task = asyncio.create_task(other())
+    async for tick in Ticker(50):
+        block(0.1)
+        if tick.index > 50:
+            break
+    task.cancel()
+    assert others >= 10
+
+
+@pytest.mark.parametrize(
+    "rate", [0, -1, 50.0001, 100, float("nan"), float("inf")], ids=lambda r: f"{r:g}"
+)
+async def test_a_rate_that_the_autopilot_does_not_take_is_refused(rate: float) -> None:
+    with pytest.raises(UsageError, match="up to 50 Hz"):
+        Ticker(rate)
+
+
+async def test_slow_rates_are_fine() -> None:
+    start = virtual_loop().time()
+    await take(Ticker(0.1), 3)
+    assert virtual_loop().time() - start == pytest.approx(20.0)
+
+
+async def test_cancelling_a_wait_leaves_the_ticker_usable() -> None:
+    ticker = Ticker(1)
+    await take(ticker, 1)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.5):
+            await anext(ticker)
+    tick = await anext(ticker)
+    assert tick.missed + tick.index >= 1
+
+
+class TestOnTheRealClock:
+    """The timerfd path, where there is one. Real time, some tens of milliseconds."""
+
+    @pytest.fixture
+    def anyio_backend(self) -> object:
+        return "asyncio"
+
+    async def test_never_early(self) -> None:
+        loop = asyncio.get_running_loop()
+        start = loop.time()
+        async for tick in Ticker(MAX_RATE_HZ):
+            assert loop.time() >= start + tick.index * 0.02
+            assert tick.lateness >= 0
+            if tick.index >= 10:
+                break
+
+    async def test_an_alarm_in_the_past_rings_at_once(self) -> None:
+        with Alarm() as alarm:
+            loop = asyncio.get_running_loop()
+            await alarm.sleep_until(loop.time() - 1)
+            await alarm.sleep_until(loop.time())
+
+    async def test_an_alarm_survives_cancellation_and_rings_at_its_next_time(self) -> None:
+        loop = asyncio.get_running_loop()
+        with Alarm() as alarm:
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(0.01):
+                    await alarm.sleep_until(loop.time() + 0.02)
+            deadline = loop.time() + 0.03
+            await alarm.sleep_until(deadline)
+            assert loop.time() >= deadline
+
+    @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="needs /proc")
+    async def test_tickers_that_are_dropped_give_their_timer_back(self) -> None:
+        """A program makes one per leg of a flight; a descriptor each would end it after a day."""
+
+        def descriptors() -> int:
+            return len(os.listdir("/proc/self/fd"))  # noqa: PTH208 (counting only)
+
+        await take(Ticker(50), 1)
+        gc.collect()
+        before = descriptors()
+        for _ in range(20):
+            await take(Ticker(50), 1)
+        gc.collect()
+        assert descriptors() <= before
+
+    async def test_a_blocking_stall_gives_no_burst(self) -> None:
+        loop = asyncio.get_running_loop()
+        times = []
+        async for tick in Ticker(50):
+            times.append(loop.time())
+            if tick.index == 2:
+                time.sleep(0.07)  # noqa: ASYNC251 (the fault that is tested)
+            if len(times) == 6:
+                break
+        after_stall = times[3:]
+        gaps = [later - earlier for earlier, later in pairwise(after_stall)]
+        assert max(islice(gaps, 2)) < 0.2
+        # Two ticks in one period would be a burst; the one right after a stall may come late and
+        # the next one on its grid point.
+        assert times[-1] - times[3] > 0.02

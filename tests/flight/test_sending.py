@@ -1,0 +1,282 @@
+"""The task that sends setpoints: once per period, never stale, neutral, then silence."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from itertools import pairwise
+
+import pytest
+
+from m100link.protocol.setpoint import Frame, Setpoint
+from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
+from m100link.sim import VirtualClockEventLoop
+
+pytestmark = pytest.mark.anyio
+
+PERIOD = 0.02
+NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+EAST = Setpoint.velocity(north=0.0, east=1.0, up=0.0, yaw_rate_deg_s=0.0)
+STILL = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+class Rig:
+    """A setpoint loop and what it put on the line, with times."""
+
+    def __init__(self) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.frames: list[tuple[float, Setpoint]] = []
+        self.setpoints = SetpointLoop(self._send)
+
+    def _send(self, setpoint: Setpoint) -> bool:
+        self.frames.append((self.loop.time(), setpoint))
+        return True
+
+    def set(self, setpoint: Setpoint, *, lifetime: float = SETPOINT_LIFETIME) -> None:
+        self.setpoints.set(setpoint, lifetime=lifetime)
+
+    @property
+    def times(self) -> list[float]:
+        return [time for time, _ in self.frames]
+
+    @property
+    def gaps(self) -> list[float]:
+        return [later - earlier for earlier, later in pairwise(self.times)]
+
+    def during(self, start: float, end: float) -> list[Setpoint]:
+        return [setpoint for time, setpoint in self.frames if start <= time < end]
+
+
+@pytest.fixture
+async def rig() -> AsyncIterator[Rig]:
+    rig = Rig()
+    yield rig
+    await rig.setpoints.stop()
+
+
+async def test_a_setpoint_goes_out_at_once(rig: Rig) -> None:
+    await asyncio.sleep(1.0)
+    rig.set(NORTH)
+    assert rig.frames == [(1.0, NORTH)]
+
+
+async def test_it_is_repeated_at_50_hz_for_its_lifetime_then_neutral_then_silence(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=0.19)
+    await asyncio.sleep(5.0)
+    sent = [setpoint for _, setpoint in rig.frames]
+    assert sent[:10] == [NORTH] * 10
+    assert sent[10:] == [STILL] * round(NEUTRAL_TIME / PERIOD)
+    assert rig.times[9] < 0.19
+    assert rig.times[-1] < 0.19 + NEUTRAL_TIME
+    assert rig.setpoints.current is None
+    assert rig.setpoints.expired == 1
+    assert rig.setpoints.sent == len(sent)
+
+
+async def test_nothing_older_than_its_lifetime_is_ever_sent(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=0.05)
+    await asyncio.sleep(1.0)
+    assert max(time for time, setpoint in rig.frames if setpoint == NORTH) < 0.05
+
+
+async def test_expiry_is_told(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        rig.set(NORTH)
+        await asyncio.sleep(1.0)
+    assert [record.message for record in caplog.records] == [
+        "a setpoint was not renewed in time: sending neutral"
+    ]
+
+
+async def test_a_neutral_setpoint_that_runs_out_is_no_expiry(rig: Rig) -> None:
+    rig.set(STILL)
+    await asyncio.sleep(1.0)
+    assert rig.setpoints.expired == 0
+
+
+async def test_renewal_keeps_it_going(rig: Rig) -> None:
+    for _ in range(10):
+        rig.set(NORTH)
+        await asyncio.sleep(0.19)
+    assert {setpoint for _, setpoint in rig.frames} == {NORTH}
+    assert rig.gaps == pytest.approx([PERIOD] * len(rig.gaps), abs=0.2 * PERIOD)
+
+
+async def test_ten_minutes_of_a_held_setpoint_are_30000_frames_without_drift(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=600.0)
+    await asyncio.sleep(600.0 - PERIOD / 2)
+    assert len(rig.frames) in (29_999, 30_000, 30_001)
+    assert rig.times[-1] - rig.times[2] == pytest.approx((len(rig.frames) - 3) * PERIOD, abs=1e-6)
+    assert rig.gaps[2:] == pytest.approx([PERIOD] * len(rig.gaps[2:]), abs=1e-6)
+
+
+@pytest.mark.parametrize("interval", [0.001, 0.003, 0.005, 0.01, 0.015, 0.017, 0.019, 0.0199])
+async def test_a_program_that_sends_faster_than_50_hz_does_not_raise_the_rate(
+    rig: Rig, interval: float
+) -> None:
+    """At 100 Hz the autopilot of a user's aircraft ignored commands at random."""
+    steps = round(2.0 / interval)
+    for step in range(steps):
+        rig.set(NORTH if step % 2 else EAST)
+        await asyncio.sleep(interval)
+    assert len(rig.frames) <= 2.0 / PERIOD + 1
+    assert min(rig.gaps) >= 0.8 * PERIOD - 1e-9
+
+
+async def test_between_two_frames_the_newest_setpoint_wins(rig: Rig) -> None:
+    rig.set(NORTH)
+    await asyncio.sleep(0.005)
+    rig.set(STILL)
+    rig.set(EAST)
+    await asyncio.sleep(0.02)
+    assert [setpoint for _, setpoint in rig.frames] == [NORTH, EAST]
+
+
+@pytest.mark.parametrize("lateness", [0.0, 0.0005, 0.0015], ids=["exact", "0.5 ms", "1.5 ms"])
+async def test_a_program_that_ticks_at_50_hz_itself_is_never_a_period_stale(
+    rig: Rig, lateness: float
+) -> None:
+    """What goes out is what the program has just set, not its value of the tick before."""
+    ages = []
+    for step in range(100):
+        await asyncio.sleep(max(0.0, step * PERIOD + (step % 2) * lateness - rig.loop.time()))
+        set_at = rig.loop.time()
+        count = len(rig.frames)
+        rig.set(Setpoint.velocity(north=step / 100, east=0.0, up=0.0, yaw_rate_deg_s=0.0))
+        ages.append(rig.loop.time() - set_at if len(rig.frames) > count else PERIOD)
+    assert max(ages) == 0.0
+    assert len(rig.frames) == 100
+
+
+async def test_a_blocked_program_makes_a_gap_not_a_burst(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=10.0)
+    await asyncio.sleep(0.1)
+    loop = rig.loop
+    assert isinstance(loop, VirtualClockEventLoop)
+    loop._jumping.now += 0.13  # time passes and nothing runs
+    await asyncio.sleep(0.2)
+    assert sum(gap > 1.5 * PERIOD for gap in rig.gaps) == 1
+    assert min(rig.gaps) >= 0.5 * PERIOD - 1e-9
+
+
+async def test_a_program_blocked_beyond_the_lifetime_sends_neutral_not_the_old_setpoint(
+    rig: Rig,
+) -> None:
+    rig.set(NORTH)
+    await asyncio.sleep(0.05)
+    loop = rig.loop
+    assert isinstance(loop, VirtualClockEventLoop)
+    loop._jumping.now += 0.3
+    blocked_until = loop.time()
+    await asyncio.sleep(1.0)
+    late = rig.during(blocked_until, 99)
+    assert set(late) == {STILL}
+    assert late
+
+
+async def test_blocked_beyond_everything_it_stays_silent(rig: Rig) -> None:
+    rig.set(NORTH)
+    await asyncio.sleep(0.05)
+    loop = rig.loop
+    assert isinstance(loop, VirtualClockEventLoop)
+    loop._jumping.now += 10.0
+    count = len(rig.frames)
+    await asyncio.sleep(1.0)
+    assert len(rig.frames) == count
+
+
+async def test_neutralise_replaces_the_setpoint_from_now_on_and_falls_silent(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=10.0)
+    await asyncio.sleep(0.105)
+    at = rig.loop.time()
+    rig.setpoints.neutralise()
+    await asyncio.sleep(1.0)
+    assert rig.during(at, at + PERIOD) == [STILL]
+    assert set(rig.during(at, 99)) == {STILL}
+    assert rig.times[-1] < at + NEUTRAL_TIME + 1e-9
+    assert rig.setpoints.expired == 0
+
+
+async def test_neutralise_goes_out_at_once_when_its_period_has_had_no_frame(rig: Rig) -> None:
+    rig.setpoints.set(NORTH, lifetime=10.0, period=1.0)
+    await asyncio.sleep(0.95)
+    rig.setpoints.neutralise()
+    assert rig.frames[-1] == (0.95, STILL)
+
+
+async def test_entering_and_leaving_at_any_pace_keeps_to_one_frame_per_period(rig: Rig) -> None:
+    for _ in range(1000):
+        rig.set(NORTH)
+        await asyncio.sleep(0.001)
+        rig.setpoints.neutralise()
+    assert len(rig.frames) <= 1.0 / PERIOD + 1
+
+
+async def test_neutralise_in_silence_sends_nothing(rig: Rig) -> None:
+    rig.setpoints.neutralise()
+    await asyncio.sleep(1.0)
+    assert rig.frames == []
+
+
+async def test_silence_is_at_once_and_a_new_setpoint_breaks_it(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=10.0)
+    await asyncio.sleep(0.1)
+    rig.setpoints.silence()
+    count = len(rig.frames)
+    await asyncio.sleep(5.0)
+    assert len(rig.frames) == count
+    rig.set(EAST)
+    assert rig.frames[-1] == (rig.loop.time(), EAST)
+    await asyncio.sleep(0.1)
+    assert rig.frames[-1][1] == EAST
+    assert len(rig.frames) > count + 3
+
+
+async def test_a_slower_rate_is_kept(rig: Rig) -> None:
+    rig.setpoints.set(NORTH, lifetime=10.0, period=0.1)
+    await asyncio.sleep(1.95)
+    assert len(rig.frames) == 20
+    assert rig.gaps == pytest.approx([0.1] * 19, abs=0.011)
+
+
+async def test_stop_ends_the_task_and_may_be_called_twice(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=10.0)
+    await rig.setpoints.stop()
+    await rig.setpoints.stop()
+    count = len(rig.frames)
+    await asyncio.sleep(1.0)
+    assert len(rig.frames) == count
+    names = {task.get_name() for task in asyncio.all_tasks()}
+    assert "m100link setpoints" not in names
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "neutral"),
+    [
+        (
+            Setpoint.tilt(roll_deg=5, pitch_deg=-3, thrust_percent=60, yaw_rate_deg_s=10),
+            Setpoint.tilt(roll_deg=0, pitch_deg=0, up=0, yaw_rate_deg_s=0),
+        ),
+        (
+            Setpoint.tilt(roll_deg=5, pitch_deg=0, height=9, yaw_deg=10, frame=Frame.GROUND),
+            Setpoint.tilt(roll_deg=0, pitch_deg=0, up=0, yaw_rate_deg_s=0, frame=Frame.GROUND),
+        ),
+        (
+            Setpoint.velocity(forward=3, right=1, height=9, yaw_deg=10, stable=True),
+            Setpoint.velocity(forward=0, right=0, up=0, yaw_rate_deg_s=0, stable=True),
+        ),
+        (
+            Setpoint.position_offset(north=3, east=1, up=2, yaw_deg=10),
+            Setpoint.position_offset(north=0, east=0, up=0, yaw_rate_deg_s=0),
+        ),
+    ],
+    ids=["thrust", "tilt", "velocity", "position"],
+)
+async def test_the_neutral_keeps_horizontal_mode_and_frame_and_nothing_else(
+    rig: Rig, setpoint: Setpoint, neutral: Setpoint
+) -> None:
+    rig.set(setpoint)
+    await asyncio.sleep(1.0)
+    assert rig.frames[0][1] == setpoint
+    assert rig.frames[-1][1] == neutral
