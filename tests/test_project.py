@@ -15,6 +15,7 @@ import pytest
 
 import m100link
 from m100link import errors
+from m100link.cli.app import app as cli
 from m100link.sim import VirtualClockEventLoop
 
 ROOT = Path(__file__).parent.parent
@@ -63,6 +64,13 @@ def test_links_of_the_front_pages_lead_somewhere(page: str) -> None:
     assert targets
     missing = [t for t in targets if "://" not in t and not (ROOT / t).exists()]
     assert not missing
+
+
+def test_verbs_that_the_readme_names_exist() -> None:
+    [line] = re.findall(r"^- A command line: (.*)$", README, re.MULTILINE)
+    named = {word.removeprefix("m100link ") for word in re.findall(r"`([^`]+)`", line)}
+    assert named
+    assert named <= set(cli)
 
 
 def test_ci_runs_the_command_of_the_readme() -> None:

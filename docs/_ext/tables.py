@@ -11,7 +11,7 @@ Each directive takes its rows from one object of the package::
     ```{discard-table}                    causes for which the decoder discards
     ```{url-examples}                     connection strings that work
     ```{authority-table}                  transitions of control authority
-    ```{cli-help} decode                  what `m100link decode --help` says
+    ```{cli-help}                         what `m100link … --help` says, for every verb
     ```{errata-index}                     links to the numbered errata
 """
 
@@ -59,8 +59,9 @@ class TableDirective(SphinxDirective):
         table = nodes.table(classes=["colwidths-auto"])
         group = nodes.tgroup(cols=len(head))
         table += group
-        for _ in head:
-            group += nodes.colspec(colwidth=1)
+        for column in zip(head, *body, strict=True):
+            # Browsers see to the widths themselves; builders for text need some.
+            group += nodes.colspec(colwidth=min(40, max(map(len, column)) + 1))
         group += nodes.thead("", _row(head))
         group += nodes.tbody("", *map(_row, body))
         return [table]
@@ -272,18 +273,22 @@ class UrlExamples(SphinxDirective):
 
 
 class CliHelp(SphinxDirective):
-    """The help text of a verb, as the terminal shows it."""
-
-    required_arguments = 1
-    final_argument_whitespace = True
+    """The help text of every verb, as the terminal shows it."""
 
     def run(self) -> list[nodes.Node]:
-        """A literal block."""
+        """One section per verb, in alphabetical order."""
+        return [self._section(verb) for verb in sorted(cli) if not verb.startswith("-")]
+
+    @staticmethod
+    def _section(verb: str) -> nodes.section:
         text = io.StringIO()
         console = Console(file=text, width=92, force_terminal=False, color_system=None)
-        cli.help_print(self.arguments[0].split(), console=console)
+        cli.help_print([verb], console=console)
         lines = [line.rstrip() for line in text.getvalue().strip().splitlines()]
-        return [nodes.literal_block(text="\n".join(lines), language="text")]
+        section = nodes.section(ids=[f"verb-{verb}"], names=[f"verb-{verb}"])
+        section += nodes.title(text=verb)
+        section += nodes.literal_block(text="\n".join(lines), language="text")
+        return section
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
