@@ -138,14 +138,8 @@ _FIELDS += ["fragment_size", "compression", "level", "num", "total", "data"]
 _NAMES = st.sampled_from(["/height", "steer", "/joy", "/task", "std_msgs/Float32"])
 _OPERATIONS = st.sampled_from(
     [
-        "advertise",
-        "unadvertise",
-        "publish",
-        "subscribe",
-        "unsubscribe",
-        "call_service",
-        "fragment",
-        "set_level",
+        *("advertise", "unadvertise", "publish", "subscribe", "unsubscribe"),
+        *("call_service", "fragment", "set_level"),
     ]
 )
 

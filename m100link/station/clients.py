@@ -1,0 +1,183 @@
+"""The leases of rosbridge clients: taken by opening control, alive as long as the socket.
+
+A rosbridge client of 2015 knows nothing of leases. Opening control takes the lease if it is free;
+it ends when the client closes control or its socket is gone. Newer clients use the service
+``/m100link/lease``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any
+
+from m100link.errors import M100Error, NoAuthority
+from m100link.station.graph import Call, Graph
+from m100link.station.lease import Lease, LeaseRefused
+from m100link.station.rosbridge import Session
+from m100link.station.station import Station
+
+__all__ = ["Clients"]
+
+_RENEWAL = 0.5
+_COMPLAINT_PAUSE = 1.0
+_LEASE, _COMPLAINED_AT = "lease", "complained at"
+
+
+class Clients:
+    """Which rosbridge client holds the lease.
+
+    Args:
+        station: The station.
+        graph: Where the clients are.
+    """
+
+    def __init__(self, station: Station, graph: Graph) -> None:
+        self._station = station
+        self._graph = graph
+        graph.on_leave(self._left)
+        graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
+        station.spawn(self._keep_renewing(), "renewal")
+
+    def lease(self, session: Session) -> Lease | None:
+        """The lease in force of that client."""
+        held = session.data.get(_LEASE)
+        return held if held is not None and held == self._holder() else None
+
+    def _holder(self) -> Lease | None:
+        return self._station.desk.holder(self._station.now)
+
+    def token(self, session: Session) -> str:
+        """The token of that client's lease, which is taken now if it is free.
+
+        Raises:
+            LeaseHeld: Another client has it.
+        """
+        held = self.lease(session)
+        if held is None:
+            held = self._station.desk.acquire(session.name, self._station.now)
+            session.data[_LEASE] = held
+        return held.token
+
+    def held_token(self, session: Session) -> str:
+        """The token of that client's lease.
+
+        Raises:
+            NoAuthority: It has none; who has is in the error.
+        """
+        held = self.lease(session)
+        if held is None:
+            holder = self._holder()
+            who = f"{holder.name} has control" if holder else "nobody has control"
+            raise NoAuthority(
+                f"{who}; nothing was sent", remedy="open control first (/nav_open_close_request 1)"
+            )
+        return held.token
+
+    def let_go(self, session: Session) -> None:
+        """Give that client's lease back, if it has one."""
+        held = self.lease(session)
+        session.data.pop(_LEASE, None)
+        if held is not None:
+            self._station.desk.release(held.token, self._station.now)
+
+    def complain(self, session: Session, error: Exception) -> None:
+        """Tell a client what is wrong, at most once a second: keys repeat thirty times."""
+        now = self._station.now
+        if now - session.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
+            session.data[_COMPLAINED_AT] = now
+            session.status("error", str(error))
+
+    def run(self, session: Session, work: Coroutine[Any, Any, None], name: str) -> None:
+        """Run a client's wish; it is told when it fails."""
+
+        async def guarded() -> None:
+            try:
+                await work
+            except M100Error as error:
+                session.status("error", str(error))
+
+        self._station.spawn(guarded(), f"{name} for {session.name}")
+
+    def _left(self, session: Session, now: float) -> None:
+        self.let_go(session)
+
+    async def _keep_renewing(self) -> None:
+        while True:
+            await asyncio.sleep(_RENEWAL)
+            for session in list(self._graph.sessions):
+                held = session.data.get(_LEASE)
+                if held is None:
+                    continue
+                try:
+                    self._station.desk.renew(held.token, self._station.now)
+                except LeaseRefused as error:
+                    del session.data[_LEASE]
+                    session.status("error", str(error))
+
+    # -- the service -----------------------------------------------------------------------------
+
+    def _on_lease(self, call: Call) -> None:
+        action = call.request["action"]
+        handler = {
+            "status": self._status,
+            "acquire": self._acquire,
+            "renew": self._renew,
+            "release": self._release,
+            "take_over": self._ask_take_over,
+            "confirm": self._confirm,
+        }.get(action)
+        if handler is None:
+            call.fail(f"there is no action {action[:32]!r}: status, acquire, renew, release, …")
+            return
+        try:
+            handler(call)
+        except LeaseRefused as error:
+            holder = self._holder()
+            call.respond(
+                {"success": False, "message": str(error), "holder": holder.name if holder else ""}
+            )
+
+    def _respond(self, call: Call, token: str = "", message: str = "") -> None:
+        holder, desk = self._holder(), self._station.desk
+        call.respond(
+            {
+                "success": True,
+                "message": message,
+                "token": token,
+                "holder": holder.name if holder else "",
+                "remaining": desk.remaining(self._station.now),
+            }
+        )
+
+    def _status(self, call: Call) -> None:
+        self._respond(call)
+
+    def _acquire(self, call: Call) -> None:
+        name = call.request["name"] or call.session.name
+        lease = self._station.desk.acquire(name, self._station.now)
+        call.session.data[_LEASE] = lease
+        self._respond(call, lease.token)
+
+    def _renew(self, call: Call) -> None:
+        lease = self._station.desk.renew(call.request["token"], self._station.now)
+        call.session.data[_LEASE] = lease
+        self._respond(call, lease.token)
+
+    def _release(self, call: Call) -> None:
+        self._station.desk.release(call.request["token"], self._station.now)
+        self._respond(call)
+
+    def _ask_take_over(self, call: Call) -> None:
+        name = call.request["name"] or call.session.name
+        wanted = self._station.desk.ask_take_over(name, self._station.now)
+        self._respond(
+            call,
+            wanted.token,
+            f"{wanted.from_name} would lose control; confirm with this token",
+        )
+
+    def _confirm(self, call: Call) -> None:
+        lease = self._station.desk.confirm(call.request["token"], self._station.now)
+        call.session.data[_LEASE] = lease
+        self._respond(call, lease.token)

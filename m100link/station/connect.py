@@ -1,0 +1,56 @@
+"""How the station reaches its aircraft: by URL, or in memory when it brings its own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from m100link.aircraft import Aircraft
+from m100link.errors import PortNotFound
+from m100link.link import Link
+from m100link.protocol.firmware import profile
+
+if TYPE_CHECKING:
+    from m100link.sim.serve import Driver
+    from m100link.station.station import Connect
+
+__all__ = ["by_driver", "by_url"]
+
+
+def by_url(
+    url: str,
+    *,
+    baud_rate: int | None = None,
+    firmware: str | None = None,
+    timeout: float = 3.0,
+) -> Connect:
+    """Open a connection string.
+
+    Raises (when it is called):
+        UsageError: There is no such firmware profile.
+    """
+    forced = None if firmware is None else profile(firmware)
+
+    async def connect() -> Aircraft:
+        aircraft = Aircraft(firmware=forced)
+        await aircraft.open(url, baud_rate=baud_rate, timeout=timeout)
+        return aircraft
+
+    return connect
+
+
+def by_driver(driver: Driver, *, timeout: float = 3.0) -> Connect:
+    """Plug into a virtual aircraft of this process; it outlives the connection."""
+
+    async def connect() -> Aircraft:
+        link = Link()
+        try:
+            driver.connect(link)
+        except ConnectionRefusedError as error:
+            raise PortNotFound(str(error), remedy="plug it in again") from error
+        await link.wait_connected()
+        link.name = "sim://"
+        aircraft = Aircraft()
+        await aircraft.attach(link, timeout=timeout)
+        return aircraft
+
+    return connect

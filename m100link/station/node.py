@@ -1,0 +1,250 @@
+"""DJI's ROS node of June 2015, reborn: its topics, its numbers, its web page.
+
+Everything a program of 2015 sees is the same: names, types, numbers and rates. What differs is for
+safety, and none of it shows while a program behaves:
+
+* **One client steers.** Opening control takes the lease if it is free. Others hear by a ``status``
+  who has it; closing control or the socket gives it back.
+* **A setpoint expires.** DJI's node sends one movement frame per message and leaves the rest to the
+  aircraft. Here the setpoint of a message is sent at 50 Hz until it is renewed, replaced or its
+  lifetime ends. A held key sends one message when it goes down, nothing for up to half a second,
+  then about thirty a second: so a setpoint *different from the one before* (a key went down or up)
+  lasts :data:`PRESS_LIFETIME`, a *repeated* one :data:`REPEAT_LIFETIME`. Letting go sends zeros,
+  which stop at once; a lost socket stops at once; a page that hangs stops within the lifetime.
+* **Nothing is repeated without end.** DJI's node repeats a command every 20 ms until it is
+  acknowledged; here requests have a number of tries.
+* **Numbers without meaning are refused.** The document allows commands 1, 4 and 6 only; control
+  modes other than 1 and 2 would turn the aircraft to the north.
+* **No value is invented.** While the aircraft is not connected, flight status and battery are 0, as
+  before the first package.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+from m100link.aircraft import Aircraft
+from m100link.errors import (
+    ActivationRefused,
+    AuthorityLost,
+    AuthorityRefused,
+    CommandNotSupported,
+    CommandRefused,
+    KeyRejected,
+    LevelTooLow,
+    M100Error,
+    NotActivated,
+    UsageError,
+)
+from m100link.protocol.codes import ActivationCode, AuthorityCode
+from m100link.protocol.control import Task
+from m100link.protocol.telemetry import Battery, FlightStatus
+from m100link.station.clients import Clients
+from m100link.station.graph import Graph, Publication
+from m100link.station.lease import LeaseHeld
+from m100link.station.messages import Message
+from m100link.station.patterns import pattern
+from m100link.station.rosbridge import Session
+from m100link.station.station import Station
+from m100link.station.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
+from m100link.subscription import Newest
+
+__all__ = ["PRESS_LIFETIME", "REPEAT_LIFETIME", "Node"]
+
+PRESS_LIFETIME = 0.7
+"""Seconds of a setpoint that differs from the one before: longer than the wait before a held key
+repeats (250 to 660 ms by system)."""
+
+REPEAT_LIFETIME = 0.2
+"""Seconds of a setpoint that was repeated: held keys repeat every 25 to 40 ms."""
+
+NO_AUTHORITY = 8.0
+"""On ``/activation_status``: an answer said that something is missing (codes 0xFF00 to 0xFF02)."""
+
+_CLOSED_BY_APP = 4.0
+_STALE = 3.0
+_MODE, _LAST = "control mode", "last setpoint"
+_NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
+
+
+class Node:
+    """The topics of 2015.
+
+    Args:
+        station: The aircraft and its lease.
+        graph: Where the topics are offered.
+        clients: Who holds the lease.
+    """
+
+    def __init__(self, station: Station, graph: Graph, clients: Clients) -> None:
+        self._station, self._graph, self._clients = station, graph, clients
+        number = "std_msgs/Float32"
+        graph.add_topic("/sdk_request_cmd", number, self._on_command)
+        graph.add_topic("/nav_open_close_request", number, self._on_open_close)
+        graph.add_topic("/sdk_request_ctrl", "geometry_msgs/Quaternion", self._on_control)
+        graph.add_topic("/sdk_request_ctrl_mode", number, self._on_mode)
+        graph.add_topic("/sdk_request_simple_task", number, self._on_simple_task)
+        graph.add_topic("/sdk_request_activation", number, self._on_activation)
+        self._battery = graph.add_topic("/battery_status", number)
+        self._open_close = graph.add_topic("/nav_open_close_status", number)
+        self._flight_status = graph.add_topic("/flight_status", number)
+        self._activation = graph.add_topic("/activation_status", number)
+        self._test_fre = graph.add_topic("/test_fre", number)
+        station.on_aircraft.append(self._aircraft_changed)
+        station.on_activation_code.append(self._activation_code)
+        station.on_authority_lost.append(self._authority_lost)
+        self._watching: asyncio.Task[None] | None = None
+        station.spawn(self._publish_each_second(), "1 Hz topics")
+
+    # -- what the node publishes -----------------------------------------------------------------
+
+    async def _publish_each_second(self) -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            aircraft, now = self._station.aircraft, self._station.now
+            status = aircraft and aircraft.state.fresh(FlightStatus, within=_STALE)
+            battery = aircraft and aircraft.state.fresh(Battery, within=_STALE)
+            self._graph.publish(
+                self._flight_status, {"data": float(status.status) if status else 0.0}, now
+            )
+            self._graph.publish(
+                self._battery, {"data": float(battery.percent) if battery else 0.0}, now
+            )
+
+    def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
+        if self._watching is not None:
+            self._watching.cancel()
+            self._watching = None
+        if aircraft is not None:
+            self._watching = self._station.spawn(self._watch(aircraft), "/test_fre")
+
+    async def _watch(self, aircraft: Aircraft) -> None:
+        async with aircraft.telemetry(policy=Newest(50)) as samples:
+            async for sample in samples:
+                device = sample.control_device
+                if device is not None:
+                    message: Message = {"data": float(device.control)}
+                    self._graph.publish(self._test_fre, message, sample.received_at)
+
+    def _activation_code(self, code: ActivationCode) -> None:
+        self._tell_activation(float(code))
+
+    def _tell_activation(self, number: float) -> None:
+        self._graph.publish(self._activation, {"data": number}, self._station.now)
+
+    def _authority_lost(self, error: AuthorityLost) -> None:
+        self._tell_open_close(_CLOSED_BY_APP)
+
+    def _tell_open_close(self, number: float) -> None:
+        self._graph.publish(self._open_close, {"data": number}, self._station.now)
+
+    # -- what the node is asked ------------------------------------------------------------------
+
+    def _on_activation(self, session: Session, message: Message, now: float) -> None:
+        self._clients.run(session, self._activate(session), "activation")
+
+    async def _activate(self, session: Session) -> None:
+        lease = self._clients.lease(session)
+        try:
+            await self._station.activate(lease.token if lease is not None else None)
+        except ActivationRefused:
+            pass  # its code was published, and the reason is in the events
+        except CommandRefused:
+            self._tell_activation(NO_AUTHORITY)
+            raise
+
+    def _on_open_close(self, session: Session, message: Message, now: float) -> None:
+        self._clients.run(session, self._open_or_close(session, message["data"]), "open/close")
+
+    async def _open_or_close(self, session: Session, data: float) -> None:
+        wanted = _byte(data)
+        if wanted not in (0, 1):
+            raise UsageError(f"/nav_open_close_request takes 1 (open) or 0 (close), not {wanted}")
+        try:
+            token = self._clients.token(session)
+            if wanted:
+                await self._station.obtain(token)
+                self._tell_open_close(float(AuthorityCode.OBTAINED))
+            else:
+                await self._station.release(token)
+                self._clients.let_go(session)
+                self._tell_open_close(float(AuthorityCode.RELEASED))
+        except AuthorityRefused as error:
+            self._clients.let_go(session)
+            self._tell_open_close(float(error.code))
+            raise
+        except LeaseHeld:
+            # Only this client is refused; the others still see it open.
+            refused = Publication(self._open_close, {"data": float(AuthorityCode.NOT_IN_F)})
+            session.deliver_alone(refused, self._station.now)
+            raise
+        except _NEEDS_MORE:
+            self._clients.let_go(session)
+            self._tell_activation(NO_AUTHORITY)
+            raise
+        except M100Error:
+            self._clients.let_go(session)
+            raise
+
+    def _on_command(self, session: Session, message: Message, now: float) -> None:
+        self._clients.run(session, self._command(session, message["data"]), "command")
+
+    async def _command(self, session: Session, data: float) -> None:
+        number = _byte(data)
+        if number not in Task.__members__.values():
+            raise UsageError(
+                f"/sdk_request_cmd takes 4 (take-off), 6 (landing) and 1 (go-home), not {number}",
+                cause="the document allows these three; no firmware carries out the others",
+            )
+        try:
+            await self._station.fly(self._clients.held_token(session), Task(number))
+        except _NEEDS_MORE:
+            self._tell_activation(NO_AUTHORITY)
+            raise
+
+    def _on_mode(self, session: Session, message: Message, now: float) -> None:
+        if message["data"] in (ANGLE_MODE, VELOCITY_MODE):
+            session.data[_MODE] = int(message["data"])
+        else:
+            error = UsageError(f"there is no control mode {message['data']}: 1 or 2")
+            self._clients.complain(session, error)
+
+    def _on_control(self, session: Session, message: Message, now: float) -> None:
+        mode = session.data.get(_MODE, ANGLE_MODE)
+        values = (message["x"], message["y"], message["z"], message["w"])
+        try:
+            setpoint = setpoint_of(mode, *values)
+            is_repeated = session.data.get(_LAST) == (mode, values)
+            session.data[_LAST] = (mode, values)
+            lifetime = REPEAT_LIFETIME if is_repeated else PRESS_LIFETIME
+            self._station.steer(self._clients.held_token(session), setpoint, lifetime)
+        except M100Error as error:
+            self._clients.complain(session, error)
+
+    def _on_simple_task(self, session: Session, message: Message, now: float) -> None:
+        self._clients.run(session, self._simple_task(session, message["data"]), "simple task")
+
+    async def _simple_task(self, session: Session, data: float) -> None:
+        if not math.isfinite(data):
+            raise UsageError("/sdk_request_simple_task takes a number")
+        number = int(data)
+        if number < 0:
+            if self._clients.lease(session) is not None:
+                self._station.halt("its client stopped it")
+        elif number == 5:
+            await self._activate(session)
+        elif number == 6:
+            version = await self._station.require_aircraft().version()
+            self._station.note(f"version: {version.name} (CRC {version.crc:08X})")
+        else:
+            fly = pattern(number)
+            token = self._clients.held_token(session)
+            self._station.start_pattern(token, f"simple task {number}", fly)
+
+
+def _byte(data: float) -> int:
+    """A float as the C program casts it to a byte."""
+    if not math.isfinite(data):
+        raise UsageError(f"{data} is no number")
+    return int(data) & 0xFF
