@@ -1,0 +1,342 @@
+"""One end of the line as a whole, and two of them over a channel that does everything wrong."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+
+from hypothesis import note, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, precondition, rule
+
+from m100link.session import Acked, Endpoint, Expired, Received, SessionMode
+from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
+from tests.support import KEY
+
+
+def transfer(source: Endpoint, target: Endpoint, now: float) -> int:
+    """Carry everything over; how many frames there were."""
+    wires = list(source.output())
+    for wire in wires:
+        target.receive_data(wire, now)
+    return len(wires)
+
+
+def received(endpoint: Endpoint) -> list[Frame]:
+    """The commands among the events."""
+    return [event.frame for event in endpoint.events() if isinstance(event, Received)]
+
+
+def test_a_request_is_delivered_answered_and_reported() -> None:
+    host, aircraft = Endpoint(first_sequence=9), Endpoint()
+    token = host.request(b"question", now=0)
+    transfer(host, aircraft, 0)
+    (frame,) = received(aircraft)
+    assert (frame.session, frame.sequence, frame.data) == (2, 9, b"question")
+    aircraft.acknowledge(frame, b"answer", now=0)
+    transfer(aircraft, host, 0)
+    assert list(host.events()) == [Acked(token, b"answer", False)]
+    assert host.next_wakeup() is None
+
+
+def test_both_ends_may_ask_at_once_with_the_same_session_and_number() -> None:
+    one, two = Endpoint(), Endpoint()
+    for end, data in ((one, b"from one"), (two, b"from two")):
+        end.request(data, now=0)
+    transfer(one, two, 0)
+    transfer(two, one, 0)
+    for end in (one, two):
+        (frame,) = received(end)
+        assert (frame.session, frame.sequence) == (2, 0)
+        end.acknowledge(frame, b"ack of " + frame.data, now=0)
+    transfer(one, two, 0)
+    transfer(two, one, 0)
+    assert list(one.events()) == [Acked(1, b"ack of from one", False)]
+    assert list(two.events()) == [Acked(1, b"ack of from two", False)]
+
+
+def test_acks_are_written_first_and_pushes_last() -> None:
+    host, aircraft = Endpoint(), Endpoint()
+    aircraft.request(b"command", now=0)
+    transfer(aircraft, host, 0)
+    (frame,) = received(host)
+    host.push(b"push")
+    host.request(b"request", now=0)
+    host.acknowledge(frame, b"ack", now=0)
+    written = FrameDecoder().feed(b"".join(host.output()))
+    assert [sent.data for sent in written] == [b"ack", b"request", b"push"]
+
+
+def test_a_key_serves_both_directions() -> None:
+    host, aircraft = Endpoint(), Endpoint()
+    for end in (host, aircraft):
+        end.cipher = Cipher(KEY)
+        assert end.cipher is end.decoder.cipher
+    host.request(b"secret", now=0, encrypted=True)
+    transfer(host, aircraft, 0)
+    (frame,) = received(aircraft)
+    aircraft.acknowledge(frame, b"secret too", now=0)
+    transfer(aircraft, host, 0)
+    (answer,) = host.events()
+    assert isinstance(answer, Acked)
+    assert (answer.payload, answer.encrypted) == (b"secret too", True)
+
+
+def test_a_plain_ack_of_an_encrypted_request_is_taken() -> None:
+    host, aircraft = Endpoint(), Endpoint()
+    host.cipher = Cipher(KEY)
+    host.request(b"secret", now=0, encrypted=True)
+    list(host.output())
+    refusal = encode_frame(b"\x00\xff", session=2, sequence=0, is_ack=True)
+    host.receive_data(refusal, 0)
+    assert list(host.events()) == [Acked(1, b"\x00\xff", False)]
+    assert aircraft.cipher is None
+
+
+def test_expiry_is_an_event_of_the_endpoint() -> None:
+    host = Endpoint()
+    token = host.request(b"x", now=0, timeout=1, tries=1)
+    host.handle_timer(1)
+    assert list(host.events()) == [Expired(token, 2, 0, 1)]
+
+
+def test_an_abandoned_request_reports_nothing() -> None:
+    host = Endpoint()
+    host.abandon(host.request(b"x", now=0, timeout=1, tries=1))
+    host.handle_timer(1)
+    assert list(host.events()) == []
+
+
+# -- sender against receiver -----------------------------------------------------------------------
+
+HOST, AIRCRAFT = 0, 1
+PLACES = st.integers(0, 40)
+# Less than 2 ** 16 numbers apart, but on both sides of the wrap.
+FIRST_SEQUENCES = st.sampled_from((0, 1, 0xFFF0, 0xFFFF))
+
+
+class Channel:
+    """Frames under way in one direction.
+
+    A serial line loses and damages frames; a repeated or reordered one exists only where something
+    between the ends queues and retries. Commands of one session keep their order, as on any line:
+    the document's receiver remembers one number per session and would execute a command again that
+    arrives after a newer one of its session. Between sessions, and among acks, any order goes.
+    """
+
+    def __init__(self) -> None:
+        self.wires: list[bytes] = []
+
+    def choices(self) -> list[int]:
+        """Places of the frames that may arrive next."""
+        places, sessions = [], set()
+        for place, wire in enumerate(self.wires):
+            (frame,) = FrameDecoder(Cipher(KEY)).feed(wire)
+            if frame.is_ack or frame.session not in sessions:
+                places.append(place)
+            if not frame.is_ack:
+                sessions.add(frame.session)
+        return places
+
+
+class SenderAgainstReceiver(RuleBasedStateMachine):
+    """Reliable commands over a line that loses, repeats, delays and reorders frames."""
+
+    tokens = Bundle("tokens")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now = 0.0
+        self.host: Endpoint | None = None
+        self.aircraft = Endpoint()
+        self.aircraft.cipher = Cipher(KEY)
+        self.lines = {HOST: Channel(), AIRCRAFT: Channel()}
+        self.unanswered: list[Frame] = []
+        self.executed: Counter[bytes] = Counter()
+        self.asked: dict[int, bytes] = {}
+        self.outcome: dict[int, Acked | Expired] = {}
+        self.abandoned: set[int] = set()
+
+    def _host(self) -> Endpoint:
+        assert self.host is not None
+        return self.host
+
+    def _collect(self) -> None:
+        """Put what both ends want written on the line, and take their events."""
+        ends = ((self._host(), HOST), (self.aircraft, AIRCRAFT))
+        for end, name in ends:
+            self.lines[name].wires += end.output()
+        for event in self._host().events():
+            assert isinstance(event, Acked | Expired)
+            assert event.token not in self.outcome, "a request ended twice"
+            assert event.token not in self.abandoned, "an abandoned request reported"
+            self.outcome[event.token] = event
+            if isinstance(event, Acked):
+                assert event.payload == b"ack of " + self.asked[event.token]
+        for event in self.aircraft.events():
+            assert isinstance(event, Received)
+            self.executed[event.frame.data] += 1
+            self.unanswered.append(event.frame)
+
+    @rule(
+        target=tokens,
+        first=FIRST_SEQUENCES,
+        encrypted=st.booleans(),
+        timeout=st.sampled_from((0.1, 0.5, 2.0)),
+        tries=st.integers(1, 4),
+    )
+    def ask(self, first: int, encrypted: bool, timeout: float, tries: int) -> int:
+        """Begin a request; its data say which one it is."""
+        if self.host is None:
+            self.host = Endpoint(first_sequence=first)
+            self.host.cipher = Cipher(KEY)
+        data = b"command %d" % len(self.asked)
+        token = self.host.request(
+            data, now=self.now, encrypted=encrypted, timeout=timeout, tries=tries
+        )
+        self.asked[token] = data
+        self._collect()
+        return token
+
+    @precondition(lambda self: self.host is not None and len(self.asked) < 40)
+    @rule()
+    def ask_more_than_there_are_sessions(self) -> None:
+        """So that some requests wait."""
+        for _ in range(32):
+            self.ask(first=0, encrypted=False, timeout=0.5, tries=2)
+
+    @rule(token=tokens)
+    def give_up(self, token: int) -> None:
+        """Abandon a request, over or not."""
+        self._host().abandon(token)
+        if token not in self.outcome:
+            self.abandoned.add(token)
+        self._collect()
+
+    @precondition(lambda self: any(line.wires for line in self.lines.values()))
+    @rule(line=st.sampled_from((HOST, AIRCRAFT)), choice=PLACES, keep=st.booleans())
+    def arrive(self, line: int, choice: int, keep: bool) -> None:
+        """Some frame arrives; with ``keep`` a copy of it stays under way."""
+        places = self.lines[line].choices()
+        if not places:
+            return
+        wires = self.lines[line].wires
+        wire = wires[places[choice % len(places)]]
+        if not keep:
+            wires.remove(wire)
+        target = self.aircraft if line == HOST else self._host()
+        target.receive_data(wire, self.now)
+        self._collect()
+
+    @precondition(lambda self: any(line.wires for line in self.lines.values()))
+    @rule(keep=st.booleans())
+    def all_arrive_and_are_answered(self, keep: bool) -> None:
+        """A moment of good weather; with ``keep`` every frame arrives twice."""
+        for line in (HOST, AIRCRAFT):
+            under_way = list(self.lines[line].wires)
+            self.lines[line].wires.clear()
+            target = self.aircraft if line == HOST else self._host()
+            for wire in under_way:
+                for _ in range(1 + keep):
+                    target.receive_data(wire, self.now)
+                    self._collect()
+            while self.unanswered:
+                self.answer(choice=0)
+
+    @precondition(lambda self: any(line.wires for line in self.lines.values()))
+    @rule(line=st.sampled_from((HOST, AIRCRAFT)), choice=PLACES)
+    def lose(self, line: int, choice: int) -> None:
+        """Some frame is lost."""
+        wires = self.lines[line].wires
+        if wires:
+            del wires[choice % len(wires)]
+
+    @precondition(lambda self: self.unanswered)
+    @rule(choice=PLACES)
+    def answer(self, choice: int) -> None:
+        """The aircraft finishes some command, not always the oldest."""
+        frame = self.unanswered.pop(choice % len(self.unanswered))
+        self.aircraft.acknowledge(frame, b"ack of " + frame.data, now=self.now)
+        self._collect()
+
+    @rule(seconds=st.sampled_from((0.05, 0.1, 0.5, 2.0)))
+    def wait(self, seconds: float) -> None:
+        """Time goes by; both ends are woken when they asked to be."""
+        until = self.now + seconds
+        if self.host is not None:
+            while (wakeup := self.host.next_wakeup()) is not None and wakeup <= until:
+                self.now = max(self.now, wakeup)
+                self.host.handle_timer(self.now)
+                self._collect()
+        self.now = until
+
+    @invariant()
+    def no_command_is_executed_twice(self) -> None:
+        """Whatever the line does."""
+        assert all(count == 1 for count in self.executed.values()), self.executed
+
+    def teardown(self) -> None:
+        """When no frame arrives any more every request has an outcome, and an answer was earned."""
+        if self.host is None:
+            return
+        for channel in self.lines.values():
+            channel.wires.clear()
+        for _ in range(20):
+            self.wait(600.0)
+            for channel in self.lines.values():
+                channel.wires.clear()
+        note(f"{len(self.asked)} asked, {len(self.executed)} executed")
+        assert set(self.outcome) | self.abandoned >= set(self.asked)
+        assert self.host.sender.busy_sessions == self.host.sender.waiting_requests == 0
+        assert self.host.next_wakeup() is None
+        for token, outcome in self.outcome.items():
+            if isinstance(outcome, Acked):
+                assert self.executed[self.asked[token]] == 1
+
+
+SenderAgainstReceiver.TestCase.settings = settings(stateful_step_count=60)
+TestSenderAgainstReceiver = SenderAgainstReceiver.TestCase
+
+
+def test_over_a_line_that_only_loses_and_damages_every_command_runs_once_and_is_answered() -> None:
+    seed = 20151121
+    dice = random.Random(seed)
+    host, aircraft = Endpoint(first_sequence=0xFFF0), Endpoint()
+    executed: Counter[bytes] = Counter()
+    answers: dict[int, bytes] = {}
+    asked: dict[int, bytes] = {}
+    now = 0.0
+
+    def line(wires: list[bytes], target: Endpoint) -> None:
+        for wire in wires:
+            fate = dice.random()
+            if fate < 0.2:
+                continue
+            if fate < 0.4:
+                at = dice.randrange(len(wire))
+                wire = wire[:at] + bytes((wire[at] ^ 1 << dice.randrange(8),)) + wire[at + 1 :]
+            target.receive_data(wire, now)
+        target.receive_data(bytes(1100), now)  # noise that ends what a damaged length swallowed
+
+    while now < 400:
+        if len(asked) < 200:
+            data = b"command %d" % len(asked)
+            asked[host.request(data, now=now, timeout=0.5, tries=40)] = data
+        host.handle_timer(now)
+        line(list(host.output()), aircraft)
+        for frame in received(aircraft):
+            executed[frame.data] += 1
+            aircraft.acknowledge(frame, b"ack of " + frame.data, now=now)
+        line(list(aircraft.output()), host)
+        for event in host.events():
+            assert isinstance(event, Acked), (seed, event)
+            answers[event.token] = event.payload
+        now += 0.5
+    assert executed == dict.fromkeys(asked.values(), 1), seed
+    assert answers == {token: b"ack of " + data for token, data in asked.items()}, seed
+    assert host.statistics.transmissions > host.statistics.requests
+
+
+def test_a_session_mode_has_no_number_of_its_own() -> None:
+    # The document counts its modes from 1, its enum from 0, and neither is the session on the wire.
+    assert all(isinstance(mode.value, str) for mode in SessionMode)
