@@ -236,8 +236,10 @@ class Link(asyncio.Protocol):
         if self._transport is not None and self._failure is None:
             self._is_closed_by_us = True
             self._fail(LinkClosed("the link was closed by this side"))
-            await self._drain()
-            self._transport.abort()
+            try:
+                await self._drain()
+            finally:  # cancelled, too: whoever closes in a hurry wants it closed
+                self._transport.abort()
         elif self._transport is None:
             self._fail(LinkClosed("the link was closed before it was open"))
             return

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import functools
+import importlib.util
 import logging
 import os
 from collections.abc import Awaitable, Callable
@@ -31,6 +32,12 @@ from m100link.link.url import EXAMPLES, Address
 __all__ = ["Opener", "open_transport", "port_owners", "serial_ports"]
 
 _logger = logging.getLogger("m100link.link")
+
+_PORT_GONE: tuple[type[Exception], ...] = (OSError,)  # serial.SerialException is one
+if importlib.util.find_spec("termios") is not None:  # not on Windows
+    import termios
+
+    _PORT_GONE += (termios.error,)  # which is none, although it carries an errno
 
 Opener = Callable[[Address, asyncio.Protocol], Awaitable[asyncio.Transport]]
 """What a plug-in transport provides, by an entry point in the group ``m100link.transports``."""
@@ -62,7 +69,7 @@ class _SerialTransport(serial_asyncio.SerialTransport):
             return
         try:
             self._serial.reset_output_buffer()
-        except (OSError, serial.SerialException) as error:
+        except _PORT_GONE as error:
             _logger.debug("the port was gone before its output could be dropped: %s", error)
         super()._call_connection_lost(exc)
 

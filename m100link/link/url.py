@@ -76,10 +76,12 @@ def parse_url(url: str, *, baud_rate: int | None = None) -> Address:
 
 
 def _serial(url: str, rest: str, baud_rate: int) -> Address:
-    match = re.fullmatch(r"(?P<device>.+?)(?:[:,](?P<baud>[^:,/]*))?", rest)
+    match = re.fullmatch(r"(?P<device>[^:,].*?)(?:[:,](?P<baud>[^:,/]*))?", rest)
     if match is None:
         raise _bad(url, "has no device")
     device, baud = match["device"], match["baud"]
+    if baud is not None and device.startswith("/dev/serial/") and not baud.isdecimal():
+        return Address("serial", rest, baud_rate)  # names by path have colons of their own
     if baud is not None:
         if not baud.isdecimal() or int(baud) == 0:
             raise _bad(url, f"has the baud rate {baud!r}, which is no number")
