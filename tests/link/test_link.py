@@ -1,0 +1,424 @@
+"""Requests as futures, over a cable in memory and on virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+from m100link.errors import (
+    AckTimeout,
+    LinkClosed,
+    LinkError,
+    LinkLost,
+    M100Error,
+    PayloadTooLarge,
+    UsageError,
+)
+from m100link.link import Link
+from m100link.session import SessionMode
+from m100link.wire import Cipher, Frame, encode_frame
+from tests.link.peer import Peer, connected, echo, settle, silent
+from tests.support import KEY
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(autouse=True)
+def nothing_reaches_the_exception_handler() -> Iterator[None]:
+    """Fail a test in whose time the event loop logged an exception."""
+    records: list[logging.LogRecord] = []
+
+    class Keep(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            records.append(record)
+
+    logger, handler = logging.getLogger("asyncio"), Keep(logging.WARNING)
+    logger.addHandler(handler)
+    yield
+    logger.removeHandler(handler)
+    assert [record.getMessage() for record in records] == []
+
+
+def now() -> float:
+    """Virtual seconds."""
+    return asyncio.get_running_loop().time()
+
+
+# -- requests --------------------------------------------------------------------------------------
+
+
+async def test_a_request_returns_the_data_of_its_ack() -> None:
+    link, peer, _ = await connected()
+    assert await link.request(b"hello") == b"ack of hello"
+    assert peer.received == [Frame(2, False, 0, False, 0, b"hello")]
+    await link.close()
+
+
+async def test_many_requests_at_once_each_get_their_own_answer() -> None:
+    link, peer, _ = await connected()
+    asked = [b"request %d" % number for number in range(500)]
+    answers = await asyncio.gather(*(link.request(data) for data in asked))
+    assert answers == [b"ack of " + data for data in asked]
+    assert sorted(peer.data) == sorted(asked)
+    assert link.statistics().acks == 500
+    await link.close()
+
+
+async def test_answers_in_any_order_find_their_requests() -> None:
+    kept: list[Frame] = []
+    link, peer, _ = await connected(lambda peer, frame: kept.append(frame))
+    tasks = [asyncio.ensure_future(link.request(b"%d" % n)) for n in range(10)]
+    await settle()
+    for frame in reversed(kept):
+        echo(peer, frame)
+    assert await asyncio.gather(*tasks) == [b"ack of %d" % n for n in range(10)]
+    await link.close()
+
+
+async def test_a_lost_frame_is_repeated_after_its_time_out() -> None:
+    link, peer, _ = await connected(silent)
+    task = asyncio.ensure_future(link.request(b"hello", timeout=0.5, tries=3))
+    await asyncio.sleep(0.75)
+    assert link.statistics().repeats == 1
+    peer.link._endpoint.receiver.forget()
+    peer.handler = echo
+    assert await task == b"ack of hello"
+    assert now() == pytest.approx(1.0)
+    await link.close()
+
+
+async def test_a_repeat_is_executed_once_and_answered_from_memory() -> None:
+    link, peer, _ = await connected(silent)
+    task = asyncio.ensure_future(link.request(b"hello", timeout=0.5, tries=3))
+    await asyncio.sleep(0.75)
+    echo(peer, peer.received[0])
+    assert await task == b"ack of hello"
+    await asyncio.sleep(5)
+    assert peer.data == [b"hello"]
+    await link.close()
+
+
+async def test_no_ack_after_all_tries_is_an_ack_timeout_that_tells_all() -> None:
+    link, _, _ = await connected(silent)
+    with pytest.raises(AckTimeout, match="no ack of take_off after 3 tries") as caught:
+        await link.request(b"x", name="take_off", timeout=0.5, tries=3)
+    assert now() == pytest.approx(1.5)
+    error = caught.value
+    assert (error.command, error.session, error.sequence, error.tries) == ("take_off", 2, 0, 3)
+    assert "unknown" in error.seen
+    assert isinstance(error, TimeoutError)
+    assert link.statistics().expired == 1
+    await link.close()
+
+
+async def test_a_silent_line_is_named_as_the_likely_cause() -> None:
+    link, peer, _ = await connected(silent)
+    with pytest.raises(AckTimeout) as caught:
+        await link.request(b"x", timeout=0.1, tries=1)
+    assert "nothing arrives" in caught.value.cause
+    peer.link.push(b"\x02\x00\x00\x00")
+    await settle()
+    with pytest.raises(AckTimeout) as caught:
+        await link.request(b"x", timeout=0.1, tries=1)
+    assert "ignores the command" in caught.value.cause
+    await link.close()
+
+
+async def test_session_1_is_asked_once() -> None:
+    link, peer, _ = await connected()
+    mode = SessionMode.ACK_ONCE
+    assert await link.request(b"x", mode=mode, tries=1) == b"ack of x"
+    assert peer.received[0].session == 1
+    peer.handler = silent
+    with pytest.raises(AckTimeout):
+        await link.request(b"x", mode=mode, timeout=0.1, tries=1)
+    assert len(peer.received) == 2
+    await link.close()
+
+
+async def test_a_request_that_cannot_be_sent_raises_at_once_and_leaves_nothing() -> None:
+    link, _, _ = await connected()
+    for words, error in (
+        ({"data": bytes(1008)}, PayloadTooLarge),
+        ({"data": b"x", "encrypted": True}, UsageError),
+        ({"data": b"x", "tries": 0}, UsageError),
+    ):
+        with pytest.raises(error):
+            await link.request(**words)
+    assert await link.request(b"x") == b"ack of x"
+    assert link._pending == {}
+    await link.close()
+
+
+async def test_a_cancelled_request_is_not_repeated_and_its_late_ack_is_counted() -> None:
+    link, peer, _ = await connected(silent)
+    task = asyncio.ensure_future(link.request(b"old", timeout=0.5, tries=3))
+    await settle()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    echo(peer, peer.received[0])
+    await asyncio.sleep(5)
+    assert peer.data == [b"old"]
+    assert link.statistics().late_acks == 1
+    peer.handler = echo
+    assert await link.request(b"new") == b"ack of new"
+    assert link._pending == {}
+    await link.close()
+
+
+async def test_a_request_cancelled_in_the_moment_of_its_ack_harms_nobody() -> None:
+    link, peer, _ = await connected(silent)
+    task = asyncio.ensure_future(link.request(b"x"))
+    await settle()
+    wire = encode_frame(b"yes", session=2, sequence=0, is_ack=True)
+    task.cancel()  # the future is cancelled, its owner has not run yet
+    link.data_received(wire)
+    link.data_received(wire)
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert peer.data == [b"x"]
+    assert await _one_more(link, peer) == b"ack of more"
+    await link.close()
+
+
+async def _one_more(link: Link, peer: Peer) -> bytes:
+    peer.handler = echo
+    return await link.request(b"more")
+
+
+async def test_one_timer_serves_all_requests() -> None:
+    link, _, _ = await connected(silent)
+    tasks = [
+        asyncio.ensure_future(link.request(b"x", timeout=timeout, tries=1))
+        for timeout in (5.0, 1.0, 3.0)
+    ]
+    ended = []
+    for task in tasks:
+        task.add_done_callback(lambda _: ended.append(now()))
+    results = await asyncio.gather(*tasks, return_exceptions=True)
+    assert all(isinstance(result, AckTimeout) for result in results)
+    assert ended == pytest.approx([1.0, 3.0, 5.0])
+    await link.close()
+
+
+# -- pushes, acks, keys ----------------------------------------------------------------------------
+
+
+async def test_a_push_goes_on_session_0() -> None:
+    link, peer, _ = await connected()
+    assert link.push(b"abc")
+    await settle()
+    assert peer.received == [Frame(0, False, 0, False, 0, b"abc")]
+    await link.close()
+
+
+async def test_commands_from_the_other_end_arrive_with_their_time_and_can_be_answered() -> None:
+    arrived: list[tuple[Frame, float]] = []
+    link = Link(on_received=lambda frame, at: arrived.append((frame, at)), first_sequence=0)
+    _, peer, _ = await connected(link=link)
+    await asyncio.sleep(2)
+    task = asyncio.ensure_future(peer.link.request(b"\x02\x01\x04"))
+    await settle()
+    ((frame, at),) = arrived
+    assert (frame.data, at, link.last_received_at) == (b"\x02\x01\x04", 2.0, 2.0)
+    link.acknowledge(frame, b"\x00\x00")
+    assert await task == b"\x00\x00"
+    await link.close()
+
+
+async def test_a_key_encrypts_and_decrypts_in_both_directions() -> None:
+    link, peer, _ = await connected()
+    link.cipher = peer.link.cipher = Cipher(KEY)
+    assert await link.request(b"secret", encrypted=True) == b"ack of secret"
+    assert peer.received[0].encrypted
+    await link.close()
+
+
+async def test_a_command_that_came_encrypted_is_answered_plain_once_the_key_is_gone() -> None:
+    kept: list[Frame] = []
+    link, peer, _ = await connected(lambda peer, frame: kept.append(frame))
+    link.cipher = peer.link.cipher = Cipher(KEY)
+    task = asyncio.ensure_future(link.request(b"secret", encrypted=True))
+    await settle()
+    peer.link.cipher = None
+    peer.link.acknowledge(kept[0], b"plain")
+    assert await task == b"plain"
+    await link.close()
+
+
+async def test_the_log_shows_frames_in_both_directions_cut_short_and_no_key(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.DEBUG, "m100link")
+    secret = "c0ffee" + "5a" * 29
+    link, peer, _ = await connected()
+    link.cipher = peer.link.cipher = Cipher(secret)
+    await link.request(b"\x01\x00\x01" + bytes(500), encrypted=True)
+    lines = [record.getMessage() for record in caplog.records]
+    assert any(line.startswith("> aa") for line in lines)
+    assert any(line.startswith("< session 2") for line in lines)
+    assert max(map(len, lines)) < 200
+    assert "5a5a" not in caplog.text.lower()
+    assert "5a5a" not in repr(vars(link)).lower()
+    await link.close()
+
+
+async def test_statistics_count_both_directions() -> None:
+    link, peer, _ = await connected()
+    await link.request(b"x")
+    link.data_received(b"\x00\x00" + b"\xaa" * 12 + bytes(12))
+    here, there = link.statistics(), peer.link.statistics()
+    assert (here.frames_sent, here.frames_received) == (1, 1)
+    assert (here.bytes_sent, here.bytes_received) == (17, 16 + 8 + 26)
+    assert there.bytes_received == here.bytes_sent
+    assert here.discarded_bytes == 26
+    assert here.discards == {"header_crc": 12}
+    assert (here.dropped_writes, here.foreign_acks, here.duplicate_acks) == (0, 0, 0)
+    await link.close()
+
+
+async def test_acks_of_nothing_and_of_yesterday_are_told_apart() -> None:
+    link, _, _ = await connected()
+    link.data_received(encode_frame(b"", session=9, sequence=1, is_ack=True))
+    await link.request(b"x")
+    link.data_received(encode_frame(b"", session=2, sequence=0, is_ack=True))
+    statistics = link.statistics()
+    assert (statistics.foreign_acks, statistics.duplicate_acks) == (1, 1)
+    await link.close()
+
+
+async def test_two_links_rarely_begin_with_the_same_number() -> None:
+    first = [Link()._endpoint.sender._sequence for _ in range(20)]
+    assert len(set(first)) > 10
+
+
+# -- a line that does not drain --------------------------------------------------------------------
+
+
+async def test_while_the_line_does_not_drain_pushes_are_dropped_and_counted() -> None:
+    link, peer, transport = await connected()
+    assert peer.link._transport is not None
+    peer.link._transport.pause_reading()
+    sent = 0
+    while link.push(bytes(1000)):
+        sent += 1
+        assert sent < 100
+    assert not link.push(b"stale")
+    assert link.statistics().dropped_writes == 2
+    assert transport.get_write_buffer_size() < 70_000
+    with pytest.raises(AckTimeout) as caught:
+        await link.request(b"x", timeout=0.1, tries=2)
+    assert "does not take bytes" in caught.value.cause
+    peer.link._transport.resume_reading()
+    await settle()
+    assert link.push(b"fresh")
+    await settle()
+    assert peer.data[-1] == b"fresh"
+    assert b"stale" not in peer.data
+    await link.close()
+
+
+# -- the end ---------------------------------------------------------------------------------------
+
+
+async def test_a_pulled_cable_fails_every_request_at_once_with_the_cause() -> None:
+    lost: list[LinkError] = []
+    link = Link(on_lost=lost.append)
+    _, _, transport = await connected(silent, link=link)
+    tasks = [asyncio.ensure_future(link.request(b"x", timeout=60)) for _ in range(40)]
+    await settle()
+    pulled = OSError(5, "Input/output error")
+    transport.break_off(pulled)
+    results = await asyncio.gather(*tasks, return_exceptions=True)
+    assert now() == 0
+    assert {type(result) for result in results} == {LinkLost}
+    assert {getattr(result, "__cause__", None) for result in results} == {pulled}
+    assert len({id(result) for result in results}) == 40, "each has a traceback of its own"
+    assert [type(error) for error in lost] == [LinkLost]
+    assert not link.is_open
+    assert isinstance(link.failure, LinkLost)
+    for use in (link.request(b"x"), _pushing(link)):
+        with pytest.raises(LinkLost, match="Input/output error"):
+            await use
+    await link.close()
+    assert isinstance(link.failure, LinkLost), "closing later does not change what happened"
+
+
+async def _pushing(link: Link) -> None:
+    link.push(b"x")
+
+
+async def test_closing_fails_what_is_open_and_may_be_done_again() -> None:
+    lost: list[LinkError] = []
+    link = Link(on_lost=lost.append)
+    await connected(silent, link=link)
+    task = asyncio.ensure_future(link.request(b"x", timeout=60))
+    await settle()
+    await asyncio.gather(link.close(), link.close())
+    await link.close()
+    with pytest.raises(LinkClosed):
+        await task
+    for use in (link.request(b"x"), _pushing(link)):
+        with pytest.raises(LinkClosed):
+            await use
+    assert [type(error) for error in lost] == [LinkClosed]
+    assert now() <= 2.5
+
+
+async def test_after_closing_acks_go_nowhere_and_late_bytes_harm_nobody() -> None:
+    link, _, _ = await connected()
+    await link.close()
+    link.acknowledge(Frame(2, False, 1, False, 0, b"x"), b"y")
+    link.data_received(encode_frame(b"\x02\x00", session=0, sequence=0))
+
+
+async def test_a_link_without_a_line_cannot_send_and_can_be_closed() -> None:
+    link = Link()
+    with pytest.raises(LinkClosed, match="not open yet"):
+        await link.request(b"x")
+    with pytest.raises(LinkClosed, match="not open yet"):
+        link.push(b"x")
+    waiting = asyncio.ensure_future(link.wait_connected())
+    await settle()
+    await link.close()
+    with pytest.raises(LinkClosed):
+        await waiting
+
+
+async def test_a_peer_that_takes_nothing_delays_closing_by_a_second_at_most() -> None:
+    link, peer, transport = await connected()
+    assert peer.link._transport is not None
+    peer.link._transport.pause_reading()
+    link.push(b"x")
+    await link.close()
+    assert 0.9 < now() < 2.5
+    assert transport.is_closing()
+
+
+async def test_cancelling_a_slow_close_closes_all_the_same() -> None:
+    link, peer, transport = await connected()
+    assert peer.link._transport is not None
+    peer.link._transport.pause_reading()
+    link.push(b"x")
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.1):
+            await link.close()
+    assert transport.is_closing()
+
+
+async def test_no_timer_is_left_behind() -> None:
+    link, _, _ = await connected(silent)
+    with pytest.raises(AckTimeout):
+        await link.request(b"x", timeout=1, tries=1)
+    await link.close()
+    await asyncio.sleep(100)
+    assert link._timer is None
+
+
+async def test_everything_that_a_link_raises_is_an_m100_error() -> None:
+    for error in (LinkLost, LinkClosed, AckTimeout, PayloadTooLarge):
+        assert issubclass(error, M100Error)

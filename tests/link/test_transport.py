@@ -1,0 +1,173 @@
+"""What can go wrong when a port is opened, each with its own error."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import importlib.metadata
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from m100link.errors import (
+    BadURL,
+    LinkError,
+    PortBusy,
+    PortFailed,
+    PortNotFound,
+    PortPermissionDenied,
+)
+from m100link.link import Link, connect_in_memory, open_link, transport
+from m100link.link.url import Address, parse_url
+from tests.link.peer import Peer
+
+pytestmark = [pytest.mark.anyio, pytest.mark.pty]
+
+
+def _refusing(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+
+
+async def test_a_port_that_is_not_there_lists_what_is(tmp_path: Path) -> None:
+    with pytest.raises(PortNotFound, match="there is no device") as caught:
+        await open_link(str(tmp_path / "ttyNONE"))
+    assert isinstance(caught.value, FileNotFoundError)
+    assert "ttyNONE" in caught.value.seen
+    assert caught.value.remedy
+    assert isinstance(caught.value.__cause__, serial.SerialException)
+
+
+async def test_the_ports_of_the_machine_are_in_the_remedy(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(transport, "serial_ports", lambda: ["/dev/ttyUSB7"])
+    with pytest.raises(PortNotFound) as caught:
+        await open_link(str(tmp_path / "ttyNONE"))
+    assert "/dev/ttyUSB7" in caught.value.remedy
+    monkeypatch.setattr(transport, "serial_ports", list)
+    with pytest.raises(PortNotFound) as caught:
+        await open_link(str(tmp_path / "ttyNONE"))
+    assert "dmesg" in caught.value.remedy
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM])
+async def test_a_port_of_another_group_says_which_group(
+    monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    _refusing(monkeypatch, serial.SerialException(number, "could not open port"))
+    with pytest.raises(PortPermissionDenied, match="may not open /dev/ttyUSB0") as caught:
+        await open_link("/dev/ttyUSB0")
+    assert isinstance(caught.value, PermissionError)
+    assert "dialout" in caught.value.cause
+    assert "usermod" in caught.value.remedy
+
+
+@pytest.mark.parametrize("number", [errno.EBUSY, errno.EAGAIN])
+@pytest.mark.parametrize(
+    ("owners", "words"),
+    [((), "is in use"), (((4711, "minicom"),), r"in use by minicom \(process 4711\)")],
+)
+async def test_a_port_in_use_names_its_owner_where_the_system_tells(
+    monkeypatch: pytest.MonkeyPatch,
+    number: int,
+    owners: tuple[tuple[int, str], ...],
+    words: str,
+) -> None:
+    _refusing(monkeypatch, serial.SerialException(number, "locked"))
+    monkeypatch.setattr(transport, "port_owners", lambda device: owners)
+    with pytest.raises(PortBusy, match=words) as caught:
+        await open_link("/dev/ttyUSB0")
+    assert caught.value.owners == owners
+
+
+async def test_a_file_is_no_serial_port(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for path in (file, tmp_path, Path("/dev/null")):
+        with pytest.raises(PortFailed) as caught:
+            await open_link(str(path))
+        assert str(path) in caught.value.seen
+
+
+async def test_a_rate_that_the_adapter_does_not_know_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _refusing(monkeypatch, ValueError("Invalid baud rate: 123457"))
+    with pytest.raises(PortFailed, match="at 123457 baud") as caught:
+        await open_link("/dev/ttyUSB0:123457")
+    assert "baud rate" in caught.value.remedy
+
+
+async def test_any_other_refusal_carries_the_systems_own_words(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _refusing(monkeypatch, OSError(errno.ENXIO, "No such device or address"))
+    with pytest.raises(PortFailed, match="No such device or address"):
+        await open_link("/dev/ttyUSB0")
+
+
+async def test_every_refusal_is_a_link_error_and_leaves_the_link_closed(tmp_path: Path) -> None:
+    with pytest.raises(LinkError):
+        await open_link(str(tmp_path / "none"))
+
+
+async def test_a_scheme_that_nobody_installed_is_a_bad_url() -> None:
+    with pytest.raises(BadURL, match="no transport called 'carrier-pigeon'") as caught:
+        await open_link("carrier-pigeon://loft")
+    assert "tcp://" in caught.value.remedy
+
+
+@pytest.fixture
+def plug_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Peer]]:
+    """A transport called ``loop``, installed as other packages would install theirs."""
+    peers: list[Peer] = []
+
+    async def opener(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+        peers.append(Peer())
+        return connect_in_memory(protocol, peers[-1].link)
+
+    class EntryPoint:
+        def load(self) -> object:
+            return opener
+
+    def entry_points(*, group: str, name: str) -> list[EntryPoint]:
+        return [EntryPoint()] if (group, name) == ("m100link.transports", "loop") else []
+
+    monkeypatch.setattr(transport, "entry_points", entry_points)
+    yield peers
+    assert importlib.metadata is not None
+
+
+async def test_a_transport_can_be_plugged_in(plug_in: list[Peer]) -> None:
+    link = await open_link(parse_url("loop://anything"))
+    assert await link.request(b"x") == b"ack of x"
+    assert plug_in[0].data == [b"x"]
+    await link.close()
+
+
+async def test_tcp_carries_frames_both_ways_and_its_end_is_a_lost_link() -> None:
+    loop = asyncio.get_running_loop()
+    peers: list[Peer] = []
+
+    def accept() -> Link:
+        peers.append(Peer())
+        return peers[-1].link
+
+    server = await loop.create_server(accept, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    lost = loop.create_future()
+    link = await open_link(f"tcp://127.0.0.1:{port}", on_lost=lost.set_result)
+    assert await link.request(b"x") == b"ack of x"
+    await peers[0].link.close()
+    error = await asyncio.wait_for(lost, 1)
+    assert type(error).__name__ == "LinkLost"
+    await link.close()
+    server.close()
+    await server.wait_closed()
+    with pytest.raises(PortFailed, match="nothing answers"):
+        await open_link(f"tcp://127.0.0.1:{port}")
