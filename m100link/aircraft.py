@@ -372,18 +372,27 @@ class Aircraft:
             handle_sigterm: Let SIGTERM take the stop path before it ends the program.
 
         Raises (on entering):
+            UsageError: Another control block of this program is running.
             AuthorityRefused: With cause and remedy.
             NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
         """
-        if self._control is not None and self.authority.state is AuthorityState.HELD:
+        return Control(
+            self,
+            stop=stop,
+            on_pause=on_pause,
+            guards=guards,
+            handle_sigterm=handle_sigterm,
+            claim=self._claim,
+        )
+
+    def _claim(self, control: Control) -> None:
+        """One block at a time: the second would release what the first one holds."""
+        if self._control is not None and self._control.is_active:
             raise UsageError(
-                "another control block of this program holds authority",
+                "another control block of this program is running",
                 remedy="share its Control object, or leave that block first",
             )
-        self._control = Control(
-            self, stop=stop, on_pause=on_pause, guards=guards, handle_sigterm=handle_sigterm
-        )
-        return self._control
+        self._control = control
 
     # -- telemetry and mobile data ---------------------------------------------------------------
 

@@ -15,6 +15,7 @@ import anyio
 
 from m100link.authority import AuthorityState
 from m100link.errors import (
+    AuthorityLost,
     LinkError,
     M100Error,
     NoAuthority,
@@ -24,7 +25,12 @@ from m100link.errors import (
 )
 from m100link.guards import GuardKeeper, Guards
 from m100link.guidance import ClosedLoops
-from m100link.handshake import authority_lost, obtain_authority, release_authority
+from m100link.handshake import (
+    authority_lost,
+    explained_loss,
+    obtain_authority,
+    release_authority,
+)
 from m100link.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
 from m100link.protocol.control import Move, Task
 from m100link.protocol.setpoint import Setpoint
@@ -44,6 +50,8 @@ PauseAction = Literal["raise", "wait"]
 """What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""
 
 _STOP_LANDING_DEADLINE = 60.0
+_LANDING_RETRY = 0.5
+_STOP_ATTEMPTS = 3
 
 SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 """Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""
@@ -82,6 +90,7 @@ class Control(ClosedLoops):
         on_pause: PauseAction = "raise",
         guards: Guards | None = None,
         handle_sigterm: bool = True,
+        claim: Callable[[Control], None] | None = None,
     ) -> None:
         if stop not in ("hover", "land"):
             raise UsageError(f"there is no stop action {stop!r}", remedy="use 'hover' or 'land'")
@@ -92,6 +101,7 @@ class Control(ClosedLoops):
         self._on_pause: PauseAction = on_pause
         self._guards = GuardKeeper(guards or Guards(), commander.state)
         self._handles_sigterm = handle_sigterm
+        self._claim = claim
         self._scope = anyio.CancelScope()
         self._failure: M100Error | None = None
         self._is_entered = self._is_over = False
@@ -100,21 +110,24 @@ class Control(ClosedLoops):
         self._is_stopping = False
         self._running_task: Task | None = None
         self._setpoints = SetpointLoop(self._transmit)
+        self._watchdog: asyncio.TimerHandle | None = None
 
     # -- the block -------------------------------------------------------------------------------
 
     async def __aenter__(self) -> Self:
         if self._is_entered:
             raise UsageError("this control block was entered before; ask for a new one")
+        if self._claim is not None:
+            self._claim(self)
         self._is_entered = True
+        self._catch_sigterm()
         try:
             await obtain_authority(self._commander)
         except BaseException:
             # The ack may be lost and authority ours all the same.
-            await _finish(release_authority(self._commander))
-            self._is_over = True
+            await self._end(lambda: release_authority(self._commander))
             raise
-        self._catch_sigterm()
+        self._watch_telemetry()
         self._scope.__enter__()
         return self
 
@@ -125,20 +138,33 @@ class Control(ClosedLoops):
         traceback: TracebackType | None,
     ) -> bool:
         swallowed = bool(self._scope.__exit__(exc_type, exc, traceback))
-        try:
-            await _finish(self._stop_path())
-        finally:
-            self._is_over = True
-            self._let_sigterm_go()
+        await self._end(self._stop_path)
         if self._failure is not None and (exc is None or swallowed):
             raise self._failure
         return swallowed
+
+    async def _end(self, how: Callable[[], Awaitable[None]]) -> None:
+        try:
+            await _finish(how)
+        finally:
+            self._is_over = True
+            if self._watchdog is not None:
+                self._watchdog.cancel()
+            self._let_sigterm_go()
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the block was entered and its stop path has not ended."""
+        return self._is_entered and not self._is_over
 
     def fail(self, error: M100Error) -> None:
         """Authority, link or telemetry are gone: end the block with this error."""
         if self._failure is None and not self._is_over:
             self._failure = error
-            self._setpoints.silence()
+            if isinstance(error, TelemetryStalled):
+                self._setpoints.neutralise()  # the aircraft may hear us although we do not hear it
+            else:
+                self._setpoints.silence()
             self._scope.cancel()
 
     def authority_changed(self, before: AuthorityState, after: AuthorityState, reason: str) -> None:
@@ -159,16 +185,35 @@ class Control(ClosedLoops):
             await self._setpoints.stop()
             return
         self._is_stopping = True
+        if isinstance(self._failure, AuthorityLost):
+            self._failure = await explained_loss(self._commander, self._failure)
         if self.has_authority and self._setpoints.current is not None:
             self._setpoints.neutralise()
             await asyncio.sleep(NEUTRAL_TIME)
         await self._setpoints.stop()
-        if self._stop_action == "land" and self.has_authority and self._is_airborne():
+        if self._stop_action == "land":
+            await self._land_at_last()
+        await release_authority(self._commander)
+
+    async def _land_at_last(self) -> None:
+        """Land, although another task may be under way: the aircraft rejects it until that ended.
+
+        A landing that was under way already ends here too. Releasing authority in the middle of
+        either would leave the aircraft in the air.
+        """
+        clock = asyncio.get_running_loop().time
+        deadline = clock() + _STOP_LANDING_DEADLINE
+        while self.has_authority and self._is_airborne():
             try:
-                await run_task(self._commander, Task.LAND, timeout=_STOP_LANDING_DEADLINE)
+                await run_task(self._commander, Task.LAND, timeout=max(1.0, deadline - clock()))
+            except TaskRefused as error:
+                if clock() < deadline:
+                    await asyncio.sleep(_LANDING_RETRY)
+                    continue
+                _logger.error("the stop path could not land: %s", error)
             except M100Error as error:
                 _logger.error("the stop path could not land: %s", error)
-        await release_authority(self._commander)
+            return
 
     def _is_airborne(self) -> bool:
         status = self._commander.state.flight_status
@@ -252,6 +297,7 @@ class Control(ClosedLoops):
             GuardRefused: A guard said no; nothing was sent.
             BadSetpoint: The firmware cannot express it.
         """
+        self._check_telemetry()  # first: guards would complain of values that are only old
         self._require_authority("a setpoint")
         if self._running_task is not None:
             raise NoAuthority(
@@ -280,26 +326,39 @@ class Control(ClosedLoops):
         return self._commander.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
-        if not self.has_authority:
+        if not self.has_authority or not self._check_telemetry():
             return False
-        self._check_telemetry()
         try:
             return self._commander.push(setpoint.to_move(self._commander.firmware))
         except LinkError as error:
             self.fail(error)
             return False
 
-    def _check_telemetry(self) -> None:
+    def _watch_telemetry(self) -> None:
+        """Telemetry can stall while nothing is sent, too."""
+        limit = self._guards.guards.stale_telemetry_s
+        self._check_telemetry()
+        if limit is not None and self._failure is None:
+            age = self._commander.state.newest_age or 0.0
+            loop = asyncio.get_running_loop()
+            self._watchdog = loop.call_later(limit - age + 0.01, self._watch_telemetry)
+
+    def _check_telemetry(self) -> bool:
+        """False when telemetry is found stalled here and now; that ends the block."""
         limit = self._guards.guards.stale_telemetry_s
         age = self._commander.state.newest_age
-        if limit is not None and age is not None and age > limit and not self._is_stopping:
-            self.fail(
-                TelemetryStalled(
-                    f"no telemetry for {age:.1f} s while flying",
-                    cause="the line from the aircraft is broken, or this program was blocked",
-                    remedy="check the line; a program that blocks must not fly",
-                )
+        if limit is None or age is None or age <= limit:
+            return True
+        if self._is_stopping or self._failure is not None:
+            return True
+        self.fail(
+            TelemetryStalled(
+                f"no telemetry for {age:.1f} s while flying",
+                cause="the line from the aircraft is broken, or this program was blocked",
+                remedy="check the line; a program that blocks must not fly",
             )
+        )
+        return False
 
     def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
         """Ticks for a control loop in the caller's own task.
@@ -465,20 +524,26 @@ class Control(ClosedLoops):
             self._running_task = None
 
 
-async def _finish(work: Awaitable[None]) -> None:
+async def _finish(how: Callable[[], Awaitable[None]]) -> None:
     """Await work to its end whatever cancels the caller meanwhile, then let the cancellation on.
 
     A shielded scope alone holds off cancellation by scopes; a second ``Task.cancel()`` would still
-    cut the stop path short. Every wait inside ``work`` is bounded, so this is too.
+    cut the stop path short, and asyncio.run cancels every task there is after a second Ctrl-C: then
+    the work is begun again. Every wait in it is bounded, so this is too.
     """
-    task = asyncio.ensure_future(work)
     cancelled: asyncio.CancelledError | None = None
     with anyio.CancelScope(shield=True):
-        while not task.done():
-            try:
-                await asyncio.shield(task)
-            except asyncio.CancelledError as error:
-                cancelled = error
-    task.result()
+        for _ in range(_STOP_ATTEMPTS):
+            task = asyncio.ensure_future(how())
+            while not task.done():
+                try:
+                    await asyncio.wait([task])
+                except asyncio.CancelledError as error:
+                    cancelled = error
+            if not task.cancelled():
+                task.result()
+                break
+        else:
+            _logger.error("the stop path was cancelled %d times and given up", _STOP_ATTEMPTS)
     if cancelled is not None:
         raise cancelled

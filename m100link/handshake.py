@@ -7,20 +7,23 @@ import logging
 from typing import TYPE_CHECKING
 
 from m100link.authority import AuthorityInput, AuthorityState
-from m100link.errors import AuthorityLost, AuthorityRefused, M100Error
+from m100link.errors import AckTimeout, AuthorityLost, AuthorityRefused, M100Error
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.control import RequestAuthority
 
 if TYPE_CHECKING:
     from m100link.tasks import Commander
 
-__all__ = ["authority_lost", "obtain_authority", "release_authority"]
+__all__ = ["authority_lost", "explained_loss", "obtain_authority", "release_authority"]
 
 _logger = logging.getLogger("m100link.authority")
 
 _PAUSE_S = 0.05  # between requests; DJI's C library waits as long
 _MAX_REQUESTS = 10
 _RELEASE_DEADLINE_S = 2.0
+_RELEASE_TIMEOUT_S = 0.4  # two requests of two tries each fit into the deadline
+_EXPLANATION_S = 0.15  # seven RC items, or one or two control device items at 10 Hz
+_EXPLANATION_STEP_S = 0.01
 
 
 def _requests(commander: Commander) -> int:
@@ -28,12 +31,22 @@ def _requests(commander: Commander) -> int:
     return _MAX_REQUESTS if commander.firmware.authority_requests > 1 else 1
 
 
-async def _request(commander: Commander, *, obtain: bool) -> AuthorityCode:
+async def _request(commander: Commander, *, obtain: bool, timeout: float = 0.5) -> AuthorityCode:
     return AuthorityCode(
         await commander.execute(
-            RequestAuthority(obtain=obtain), timeout=0.5, tries=2, refusal=AuthorityRefused
+            RequestAuthority(obtain=obtain), timeout=timeout, tries=2, refusal=AuthorityRefused
         )
     )
+
+
+async def _request_release(commander: Commander, *, is_last: bool) -> AuthorityCode:
+    """Ask once. Unanswered, it may have arrived all the same: the second is sent nevertheless."""
+    try:
+        return await _request(commander, obtain=False, timeout=_RELEASE_TIMEOUT_S)
+    except AckTimeout:
+        if is_last:
+            raise
+        return AuthorityCode.RELEASING
 
 
 async def obtain_authority(commander: Commander) -> None:
@@ -83,7 +96,8 @@ async def release_authority(commander: Commander) -> None:
             for attempt in range(_requests(commander)):
                 if attempt:
                     await asyncio.sleep(_PAUSE_S)
-                code = await _request(commander, obtain=False)
+                is_last = attempt + 1 >= commander.firmware.authority_requests
+                code = await _request_release(commander, is_last=is_last)
                 if code not in (AuthorityCode.NOT_CHANGED, AuthorityCode.RELEASING):
                     break
         _logger.info("control authority released")
@@ -91,6 +105,32 @@ async def release_authority(commander: Commander) -> None:
         _logger.warning("control authority may not be released: %s", error)
     finally:
         authority.feed(AuthorityInput.RELEASED)
+
+
+async def explained_loss(commander: Commander, loss: AuthorityLost) -> AuthorityLost:
+    """The loss with its reason, as far as the items that follow a notification tell it.
+
+    The notification does not say who took control and overtakes the items that do (2.2.3.2).
+    """
+    if loss.reason != "unknown":
+        return loss
+    authority = commander.authority
+    clock = asyncio.get_running_loop().time
+    deadline = clock() + _EXPLANATION_S
+    while authority.reason == "unknown" and clock() < deadline:  # noqa: ASYNC110 (15 times)
+        await asyncio.sleep(_EXPLANATION_STEP_S)
+    if authority.reason not in ("", "unknown"):
+        return authority_lost(authority.reason)
+    remote_control = commander.state.remote_control
+    if remote_control is None or not remote_control.is_in_f:
+        return loss
+    return AuthorityLost(
+        "authority passed away while the mode switch is still in F",
+        reason="unknown",
+        cause="the mobile app took control, or the aircraft itself: remote controller lost, "
+        "API control switched off",
+        remedy="ask the pilot; the CTRL_DEVICE item would tell (0 Hz by default, PC assistant)",
+    )
 
 
 def authority_lost(reason: str) -> AuthorityLost:

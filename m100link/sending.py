@@ -80,7 +80,7 @@ class SetpointLoop:
         assert self._setpoint is not None
         if now >= self._next_at - _SLACK * self._period:
             self._transmit(self._setpoint, now)
-        if self._task is None:
+        if self._task is None or self._task.done():  # done: somebody cancelled every task
             self._task = asyncio.create_task(self._run(), name="m100link setpoints")
         self._news.set()
 
