@@ -49,7 +49,7 @@ def types(session: nox.Session) -> None:
     session.install("-e", PACKAGE, *group("types", "test", "docs", "bench"))
     checked = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
     session.run("mypy", *checked)
-    session.run("pyright")
+    session.run("pyright", "--pythonpath", f"{session.bin}/python")
 
 
 @nox.session
