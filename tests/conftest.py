@@ -6,6 +6,8 @@ import os
 
 from hypothesis import HealthCheck, settings
 
+pytest_plugins = ["m100link.testing"]  # what users load, the suite loads, too
+
 # Time limits per example say more about the machine than about the code.
 _COMMON = settings(
     deadline=None,

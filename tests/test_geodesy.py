@@ -27,13 +27,9 @@ def earth_centred(latitude_deg: float, longitude_deg: float) -> tuple[float, flo
     )
 
 
-def tangent_plane(
-    origin: tuple[float, float], point: tuple[float, float]
-) -> tuple[float, float]:
+def tangent_plane(origin: tuple[float, float], point: tuple[float, float]) -> tuple[float, float]:
     """Metres north and east by rotation of Earth-centred coordinates."""
-    dx, dy, dz = (
-        b - a for a, b in zip(earth_centred(*origin), earth_centred(*point), strict=True)
-    )
+    dx, dy, dz = (b - a for a, b in zip(earth_centred(*origin), earth_centred(*point), strict=True))
     latitude, longitude = map(math.radians, origin)
     flat = math.cos(longitude) * dx + math.sin(longitude) * dy
     north = -math.sin(latitude) * flat + math.cos(latitude) * dz
@@ -76,9 +72,7 @@ def test_there_and_back_is_here(
     latitude: float, longitude: float, north: float, east: float
 ) -> None:
     frame = LocalFrame(latitude, longitude)
-    assert frame.to_local(*frame.to_geodetic(north, east)) == pytest.approx(
-        (north, east), abs=2e-5
-    )
+    assert frame.to_local(*frame.to_geodetic(north, east)) == pytest.approx((north, east), abs=2e-5)
 
 
 def test_the_antimeridian_is_no_edge() -> None:
@@ -103,9 +97,7 @@ def test_no_local_frame_at_an_infinite_longitude() -> None:
     a=st.tuples(st.floats(-89, 89), st.floats(-180, 180)),
     b=st.tuples(st.floats(-89, 89), st.floats(-180, 180)),
 )
-def test_geodesic_agrees_with_geographiclib(
-    a: tuple[float, float], b: tuple[float, float]
-) -> None:
+def test_geodesic_agrees_with_geographiclib(a: tuple[float, float], b: tuple[float, float]) -> None:
     line = Geodesic.WGS84.Inverse(*a, *b)
     distance, bearing = geodesic(*a, *b)
     if line["a12"] > 178:  # nearly opposite: the documented way out, to half a percent

@@ -40,13 +40,14 @@ class ScaledEventLoop(asyncio.SelectorEventLoop):
     """
 
     def __init__(self, speed: float) -> None:
-        if not speed > 0.0:
-            raise ValueError(f"speed must be above 0, got {speed}")
         selector = _ScaledSelector()
         selector.speed = speed
         self._speed = speed
         self._start: float | None = None
         super().__init__(selector)
+        if not speed > 0.0:
+            self.close()  # a loop that was begun must be ended
+            raise ValueError(f"speed must be above 0, got {speed}")
         self._start = super().time()
         # Timers due within one tick of the clock count as due; the tick is scaled, too.
         self._clock_resolution = time.get_clock_info("monotonic").resolution * speed
@@ -66,11 +67,19 @@ class _JumpingSelector(selectors.DefaultSelector):
     """Instead of waiting, lets the clock jump over the time it was asked to wait."""
 
     now = 0.0
+    _unpolled = 0
 
     def select(self, timeout: float | None = None) -> _Events:
         if timeout is None:  # no timer at all: only a thread or a file can end this wait
             return super().select(None)
-        events = super().select(0)
+        # With nothing registered but the loop's own pipe, which only wakes a loop that waits,
+        # there is no need to ask the system on every pass.
+        self._unpolled += 1
+        if self._unpolled < 50 and len(self.get_map()) <= 1:
+            events: _Events = []
+        else:
+            self._unpolled = 0
+            events = super().select(0)
         if not events and timeout > 0.0:
             self.now += timeout
         return events

@@ -15,7 +15,7 @@ from m100link.protocol import (
     Task,
     TelemetryPacket,
 )
-from m100link.protocol.telemetry import FlightPhase
+from m100link.protocol.telemetry import Device, FlightPhase
 from m100link.sim import AircraftSettings, AssistantSettings, VirtualAircraft
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 
@@ -118,7 +118,7 @@ class Host:
     def activation(self, **changes: Any) -> Activate:
         """An activation request for the registered app, with changes."""
         credentials = self.aircraft.credentials
-        options = {
+        options: dict[str, Any] = {
             "app_id": credentials.app_id,
             "level": credentials.level,
             "version": self.profile.activation_version or 1,
@@ -154,7 +154,7 @@ class Host:
         """Take off and hover."""
         assert self.ask(StartTask(1, Task.TAKE_OFF)) == 2
         self.wait(8.0)
-        assert self.phase is FlightPhase.IN_AIR
+        assert self.phase() is FlightPhase.IN_AIR
 
     def flying(self) -> Host:
         """Activate, obtain, take off."""
@@ -180,10 +180,13 @@ class Host:
         """The motion of the aircraft."""
         return self.autopilot.flight.dynamics
 
-    @property
     def phase(self) -> FlightPhase:
         """Flight status."""
         return self.autopilot.flight.phase
+
+    def device(self) -> Device:
+        """Who is in control."""
+        return self.autopilot.authority.device
 
     def packets(self, since: float = 0.0) -> list[TelemetryPacket]:
         """Telemetry received after a time."""

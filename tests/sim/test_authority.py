@@ -186,9 +186,9 @@ def test_own_release_is_not_notified() -> None:
 
 
 def test_unticking_api_control_and_ioc_take_authority_away() -> None:
-    for take in (lambda a: a.enable_api(False), lambda a: a.set_ioc(True)):
+    for method, value in (("enable_api", False), ("set_ioc", True)):
         host = Host().ready()
-        take(host.aircraft)
+        getattr(host.aircraft, method)(value)
         host.wait(0.02)
         assert len(host.pushes(0x01)) == 1
         assert holder(host) is Device.RC
@@ -309,8 +309,9 @@ def test_request_bit_of_the_control_device_item(firmware: str) -> None:
     host = active(firmware)
     host.aircraft.set_rates(control_device=100)
     bits = []
-    for act in (lambda: None, host.obtain, host.aircraft.leave_f):
-        act()
+    for act in (None, host.obtain, host.aircraft.leave_f):
+        if act is not None:
+            act()
         host.wait(0.05)
         item = host.packets()[-1].control_device
         assert item is not None

@@ -313,8 +313,7 @@ def test_body_rates_turn_the_quaternion() -> None:
             q0, q1, q2, q3 = motion.quaternion()
             x0, y0, z0 = motion.rate_x, motion.rate_y, motion.rate_z
             motion.step(guidance)
-            x, y, z = ((a + b) / 2 for a, b in zip(
-                (x0, y0, z0), (motion.rate_x, motion.rate_y, motion.rate_z), strict=True))  # fmt: skip
+            x, y, z = (x0 + motion.rate_x) / 2, (y0 + motion.rate_y) / 2, (z0 + motion.rate_z) / 2
             after = motion.quaternion()
             if q0 * after[0] + q1 * after[1] + q2 * after[2] + q3 * after[3] < 0:
                 after = tuple(-value for value in after)  # type: ignore[assignment]

@@ -317,7 +317,7 @@ def test_when_commands_stop_the_aircraft_brakes_and_hovers() -> None:
     host.wait(10.0)
     assert host.motion.north == pytest.approx(place, abs=0.05)
     assert host.autopilot.flight.timeouts == 1
-    assert host.autopilot.authority.device is Device.ONBOARD
+    assert host.device() is Device.ONBOARD
 
 
 @pytest.mark.parametrize("timeout", [0.1, 0.5, 2.0])

@@ -1,0 +1,97 @@
+"""Event loops with a time of their own."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+import pytest
+
+from m100link.sim import ScaledEventLoop, VirtualClockEventLoop, loop_factory
+
+
+async def sleeper(seconds: float, count: int = 1) -> float:
+    loop = asyncio.get_running_loop()
+    start = loop.time()
+    for _ in range(count):
+        await asyncio.sleep(seconds)
+    return loop.time() - start
+
+
+def run(loop: asyncio.AbstractEventLoop, seconds: float, count: int = 1) -> tuple[float, float]:
+    """Loop time and real time of some sleeping."""
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        began = time.perf_counter()
+        elapsed = runner.run(sleeper(seconds, count))
+        return elapsed, time.perf_counter() - began
+
+
+def test_virtual_time_jumps_and_is_exact() -> None:
+    elapsed, real = run(VirtualClockEventLoop(), 3600.0, count=100)
+    assert elapsed == pytest.approx(360_000.0)
+    assert real < 1.0
+
+
+def test_virtual_time_begins_at_zero_and_keeps_the_order_of_timers() -> None:
+    async def main() -> list[tuple[float, int]]:
+        loop, fired = asyncio.get_running_loop(), []
+        for number, delay in enumerate((0.3, 0.1, 0.2, 0.1)):
+            loop.call_later(delay, lambda n=number: fired.append((round(loop.time(), 9), n)))
+        await asyncio.sleep(1.0)
+        return fired
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        assert runner.run(main()) == [(0.1, 1), (0.1, 3), (0.2, 2), (0.3, 0)]
+
+
+def test_virtual_time_waits_for_a_thread_when_there_is_no_timer() -> None:
+    async def main() -> int:
+        return await asyncio.get_running_loop().run_in_executor(None, lambda: 42)
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        assert runner.run(main()) == 42
+
+
+def test_virtual_timeouts_time_out() -> None:
+    async def main() -> float:
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(60.0):
+                await asyncio.get_running_loop().create_future()
+        return asyncio.get_running_loop().time()
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        assert runner.run(main()) == pytest.approx(60.0)
+
+
+@pytest.mark.parametrize("speed", [20.0, 200.0])
+def test_scaled_time_waits_but_shorter(speed: float) -> None:
+    elapsed, real = run(ScaledEventLoop(speed), 0.1 * speed)
+    assert elapsed >= 0.1 * speed
+    assert 0.09 < real < 0.5
+
+
+def test_scaled_time_starts_at_the_monotonic_clock() -> None:
+    loop = ScaledEventLoop(5.0)
+    try:
+        assert loop.time() == pytest.approx(time.monotonic(), abs=0.5)
+        assert loop.speed == 5.0
+    finally:
+        loop.close()
+
+
+def test_loop_factory_chooses_by_speed() -> None:
+    kinds = []
+    for speed in (1.0, 10.0, float("inf")):
+        loop = loop_factory(speed)()
+        kinds.append(type(loop))
+        loop.close()
+    assert kinds[0] not in kinds[1:]
+    assert kinds[1:] == [ScaledEventLoop, VirtualClockEventLoop]
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan")])
+def test_time_does_not_stand_still_or_run_backwards(speed: float) -> None:
+    with pytest.raises(ValueError, match="speed"):
+        loop_factory(speed)
+    with pytest.raises(ValueError, match="speed"):
+        ScaledEventLoop(speed)

@@ -1,0 +1,273 @@
+"""RC lost, reboot, the pilot's sticks, the virtual remote control."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from m100link.protocol import Device, FlightPhase, RcMode, Setpoint, StartTask, Task
+from m100link.sim import RemoteControl
+
+from .host import Host
+
+NORTH = Setpoint.velocity(north=3, east=0, up=0, yaw_rate_deg_s=0)
+
+
+def far(host: Host) -> Host:
+    host.motion.place(100.0, 0.0, 30.0)
+    return host
+
+
+# --- RC lost --------------------------------------------------------------------------------
+
+
+def test_rc_lost_for_3_s_goes_home_by_itself() -> None:
+    host = far(Host().flying())
+    host.aircraft.rc_lost()
+    host.fly(NORTH, 2.8)
+    assert host.device() is Device.ONBOARD, "not yet"
+    host.wait(0.4)
+    assert host.device() is Device.RC
+    assert len(host.pushes(0x01)) == 1
+    host.wait(60.0)
+    assert host.phase() is FlightPhase.STANDBY
+    assert host.motion.north == pytest.approx(0.0, abs=0.4)
+
+
+def test_rc_lost_without_gps_lands_where_it_is() -> None:
+    host = far(Host().flying())
+    host.aircraft.gps_health = 0
+    host.aircraft.rc_lost()
+    host.wait(40.0)
+    assert host.phase() is FlightPhase.STANDBY
+    assert host.motion.north == pytest.approx(100.0, abs=1.0)
+
+
+def test_rc_back_in_time_changes_nothing() -> None:
+    host = far(Host().flying())
+    host.aircraft.rc_lost()
+    host.wait(2.0)
+    host.aircraft.rc_back()
+    host.wait(3.0)
+    assert host.device() is Device.ONBOARD
+    assert host.pushes(0x01) == []
+
+
+def test_rc_back_ends_the_failsafe_and_f_gives_control_back() -> None:
+    host = far(Host().flying())
+    host.aircraft.rc_lost()
+    host.wait(6.0)
+    host.aircraft.rc_back()
+    host.wait(0.2)
+    assert host.device() is Device.ONBOARD
+    assert host.phase() is FlightPhase.IN_AIR
+    host.fly(NORTH, 6.0)
+    assert host.motion.velocity_north == pytest.approx(3.0, abs=0.1)
+
+
+def test_rc_lost_on_the_ground_takes_control_and_moves_nothing() -> None:
+    host = Host().ready()
+    host.aircraft.rc_lost()
+    host.wait(5.0)
+    assert host.ask(StartTask(1, Task.TAKE_OFF)) == 1
+    assert not host.motion.motors_on
+
+
+def test_a_lost_remote_reads_as_centred_sticks() -> None:
+    remote = RemoteControl(RcMode.P)
+    remote.move_stick(roll=1.0, throttle=-0.5)
+    assert remote.channels() == (10000, 0, 0, -5000, -8000, -4545)
+    remote.is_switched_on = False
+    assert remote.channels() == (0, 0, 0, 0, -8000, -4545)
+
+
+# --- sticks ---------------------------------------------------------------------------------
+
+
+def test_the_pilot_flies_in_p() -> None:
+    host = far(Host().flying())
+    host.aircraft.leave_f()
+    host.aircraft.move_stick(pitch=0.5, yaw=0.0)
+    host.wait(5.0)
+    assert host.motion.velocity_north == pytest.approx(5.0, abs=0.1)
+    host.aircraft.release_sticks()
+    host.wait(6.0)
+    assert host.motion.speed < 0.02
+
+
+def test_the_pilot_tilts_in_a() -> None:
+    host = far(Host().flying())
+    host.aircraft.set_rc_mode("A")
+    host.aircraft.move_stick(roll=0.5, throttle=0.25)
+    host.wait(1.0)
+    assert host.motion.roll == pytest.approx(0.2618, abs=0.002)
+    assert host.motion.velocity_up == pytest.approx(1.0, abs=0.1)
+
+
+def test_sticks_do_nothing_while_the_onboard_device_is_in_control() -> None:
+    host = far(Host().flying())
+    host.aircraft.move_stick(pitch=1.0)
+    host.wait(3.0)
+    assert host.motion.speed < 0.02
+
+
+def test_sticks_fly_in_f_without_onboard_control() -> None:
+    host = Host()
+    host.aircraft.pilot_takes_off()
+    host.wait(6.0)
+    host.aircraft.move_stick(roll=0.3)
+    host.wait(4.0)
+    assert host.motion.velocity_east == pytest.approx(3.0, abs=0.1)
+    host.aircraft.release_sticks()
+    host.aircraft.pilot_lands()
+    host.wait(10.0)
+    assert host.phase() is FlightPhase.STANDBY
+
+
+@pytest.mark.parametrize("value", [-1.01, 1.5])
+def test_a_stick_has_ends(value: float) -> None:
+    remote = RemoteControl()
+    with pytest.raises(ValueError, match="pitch stick"):
+        remote.move_stick(pitch=value)
+
+
+def test_the_corner_gesture_starts_and_stops_the_motors_on_the_ground() -> None:
+    host = Host()
+    corner = {"roll": -1.0, "pitch": -1.0, "throttle": -1.0, "yaw": 1.0}
+    states = []
+    for _ in range(2):
+        host.aircraft.move_stick(**corner)
+        host.wait(1.0)
+        states.append(host.motion.motors_on)
+        host.aircraft.release_sticks()
+        host.wait(0.2)
+    assert states == [True, False]
+
+
+# --- reboot ---------------------------------------------------------------------------------
+
+
+def test_reboot_in_flight_is_silent_then_starts_afresh_in_the_air() -> None:
+    host = far(Host().flying())
+    silence_from = host.now
+    host.aircraft.reboot()
+    sequence = host.send(b"\x00\x00\x00", session=3)
+    host.wait(1.9)
+    assert host.acks(3, sequence) == []
+    assert host.packets(silence_from) == []
+    host.wait(0.5)
+    times = [p.time.tick for p in host.packets(silence_from) if p.time]
+    assert times
+    assert times[0] < 200 * 6 + 10, "the clock began anew"
+    assert host.phase() is FlightPhase.IN_AIR
+    assert host.motion.height == pytest.approx(30.0, abs=0.1)
+    assert host.autopilot.activation.active is None
+    assert host.device() is Device.RC
+
+
+def test_after_a_reboot_f_must_be_toggled_and_everything_done_again() -> None:
+    host = far(Host().flying())
+    host.aircraft.reboot()
+    host.wait(3.0)
+    host.activate()
+    from m100link.protocol import RequestAuthority
+
+    assert host.ask(RequestAuthority(True)) == 3
+    host.aircraft.leave_f()
+    host.aircraft.return_to_f()
+    host.obtain()
+    host.fly(NORTH, 3.0)
+    assert host.motion.velocity_north > 2.0
+
+
+# --- virtual remote control (firmware 3.1) --------------------------------------------------
+
+
+def channels(
+    *, roll: int = 1024, pitch: int = 1024, throttle: int = 1024, yaw: int = 1024, mode: int = 1552
+) -> bytes:
+    rest = [1024] * 9
+    return b"\x05\x01" + struct.pack("<16I", roll, pitch, throttle, yaw, 1324, 1024, mode, *rest)
+
+
+def virtual_rc(host: Host, seconds: float, **sticks: int) -> None:
+    for _ in range(round(seconds / 0.05)):
+        host.send(channels(**sticks), session=0)
+        host.wait(0.05)
+
+
+def flying_3_1() -> Host:
+    host = far(Host(firmware="3.1").flying())
+    host.send(b"\x05\x00\x03", session=0)
+    return host
+
+
+def virtual_is_on(host: Host) -> bool:
+    return host.autopilot.remote.virtual.is_on
+
+
+def test_virtual_rc_flies_and_needs_no_authority() -> None:
+    host = flying_3_1()
+    virtual_rc(host, 4.0, pitch=1024 + 330)
+    assert host.motion.velocity_north == pytest.approx(5.0, abs=0.2)
+    assert host.device() is Device.RC, "its switch is in P"
+
+
+def test_virtual_rc_ends_1_s_after_the_last_data_and_the_real_one_flies() -> None:
+    host = flying_3_1()
+    virtual_rc(host, 1.0)
+    assert host.device() is Device.RC
+    host.wait(0.8)
+    assert virtual_is_on(host)
+    host.wait(0.4)
+    assert not virtual_is_on(host)
+    assert host.device() is Device.ONBOARD, "the real switch is in F"
+
+
+def test_virtual_rc_without_fall_back_counts_as_rc_lost_when_the_data_stop() -> None:
+    host = flying_3_1()
+    host.send(b"\x05\x00\x01", session=0)
+    virtual_rc(host, 1.0)
+    host.wait(1.0 + 3.0 + 0.5)
+    assert host.autopilot.authority.failsafe
+
+
+def test_virtual_rc_in_f_position_lets_the_api_fly() -> None:
+    host = flying_3_1()
+    host.aircraft.leave_f()
+    virtual_rc(host, 0.5, mode=496)
+    assert host.device() is Device.ONBOARD
+
+
+def test_virtual_rc_shows_in_telemetry() -> None:
+    host = flying_3_1()
+    host.aircraft.set_rates(control_device=50)
+    virtual_rc(host, 0.5, roll=364, throttle=1684)
+    packet = next(p for p in reversed(host.packets()) if p.control_device and p.remote_control)
+    assert packet.remote_control is not None
+    assert packet.control_device is not None
+    assert packet.remote_control[:4] == (-10000, 0, 0, 10000)
+    assert packet.remote_control.mode_switch is RcMode.P
+    assert packet.control_device.is_virtual_rc
+
+
+def test_virtual_rc_data_without_switching_it_on_do_nothing() -> None:
+    host = far(Host(firmware="3.1").flying())
+    virtual_rc(host, 1.0, pitch=1684)
+    assert host.motion.speed < 0.02
+
+
+@pytest.mark.parametrize("data", [b"\x05\x00", b"\x05\x00\x01\x01", b"\x05\x01" + bytes(63)])
+def test_malformed_virtual_rc_is_ignored(data: bytes) -> None:
+    host = far(Host(firmware="3.1").flying())
+    host.send(data, session=2)
+    assert not virtual_is_on(host)
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3"])
+def test_virtual_rc_is_unknown_before_3_1(firmware: str) -> None:
+    host = Host(firmware=firmware)
+    ack = host.ask_raw(b"\x05\x00\x01")
+    assert ack is not None
+    assert ack.data == b"\x00\xff"

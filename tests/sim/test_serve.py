@@ -1,0 +1,313 @@
+"""Aircraft on an event loop: cables in memory, TCP, sim://, many at once, nobody reading."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import tracemalloc
+
+import pytest
+
+import m100link
+from m100link.link import Link, parse_url
+from m100link.protocol import GetVersion, TelemetryPacket
+from m100link.sim import Driver, LineFaults, VirtualAircraft, open_sim, serve_tcp
+from m100link.sim.scenario import Scenario, Step
+from m100link.sim.serve import Backlog, StreamPort
+from m100link.sim.telemetry import is_telemetry
+from m100link.testing import ConnectableAircraft, VirtualClock
+from m100link.wire import FrameDecoder, encode_frame
+
+pytestmark = pytest.mark.anyio
+
+
+class Listener(asyncio.Protocol):
+    """Counts, and remembers nothing but the frames that are no telemetry."""
+
+    def __init__(self) -> None:
+        self.bytes = 0
+        self.frames = 0
+        self.decoder = FrameDecoder()
+        self.lost: list[Exception | None] = []
+        self.transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self.bytes += len(data)
+        self.frames += len(self.decoder.feed(data))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.lost.append(exc)
+
+
+async def test_a_connected_program_gets_telemetry_and_answers(
+    virtual_aircraft: ConnectableAircraft,
+) -> None:
+    async with virtual_aircraft.connect() as aircraft:
+        await asyncio.sleep(1.0)
+        version = await aircraft.version()
+        assert version.name == "SDK-v1.0 BETA M100-01.00.00.00"
+        assert aircraft.statistics().frames_received >= 100
+
+
+async def test_connect_again_and_again(virtual_aircraft: ConnectableAircraft) -> None:
+    for _ in range(50):
+        async with virtual_aircraft.connect() as aircraft:
+            await aircraft.version()
+    assert virtual_aircraft.driver.ports == []
+
+
+async def test_time_passes_while_nobody_is_connected(
+    virtual_aircraft: ConnectableAircraft, virtual_clock: VirtualClock
+) -> None:
+    virtual_aircraft.driver.start()
+    await virtual_clock.sleep_until(12.0)
+    assert virtual_aircraft.autopilot.time == pytest.approx(12.0, abs=0.011)
+
+
+async def test_a_stopped_aircraft_does_not_age(virtual_aircraft: ConnectableAircraft) -> None:
+    driver = virtual_aircraft.driver
+    await asyncio.sleep(1.0)
+    driver.stop()
+    await asyncio.sleep(100.0)
+    driver.start()
+    await asyncio.sleep(1.0)
+    assert virtual_aircraft.autopilot.time == pytest.approx(2.0, abs=0.03)
+
+
+async def test_a_computer_that_slept_does_not_make_it_catch_up(
+    virtual_aircraft: ConnectableAircraft,
+) -> None:
+    driver = virtual_aircraft.driver
+    await asyncio.sleep(1.0)
+    loop = asyncio.get_running_loop()
+    loop._jumping.now += 3600.0  # type: ignore[attr-defined]  # the computer sleeps
+    await asyncio.sleep(0.5)
+    assert virtual_aircraft.autopilot.time < 2.0
+    driver.stop()
+
+
+async def test_unplugging_loses_the_link_and_replugging_lets_one_connect_again(
+    virtual_aircraft: ConnectableAircraft,
+) -> None:
+    link = await virtual_aircraft.open_link()
+    virtual_aircraft.unplug()
+    await asyncio.sleep(0.1)
+    assert not link.is_open
+    with pytest.raises(ConnectionError):
+        await virtual_aircraft.open_link()
+    virtual_aircraft.replug()
+    async with virtual_aircraft.connect() as aircraft:
+        await aircraft.version()
+
+
+@pytest.mark.aircraft(faults=LineFaults(delay=0.2))
+async def test_a_delayed_line_delays_the_answer(virtual_aircraft: ConnectableAircraft) -> None:
+    link = await virtual_aircraft.open_link()
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    await link.request(GetVersion().encode(virtual_aircraft.autopilot.profile), name="version")
+    assert loop.time() - began == pytest.approx(0.4, abs=0.03)
+
+
+@pytest.mark.parametrize("seed", range(8))
+async def test_a_bad_line_is_survived_by_repeats(seed: int, virtual_clock: VirtualClock) -> None:
+    faults = LineFaults(loss=0.2, damage=0.1, duplicate=0.1, jitter=0.03, noise=5.0)
+    print(f"seed {seed}")  # noqa: T201
+    aircraft = ConnectableAircraft(seed=seed, faults=faults)
+    link = await aircraft.open_link()
+    for _ in range(20):
+        payload = await link.request(
+            GetVersion().encode(aircraft.autopilot.profile), name="version", tries=12, timeout=0.2
+        )
+        assert len(payload) == 38
+    aircraft.stop()
+
+
+async def test_two_ports_hear_the_same(virtual_aircraft: ConnectableAircraft) -> None:
+    listeners = [Listener(), Listener()]
+    for listener in listeners:
+        virtual_aircraft.connect_protocol(listener)
+    await asyncio.sleep(1.0)
+    assert listeners[0].bytes == listeners[1].bytes > 10_000
+
+
+async def test_a_scenario_happens_in_time(virtual_aircraft: ConnectableAircraft) -> None:
+    driver = virtual_aircraft.driver
+    driver.scenario = Scenario([Step(2.0, "gps 1"), Step(1.0, "rc-mode P"), Step(1.5, "key xx")])
+    await asyncio.sleep(1.2)
+    assert virtual_aircraft.remote.mode.name == "P"
+    assert virtual_aircraft.gps_health == 5
+    await asyncio.sleep(1.0)
+    assert virtual_aircraft.gps_health == 1
+    assert any("key" in entry.text for entry in virtual_aircraft.autopilot.events)
+
+
+# --- a reader who does not keep up ----------------------------------------------------------
+
+
+def test_the_backlog_drops_the_oldest_telemetry_first() -> None:
+    telemetry = [
+        encode_frame(b"\x02\x00" + bytes(40), session=0, sequence=number) for number in range(400)
+    ]
+    ack = encode_frame(b"\x00\x00", session=2, sequence=9, is_ack=True)
+    backlog = Backlog()
+    backlog.extend([*telemetry[:10], ack, *telemetry[10:]])
+    kept = backlog.take()
+    assert len(kept) == Backlog.LIMIT
+    assert backlog.dropped == 401 - Backlog.LIMIT
+    assert kept[0] == ack
+    assert kept[1:] == telemetry[-255:]
+    assert all(is_telemetry(frame) for frame in kept[1:])
+
+
+def test_a_backlog_without_telemetry_is_bounded_too() -> None:
+    ack = encode_frame(b"\x00\x00", session=2, sequence=9, is_ack=True)
+    backlog = Backlog()
+    backlog.extend([ack] * 1000)
+    assert len(backlog) == Backlog.LIMIT
+
+
+async def test_a_program_that_stops_reading_costs_no_memory_and_gets_fresh_frames_later(
+    virtual_aircraft: ConnectableAircraft,
+) -> None:
+    listener = Listener()
+    transport = virtual_aircraft.connect_protocol(listener)
+    await asyncio.sleep(0.1)
+    transport.pause_reading()
+    await asyncio.sleep(60.0)
+    port = virtual_aircraft.driver.ports[0]
+    assert isinstance(port, StreamPort)
+    assert len(port.backlog) <= Backlog.LIMIT
+    assert port.backlog.dropped > 4000
+    assert transport.get_write_buffer_size() == 0
+    transport.resume_reading()
+    await asyncio.sleep(0.5)
+    assert listener.decoder.discarded_bytes == 0, "whole frames only"
+
+
+async def test_memory_is_flat_over_a_simulated_hour(virtual_clock: VirtualClock) -> None:
+    """Ten minutes to settle, then twenty more: the rest of the hour would say the same."""
+    aircraft = ConnectableAircraft(seed=1)
+    link = await aircraft.open_link()
+    await asyncio.sleep(1.0)
+    tracemalloc.start()
+    try:
+        await asyncio.sleep(60.0)
+        before, _ = tracemalloc.get_traced_memory()
+        await asyncio.sleep(240.0)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 50_000, "24 000 packets later"
+    await link.close()
+    aircraft.stop()
+
+
+# --- many -----------------------------------------------------------------------------------
+
+
+async def test_many_aircraft_in_one_process_do_not_mix(virtual_clock: VirtualClock) -> None:
+    fleet = [ConnectableAircraft(seed=seed, firmware="3.1") for seed in range(20)]
+    serials = []
+    for aircraft in fleet:
+        async with aircraft.connect() as connected:
+            serials.append((await connected.version()).serial)
+    assert serials == [aircraft.autopilot.serial_number for aircraft in fleet]
+    assert len(set(serials)) == 20
+    for aircraft in fleet:
+        aircraft.stop()
+
+
+# --- sim:// ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("url", "firmware"),
+    [("sim://", "1.0"), ("sim://?firmware=2.3&seed=7", "2.3"), ("sim://?firmware=3.1", "3.1")],
+)
+async def test_sim_urls_make_an_aircraft(
+    url: str, firmware: str, virtual_clock: VirtualClock
+) -> None:
+    link = Link()
+    await open_sim(parse_url(url), link)
+    await link.wait_connected()
+    payload = await link.request(b"\x00\x00\x00", name="version")
+    version = GetVersion.parse_ack(payload)
+    assert version.profile is not None
+    assert version.profile.name == firmware
+    await link.close()
+
+
+@pytest.mark.parametrize("url", ["sim://?speed=3", "sim://?seed=x", "sim://?firmware=9"])
+async def test_bad_sim_urls_say_so(url: str, virtual_clock: VirtualClock) -> None:
+    with pytest.raises(m100link.M100Error):
+        await open_sim(parse_url(url), Link())
+
+
+# --- TCP (real time) ------------------------------------------------------------------------
+
+
+async def test_tcp_serves_one_program_at_a_time_and_a_new_one_replaces_it() -> None:
+    driver = Driver(VirtualAircraft(seed=1))
+    server = await serve_tcp(driver)
+    loop = asyncio.get_running_loop()
+    listeners = []
+    for _ in range(2):
+        _, listener = await loop.create_connection(Listener, "127.0.0.1", server.port)
+        listeners.append(listener)
+        await asyncio.sleep(0.15)
+    assert listeners[0].lost == [None]
+    assert listeners[0].frames > 5
+    assert listeners[1].frames > 5
+    await server.stop()
+    driver.stop()
+    await asyncio.sleep(0.05)
+    assert listeners[1].lost
+    assert server.port > 0
+
+
+# --- pace -----------------------------------------------------------------------------------
+
+
+async def test_ten_minutes_of_flight_take_two_seconds_at_most(
+    virtual_aircraft: ConnectableAircraft,
+) -> None:
+    """Telemetry at default rates, movement at 50 Hz, through the event loop and a cable.
+
+    The bound is wider than the goal of two seconds, for slow and busy machines; the benchmark
+    measures.
+    """
+    listener = Listener()
+    transport = virtual_aircraft.connect_protocol(listener)
+    flight, loop = virtual_aircraft.autopilot.flight, asyncio.get_running_loop()
+    flight.take_off()
+    await asyncio.sleep(8.0)
+    virtual_aircraft.autopilot.authority.is_requested = True
+    move = encode_frame(bytes.fromhex("010348" + "0000803f" + 12 * "00"), session=0, sequence=1)
+    began, left = time.perf_counter(), 30_000
+
+    def send() -> None:
+        nonlocal left
+        transport.write(move)
+        left -= 1
+        if left:
+            loop.call_later(0.02, send)
+
+    send()
+    await asyncio.sleep(600.0)
+    real = time.perf_counter() - began
+    print(f"600 s of flight in {real:.2f} s")  # noqa: T201
+    assert virtual_aircraft.autopilot.counters.movements == 30_000
+    assert listener.frames >= 60_700
+    assert real < 8.0
+
+
+def test_packets_carry_what_the_driver_made(virtual_aircraft: ConnectableAircraft) -> None:
+    virtual_aircraft.autopilot.advance(0.0)
+    virtual_aircraft.autopilot.advance(0.01)
+    (frame,) = FrameDecoder().feed(virtual_aircraft.autopilot.data_to_send())
+    assert TelemetryPacket(frame.data[2:], virtual_aircraft.autopilot.profile).time is not None
