@@ -10,6 +10,8 @@
             await control.land()
 """
 
+import logging
+
 from m100link import errors
 from m100link.aircraft import ActivationProgress, Aircraft, connect
 from m100link.authority import Authority, AuthorityState
@@ -102,6 +104,9 @@ from m100link.tasks import TaskProgress
 from m100link.wire import Key
 
 __version__ = "0.1.0"
+
+# A library leaves it to the program whether and how its log is shown.
+logging.getLogger("m100link").addHandler(logging.NullHandler())
 
 __all__ = [
     "PROFILES",

@@ -494,6 +494,8 @@ class Aircraft:
             _logger.debug("a push that is no push of the document: %s", data[:16].hex())
 
     def _on_telemetry(self, frame: Frame, now: float) -> None:
+        if self._version is None and self._forced_firmware is None:
+            return  # its layout is not known before the version answer
         try:
             sample = Sample(frame.data[2:], self._firmware, now)
         except LayoutMismatch as error:

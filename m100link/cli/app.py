@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import sys
 
 from cyclopts import App, CycloptsError
 
 import m100link
-from m100link.cli import aircraft, decode, demo, flight, monitor, sim, telemetry
+from m100link.cli import aircraft, decode, demo, flight, monitor, sim, station, telemetry
 from m100link.cli.common import ExitCode, complain
-from m100link.errors import M100Error
+from m100link.errors import M100Error, UsageError
 
 __all__ = ["app", "run"]
 
@@ -33,13 +35,30 @@ for _command in (
     flight.release,
     decode.decode,
     sim.app,
+    station.serve,
+    station.console,
 ):
     app.command(_command)
+
+
+def _show_warnings() -> None:
+    """Warnings of the library go to standard error, like everything that is no data."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    logger = logging.getLogger("m100link")
+    logger.addHandler(handler)
+    level = os.environ.get("M100LINK_LOG", "WARNING").upper()
+    if level not in logging.getLevelNamesMapping():
+        raise UsageError(
+            f"M100LINK_LOG is {level!r}", remedy="set it to DEBUG, INFO, WARNING or ERROR"
+        )
+    logger.setLevel(level)
 
 
 def run() -> None:
     """Parse the command line, run the command, exit with its status."""
     try:
+        _show_warnings()
         status = app(exit_on_error=False, print_error=True, result_action="return_value")
     except CycloptsError:
         sys.exit(ExitCode.USAGE)
