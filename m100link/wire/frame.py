@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from enum import StrEnum
+from functools import lru_cache
 from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
@@ -25,7 +26,6 @@ from m100link.wire.crc import (
     frame_crc32,
     header_crc16,
     header_crc16_of_word,
-    sequence_crc16,
 )
 from m100link.wire.crc import SEQUENCE_CRC16_HIGH as _HIGH
 from m100link.wire.crc import SEQUENCE_CRC16_LOW as _LOW
@@ -130,12 +130,18 @@ def encode_frame(
             remedy="split the data",
         )
     word = SOF | length << 8 | (session | is_ack << 5) << 24 | (padding | encryption << 5) << 32
-    crc16 = header_crc16_of_word(_WORD.pack(word)) ^ sequence_crc16(sequence)
+    crc16 = _crc16_of_word(word) ^ _LOW[sequence & 0xFF] ^ _HIGH[sequence >> 8]
     header = _HEADER.pack(word, sequence, crc16)
     if not data:
         return header
     body = header + data
     return body + _CRC32.pack(frame_crc32(body))
+
+
+@lru_cache(maxsize=4096)
+def _crc16_of_word(word: int) -> int:
+    # The first eight bytes of a header are the same for every frame of a kind.
+    return header_crc16_of_word(_WORD.pack(word))
 
 
 class _Header(NamedTuple):
