@@ -1,0 +1,31 @@
+"""A program that flies, for ``test_processes.py``: python -m tests.flight.flying_program PORT STOP.
+
+The aircraft is in the air already; it flies north for ever. Whatever it does when a signal comes
+is the library's doing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+
+import m100link
+from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
+
+
+async def main(port: str, stop: str) -> None:
+    credentials = m100link.Credentials(app_id=DEMO_APP_ID, key=DEMO_KEY)
+    north = m100link.Setpoint.velocity(north=2.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+    assert stop in ("hover", "land")
+    async with m100link.connect(port) as aircraft:
+        await aircraft.activate(credentials)
+        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=5)
+        async with aircraft.control(stop="land" if stop == "land" else "hover") as control:
+            async for tick in control.ticks():
+                control.send(north)
+                if tick.index == 25:
+                    print("flying", flush=True)  # noqa: T201 (the test waits for it)
+
+
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))
