@@ -19,6 +19,7 @@ from m100link.control import Control
 from m100link.errors import (
     AuthorityLost,
     AuthorityRefused,
+    GuardRefused,
     LinkError,
     M100Error,
     NoAuthority,
@@ -29,8 +30,10 @@ from m100link.protocol.activation import Credentials, Version
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.control import Task
 from m100link.protocol.setpoint import Setpoint
+from m100link.protocol.telemetry import RemoteControl
 from m100link.station.journal import Journal
 from m100link.station.lease import Lease, LeaseChange, LeaseDesk
+from m100link.subscription import Newest
 
 __all__ = ["Connection", "Pattern", "Station"]
 
@@ -45,7 +48,6 @@ SETPOINT_LIFETIME = 0.2
 
 _AT_ONCE = 1e-3
 _LEASE_CHECK = 0.1
-_RESUME_POLL = 0.2
 
 Connect = Callable[[], Awaitable[Aircraft]]
 """Opens the aircraft; raises :class:`M100Error` when it cannot."""
@@ -323,30 +325,29 @@ class Station(Journal):
     def _resume_later(self, error: AuthorityLost) -> None:
         """Coming back to F gives authority back without a new request (document, quick start)."""
         lease = self.desk.holder(self.now)
-        if lease is None or error.reason in ("app", "link"):
+        aircraft = self.aircraft
+        if lease is None or aircraft is None or error.reason in ("app", "link"):
             return
         if self._resuming is not None:
             self._resuming.cancel()
-        self._resuming = self.spawn(self._resume(lease), "resume")
+        has_left_f = error.reason == "mode_switch"
+        self._resuming = self.spawn(self._resume(lease, aircraft, has_left_f), "resume")
 
-    async def _resume(self, lease: Lease) -> None:
-        has_left_f = False
-        while self.desk.holder(self.now) == lease and self.aircraft is not None:
-            await asyncio.sleep(_RESUME_POLL)
-            switch = self.aircraft.state.remote_control if self.aircraft else None
-            if switch is None or not switch.is_in_f:
-                has_left_f = has_left_f or switch is not None
-                continue
-            if not has_left_f:
-                continue
-            try:
-                await self._obtain()
-            except AuthorityRefused:
-                has_left_f = False  # the switch has to move again
-            except M100Error:
-                return
-            else:
-                return
+    async def _resume(self, lease: Lease, aircraft: Aircraft, has_left_f: bool) -> None:
+        # Only a switch that was seen out of F: what the app took has to be asked for anew.
+        async with aircraft.telemetry(RemoteControl, policy=Newest(50)) as samples:
+            async for sample in samples:
+                switch = sample[RemoteControl]
+                has_left_f = has_left_f or not switch.is_in_f
+                if self.desk.holder(self.now) != lease:
+                    return
+                if has_left_f and switch.is_in_f:
+                    try:
+                        await self._obtain()
+                    except AuthorityRefused:
+                        has_left_f = False
+                    else:
+                        return
 
     async def release(self, token: str) -> None:
         """Give control authority back; the lease stays.
@@ -395,7 +396,11 @@ class Station(Journal):
         self._send(control, setpoint, lifetime)
 
     def _send(self, control: Control, setpoint: Setpoint, lifetime: float) -> None:
-        control.send(setpoint, lifetime=lifetime)
+        try:
+            control.send(setpoint, lifetime=lifetime)
+        except M100Error:
+            self.halt("a setpoint was refused")  # what flew until now is not wanted any more
+            raise
         self._last = setpoint
 
     def halt(self, why: str = "") -> None:
@@ -406,8 +411,12 @@ class Station(Journal):
         self._end_pattern(why)
         last, self._last = self._last, None
         if last is not None and self._control is not None:
-            with contextlib.suppress(M100Error):  # nothing moves without authority
+            try:
                 self._control.send(last.neutral(), lifetime=_AT_ONCE)
+            except GuardRefused:
+                self.spawn(self._control.stop(), "neutral")  # guards do not keep it from stopping
+            except M100Error:
+                pass  # without authority nothing moves
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, pattern, and the task that the aircraft flies.

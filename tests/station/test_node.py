@@ -351,8 +351,8 @@ async def test_a_key_ends_a_simple_task(rig: Rig) -> None:
     page.publish("/sdk_request_ctrl", **ZERO)  # letting go is no steering
     assert rig.station.is_flying_pattern
     page.publish("/sdk_request_ctrl", **(ZERO | {"y": 2}))
+    await rig.until(lambda: not rig.station.is_flying_pattern, within=0.1)
     await anyio.sleep(0.1)
-    assert not rig.station.is_flying_pattern
     assert flown(rig.moves)[-1] == (0x0A, 2, 0, 0, 0)
 
 

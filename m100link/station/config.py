@@ -1,0 +1,259 @@
+"""Settings of the station: flags before environment before TOML before a ROS launch file."""
+
+from __future__ import annotations
+
+import secrets
+import stat
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from m100link.errors import UsageError
+from m100link.protocol.activation import Credentials
+from m100link.station.gate import is_loopback
+from m100link.station.launch import read_launch
+
+__all__ = ["ENVIRONMENT", "Settings", "resolve"]
+
+PORT = 9090
+"""Where rosbridge listens, and DJI's page of 2015 connects."""
+
+CONSOLE_PORT = 8090
+"""Where the console is served."""
+
+_MIN_TOKEN = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """What the station needs to know.
+
+    Attributes:
+        url: Where the aircraft is; None with ``sim``.
+        baud_rate: Rate when the URL has none.
+        firmware: Forced firmware profile.
+        sim: Bring a virtual aircraft.
+        app_id: App id at DJI; without it the station can only watch.
+        key: Its AES key.
+        key_file: File that holds the key, before ``key``.
+        level: Authorization level of the app id.
+        app_version: Version of the app (firmware 1.0).
+        bundle_id: Bundle id of the app.
+        host: Address to bind.
+        port: Port of rosbridge.
+        also_ports: More ports for the same; DJI's later page looks for 19871.
+        console_port: Port of the console.
+        allow_host: Names that the station goes by.
+        allow_origin: Pages from elsewhere that may connect; ``null`` is a page from a file.
+        token: What clients have to know; needed beyond the own machine.
+        token_file: File that holds it.
+        tls_cert: Certificate chain, PEM.
+        tls_key: Its private key, PEM.
+        pages: Folder with web pages to serve on the rosbridge port.
+        tiles: Folder with map tiles ``{z}/{x}/{y}.png`` for the console.
+        max_clients: Clients at once.
+        origins: Where each value came from, for ``--show-config``.
+    """
+
+    url: str | None = None
+    baud_rate: int | None = None
+    firmware: str | None = None
+    sim: bool = False
+    app_id: int | None = None
+    key: str | None = field(default=None, repr=False)
+    key_file: Path | None = None
+    level: int = 2
+    app_version: int = 1
+    bundle_id: str = "12345678901234567890123456789012"
+    host: str = "127.0.0.1"
+    port: int = PORT
+    also_ports: tuple[int, ...] = ()
+    console_port: int = CONSOLE_PORT
+    allow_host: tuple[str, ...] = ()
+    allow_origin: tuple[str, ...] = ()
+    token: str | None = field(default=None, repr=False)
+    token_file: Path | None = None
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+    pages: Path | None = None
+    tiles: Path | None = None
+    max_clients: int = 32
+    origins: dict[str, str] = field(default_factory=dict)
+
+    def credentials(self) -> Credentials | None:
+        """What activation needs, or None when there is no app id.
+
+        Raises:
+            UsageError, BadKey: The key is missing or cannot be one.
+        """
+        if self.app_id is None:
+            return None
+        key = self.key
+        if self.key_file is not None:
+            key = _read_secret(self.key_file, "key")
+        if key is None:
+            raise UsageError(
+                f"there is an app id ({self.app_id}) and no key",
+                remedy="give --key-file, or set M100LINK_KEY_FILE",
+            )
+        return Credentials(
+            self.app_id,
+            key,
+            level=self.level,
+            app_version=self.app_version,
+            bundle_id=self.bundle_id,
+        )
+
+    def access_token(self) -> str | None:
+        """The token that clients have to know; None on the own machine unless one was set.
+
+        Raises:
+            UsageError: The bind needs one and none was given, or it is too short.
+        """
+        token = self.token
+        if self.token_file is not None:
+            token = _read_secret(self.token_file, "token").strip()
+        if token is None:
+            if not is_loopback(self.host):
+                raise UsageError(
+                    f"binding {self.host} lets other machines in, and there is no token",
+                    remedy="give --token-file with a long random text, for example "
+                    f"{secrets.token_urlsafe(16)}",
+                )
+            return None
+        if len(token) < _MIN_TOKEN or not token.isascii() or not token.isprintable():
+            raise UsageError(f"a token is at least {_MIN_TOKEN} printable ASCII characters")
+        if set(token) & set(' ";,\\%&+#='):
+            raise UsageError('a token has none of the characters space " ; , \\ % & + # =')
+        return token
+
+    def is_plain_beyond_loopback(self) -> bool:
+        """Whether the token and everything else would travel readable through a network."""
+        return not is_loopback(self.host) and self.tls_cert is None
+
+
+ENVIRONMENT = {
+    "url": "M100LINK_URL",
+    "baud_rate": "M100LINK_BAUD_RATE",
+    "firmware": "M100LINK_PROFILE",
+    "app_id": "M100LINK_APP_ID",
+    "key": "M100LINK_KEY",
+    "key_file": "M100LINK_KEY_FILE",
+    "level": "M100LINK_LEVEL",
+    "host": "M100LINK_HOST",
+    "port": "M100LINK_PORT",
+    "console_port": "M100LINK_CONSOLE_PORT",
+    "token": "M100LINK_TOKEN",
+    "token_file": "M100LINK_TOKEN_FILE",
+}
+"""Environment variable of a setting."""
+
+_KINDS = {one.name: one.type for one in fields(Settings)}
+
+
+def resolve(
+    flags: Mapping[str, Any],
+    environment: Mapping[str, str],
+    *,
+    config: Path | None = None,
+    launch: Path | None = None,
+) -> Settings:
+    """Put the settings together; the first source that has a value decides.
+
+    Args:
+        flags: Values from the command line; None where nothing was given.
+        environment: Environment variables.
+        config: TOML file.
+        launch: ROS launch file.
+
+    Raises:
+        UsageError: A file cannot be read, or a value cannot be right; the source is named.
+    """
+    sources: list[tuple[str, Mapping[str, Any]]] = [
+        ("command line", {name: value for name, value in flags.items() if value is not None}),
+        (
+            "environment",
+            {
+                name: environment[variable]
+                for name, variable in ENVIRONMENT.items()
+                if environment.get(variable)
+            },
+        ),
+    ]
+    if config is not None:
+        sources.append((str(config), _read_toml(config)))
+    if launch is not None:
+        sources.append((str(launch), read_launch(launch)))
+    values: dict[str, Any] = {}
+    origins: dict[str, str] = {}
+    for source, given in sources:
+        for name, value in given.items():
+            if name not in values and not _is_shadowed(name, values):
+                values[name] = _convert(name, value, source)
+                origins[name] = source
+    settings = Settings(**values, origins=origins)
+    if settings.url is not None and settings.sim:
+        # A virtual aircraft is asked for louder than an address in a file is.
+        if origins["url"] == origins["sim"]:
+            raise UsageError("a url and --sim were given", remedy="choose one of them")
+        settings = Settings(**(values | {"url": None}), origins=origins)
+    return settings
+
+
+def _is_shadowed(name: str, values: Mapping[str, Any]) -> bool:
+    """A key of a stronger source hides a key file of a weaker one, and the other way round."""
+    twins = {"key": "key_file", "key_file": "key", "token": "token_file", "token_file": "token"}
+    return twins.get(name) in values
+
+
+def _read_toml(path: Path) -> Mapping[str, Any]:
+    try:
+        table = tomllib.loads(path.expanduser().read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UsageError(f"{path} cannot be read: {error}") from error
+    table = table.get("station", table)
+    for name in table:
+        if name not in _KINDS or name == "origins":
+            known = ", ".join(one for one in _KINDS if one != "origins")
+            raise UsageError(f"{path}: there is no setting {name!r}", remedy=f"there are: {known}")
+    if not isinstance(table, dict):
+        raise UsageError(f"{path}: station is a table")
+    return table
+
+
+def _convert(name: str, value: Any, source: str) -> Any:
+    kind = str(_KINDS[name])
+    try:
+        if kind.startswith("tuple"):
+            items = value if isinstance(value, list | tuple) else [value]
+            return tuple(int(one) if "int" in kind else str(one) for one in items)
+        if kind.startswith("int"):
+            if isinstance(value, bool | float):
+                raise ValueError
+            return int(value, 0) if isinstance(value, str) else int(value)
+        if kind.startswith("bool"):
+            if not isinstance(value, bool):
+                raise ValueError
+            return value
+        if not isinstance(value, str | Path):
+            raise ValueError
+        return Path(value) if kind.startswith("Path") else str(value)
+    except (TypeError, ValueError):
+        shown = "what is there" if name in ("key", "token") else repr(value)
+        raise UsageError(f"{source}: {name} cannot be {shown}") from None
+
+
+def _read_secret(path: Path, what: str) -> str:
+    place = path.expanduser()
+    try:
+        mode = stat.S_IMODE(place.stat().st_mode)
+        text = place.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"the {what} file cannot be read: {error}") from error
+    if mode & 0o077:
+        raise UsageError(
+            f"{path} can be read by others (mode {mode:o})", remedy=f"chmod 600 {path}"
+        )
+    return text

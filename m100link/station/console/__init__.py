@@ -1,0 +1,1 @@
+"""The console for browsers. Needs the extra ``station``."""

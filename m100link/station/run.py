@@ -1,0 +1,130 @@
+"""The whole station for as long as a block runs: aircraft, rosbridge, console."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+
+from m100link.errors import UsageError
+from m100link.protocol.activation import Credentials
+from m100link.sim.serve import Driver
+from m100link.sim.settings import AircraftSettings
+from m100link.sim.virtual import VirtualAircraft
+from m100link.station.config import Settings
+from m100link.station.connect import by_driver, by_url
+from m100link.station.server import Bridge, Server, listen
+from m100link.station.station import Connect, Station
+
+__all__ = ["Running", "running"]
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A station that runs.
+
+    Attributes:
+        station: The aircraft and its lease.
+        bridge: What rosbridge clients reach.
+        ports: Ports of rosbridge, in the order of the settings.
+        console_port: Port of the console, None without it.
+        virtual: The virtual aircraft that it brought, or None.
+    """
+
+    station: Station
+    bridge: Bridge
+    ports: list[int]
+    console_port: int | None
+    virtual: VirtualAircraft | None
+
+
+def _virtual(credentials: Credentials | None) -> VirtualAircraft:
+    settings = AircraftSettings(noise=1.0)
+    if credentials is None:
+        return VirtualAircraft(settings=settings)
+    return VirtualAircraft(
+        app_id=credentials.app_id,
+        key=credentials.key,
+        level=credentials.level,
+        settings=settings,
+    )
+
+
+@asynccontextmanager
+async def running(
+    settings: Settings, *, with_console: bool = False, virtual: VirtualAircraft | None = None
+) -> AsyncIterator[Running]:
+    """Run a station while the block runs.
+
+    Args:
+        settings: What it needs to know.
+        with_console: Serve the console, too.
+        virtual: The virtual aircraft to use with ``sim``; by default one that stands ready.
+
+    Raises:
+        UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
+    """
+    credentials = settings.credentials()
+    async with AsyncExitStack() as stack:
+        if settings.sim:
+            virtual = virtual or _virtual(credentials)
+            credentials = virtual.credentials
+            driver = Driver(virtual)
+            driver.start()
+            stack.callback(driver.stop)
+            connect: Connect = by_driver(driver)
+        elif settings.url is not None:
+            connect = by_url(settings.url, baud_rate=settings.baud_rate, firmware=settings.firmware)
+        else:
+            raise UsageError(
+                "no aircraft was named",
+                remedy="give its URL, set M100LINK_URL, or use --sim for a virtual one",
+            )
+        sockets = [listen(settings.host, port) for port in (settings.port, *settings.also_ports)]
+        for one in sockets:
+            stack.callback(one.close)
+        station = await stack.enter_async_context(Station(connect, credentials=credentials))
+        bridge = Bridge(station, max_clients=settings.max_clients, pages=settings.pages)
+        server = Server.make(bridge.app(settings), settings)
+        await stack.enter_async_context(_serving(server, sockets))
+        console_port = None
+        if with_console:
+            console_port = await _add_console(stack, station, settings, virtual)
+        yield Running(
+            station, bridge, [one.getsockname()[1] for one in sockets], console_port, virtual
+        )
+
+
+async def _add_console(
+    stack: AsyncExitStack, station: Station, settings: Settings, virtual: VirtualAircraft | None
+) -> int:
+    try:
+        from m100link.station.console.app import console_app
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"the console needs {error.name}, which is not installed",
+            remedy="pip install 'm100link[station]'",
+        ) from None
+    listening = listen(settings.host, settings.console_port)
+    stack.callback(listening.close)
+    app = console_app(station, settings, virtual)
+    await stack.enter_async_context(_serving(Server.make(app, settings), [listening]))
+    port: int = listening.getsockname()[1]
+    return port
+
+
+@asynccontextmanager
+async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterator[None]:
+    serving = asyncio.create_task(server.run_on(sockets), name="m100link station: server")
+    started = asyncio.create_task(server.wait_started())
+    try:
+        await asyncio.wait((serving, started), return_when=asyncio.FIRST_COMPLETED)
+        if serving.done():
+            await serving
+        yield
+    finally:
+        started.cancel()
+        serving.cancel()
+        await asyncio.gather(serving, started, return_exceptions=True)

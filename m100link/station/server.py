@@ -1,0 +1,266 @@
+"""rosbridge on a WebSocket: the sessions of :mod:`m100link.station.rosbridge` on uvicorn.
+
+Needs the extra ``station``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import socket
+import ssl
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from m100link.errors import PortBusy, PortFailed, UsageError
+from m100link.station.clients import Clients
+from m100link.station.dji_sdk import DjiSdk
+from m100link.station.gate import App, Gate
+from m100link.station.graph import Graph
+from m100link.station.node import Node
+from m100link.station.rosbridge import Limits, Session
+from m100link.station.station import Station
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from m100link.station.config import Settings
+
+__all__ = ["Bridge", "Server", "listen"]
+
+_logger = logging.getLogger("m100link.station")
+
+SEND_TIMEOUT = 10.0
+"""Seconds that a client may take to accept one frame before it is disconnected."""
+
+PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
+_POLICY_VIOLATION = 1008
+
+
+class Bridge:
+    """Everything that rosbridge clients reach: topics, services, sockets.
+
+    Args:
+        station: The aircraft and its lease.
+        limits: What one client may use.
+        max_clients: Clients at once.
+        pages: Folder with web pages to serve on the same port.
+
+    Attributes:
+        graph: Topics and services.
+        clients: Who holds the lease.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        *,
+        limits: Limits | None = None,
+        max_clients: int = 32,
+        pages: Path | None = None,
+    ) -> None:
+        self._station = station
+        self._limits = limits or Limits()
+        self._max_clients = max_clients
+        self.graph = Graph()
+        self.clients = Clients(station, self.graph)
+        Node(station, self.graph, self.clients)
+        DjiSdk(station, self.graph, self.clients)
+        routes: list[BaseRoute] = [
+            WebSocketRoute("/{path:path}", self._serve),
+            Route("/health", self._health),
+        ]
+        if pages is not None:
+            if not pages.is_dir():
+                raise UsageError(f"{pages} is no folder")
+            routes.append(Mount("/", StaticFiles(directory=pages, html=True)))
+        else:
+            routes.append(Route("/", self._greet))
+        self._app = Starlette(routes=routes)
+
+    def app(self, settings: Settings) -> App:
+        """The application behind its gate."""
+        hosts = set(settings.allow_host)
+        if settings.host not in ("0.0.0.0", "::"):
+            hosts.add(f"[{settings.host}]" if ":" in settings.host else settings.host)
+        return Gate(
+            self._app,
+            hosts=hosts,
+            origins=settings.allow_origin,
+            token=settings.access_token(),
+        )
+
+    async def _greet(self, request: Request) -> Response:
+        return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")
+
+    async def _health(self, request: Request) -> Response:
+        is_connected = self._station.aircraft is not None
+        report = {
+            "connection": self._station.connection.value,
+            "error": str(self._station.connection_error or ""),
+            "clients": len(self.graph.sessions),
+        }
+        return JSONResponse(report, status_code=200 if is_connected else 503)
+
+    # -- one client ------------------------------------------------------------------------------
+
+    async def _serve(self, websocket: WebSocket) -> None:
+        if len(self.graph.sessions) >= self._max_clients:
+            _logger.warning("a client was refused: %d are connected", len(self.graph.sessions))
+            await websocket.close(_POLICY_VIOLATION)
+            return
+        peer = websocket.client
+        name = f"rosbridge {peer.host}:{peer.port}" if peer else "rosbridge"
+        wake = asyncio.Event()
+        session = Session(self.graph, name, limits=self._limits, on_output=wake.set)
+        try:
+            await websocket.accept()
+            _logger.info("%s connected", name)
+            writing = asyncio.create_task(self._write(websocket, session, wake))
+            reading = asyncio.create_task(self._read(websocket, session))
+            try:
+                await asyncio.wait((writing, reading), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                # The motion stops now, not when the tasks have ended.
+                session.close(self._station.now)
+                for task in (writing, reading):
+                    task.cancel()
+                await asyncio.gather(writing, reading, return_exceptions=True)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            session.close(self._station.now)
+            _logger.info("%s has gone (%d messages dropped)", name, session.dropped)
+
+    async def _read(self, websocket: WebSocket, session: Session) -> None:
+        while True:
+            message = await websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            data = message.get("text")
+            session.receive(message.get("bytes", b"") if data is None else data, self._station.now)
+            # Frames may wait in a row: others have their turn between them.
+            await asyncio.sleep(0)
+
+    async def _write(self, websocket: WebSocket, session: Session, wake: asyncio.Event) -> None:
+        with contextlib.suppress(WebSocketDisconnect):
+            while session.close_reason is None:
+                wake.clear()
+                session.advance(self._station.now)
+                frame = session.next_frame()
+                if frame is None:
+                    await self._wait(session, wake)
+                    continue
+                try:
+                    async with asyncio.timeout(SEND_TIMEOUT):
+                        if isinstance(frame, str):
+                            await websocket.send_text(frame)
+                        else:
+                            await websocket.send_bytes(frame)
+                except TimeoutError:
+                    session.close_reason = "the client does not read"
+            _logger.warning("%s is disconnected: %s", session.name, session.close_reason)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(1.0):
+                    await websocket.close(_POLICY_VIOLATION, session.close_reason[:120])
+
+    async def _wait(self, session: Session, wake: asyncio.Event) -> None:
+        due = session.next_wakeup()
+        if due is None:
+            await wake.wait()
+            return
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(due):
+                await wake.wait()
+
+
+class Server(uvicorn.Server):
+    """uvicorn inside a program: signals stay with the program."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        """Leave the signals alone; whoever runs the server ends it by ``should_exit``."""
+        yield
+
+    @classmethod
+    def make(
+        cls, app: App, settings: Settings, *, message_size: int = Limits().message_size
+    ) -> Server:
+        """A server with the limits of the station."""
+        config = uvicorn.Config(
+            app,
+            ws="websockets-sansio",
+            ws_max_size=message_size,
+            ws_ping_interval=PING_INTERVAL,
+            ws_ping_timeout=PING_TIMEOUT,
+            ws_per_message_deflate=False,
+            limit_concurrency=4 * settings.max_clients,
+            timeout_graceful_shutdown=2,
+            timeout_keep_alive=5,
+            lifespan="off",
+            log_config=None,
+            log_level="warning",  # its "info" prints addresses with their tokens
+            access_log=False,
+            server_header=False,
+            ssl_certfile=settings.tls_cert,
+            ssl_keyfile=settings.tls_key,
+        )
+        try:
+            config.load()
+        except (OSError, ssl.SSLError) as error:
+            raise UsageError(f"the TLS files cannot be used: {error}") from error
+        return cls(config)
+
+    async def run_on(self, sockets: Sequence[socket.socket]) -> None:
+        """Serve until cancelled; clients are told and the sockets closed."""
+        serving = asyncio.create_task(self.serve(sockets=list(sockets)))
+        try:
+            await asyncio.shield(serving)
+        except asyncio.CancelledError:
+            self.should_exit = True
+            await serving
+            raise
+        finally:
+            for listening in sockets:
+                listening.close()
+
+    async def wait_started(self) -> None:
+        """Wait until connections are answered."""
+        while not self.started:  # noqa: ASYNC110 - uvicorn has no event for it
+            await asyncio.sleep(0.01)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket.
+
+    Raises:
+        PortBusy, PortFailed: Another program has the port, or the address cannot be bound.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((host, port))
+    except OSError as error:
+        listening.close()
+        kind = PortBusy if error.errno == errno.EADDRINUSE else PortFailed
+        raise kind(
+            f"{host}:{port} cannot be served: {error.strerror or error}",
+            cause="another station, or a real rosbridge, runs on this machine"
+            if kind is PortBusy
+            else "",
+            remedy="end it, or choose another --port",
+        ) from error
+    listening.listen(128)
+    listening.setblocking(False)
+    return listening
