@@ -194,24 +194,23 @@ def run(
         raise UsageError(f"{count} aircraft cannot be run")
     if not speed > 0.0:
         raise UsageError(f"speed must be above 0, not {speed:g}")
-    server_key = _read_key(key, key_file)
-    assistant = AssistantSettings(
-        api_control_enabled=not cold, baud_rate=baud, rates_hz=_read_rates(rate)
-    )
-    aircraft = [
-        VirtualAircraft(
-            seed=seed + index,
-            firmware=firmware,
-            app_id=app_id,
-            key=server_key,
-            level=level,
-            cold=cold,
-            settings=site.settings(),
-            assistant=assistant,
-            faults=faults.faults(),
+    options: dict[str, Any] = {
+        "firmware": firmware,
+        "app_id": app_id,
+        "key": _read_key(key, key_file),
+        "level": level,
+        "cold": cold,
+    }
+    try:
+        assistant = AssistantSettings(
+            api_control_enabled=not cold, baud_rate=baud, rates_hz=_read_rates(rate)
         )
-        for index in range(count)
-    ]
+        options |= {"settings": site.settings(), "faults": faults.faults(), "assistant": assistant}
+        aircraft = [VirtualAircraft(seed=seed + index, **options) for index in range(count)]
+    except UsageError:
+        raise
+    except ValueError as error:
+        raise UsageError(str(error)) from error
     as_json = json_output or not sys.stdout.isatty()
     address = None if tcp is None else _read_address(tcp)
     plan = _Plan(aircraft, link, address, scenario, duration, as_json, seed)

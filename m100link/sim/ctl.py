@@ -58,6 +58,7 @@ class CtlServer:
         self._aircraft = aircraft
         self.path = path or socket_directory() / f"sim-{os.getpid()}.sock"
         self._server: asyncio.Server | None = None
+        self._writers: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> None:
         """Listen."""
@@ -73,10 +74,16 @@ class CtlServer:
         if self._server is not None:
             self._server.close()
             self._server = None
+            await asyncio.sleep(0.01)  # connections that were just accepted reach _serve
+            for writer in list(self._writers):
+                writer.close()
+                with contextlib.suppress(OSError):
+                    await writer.wait_closed()
         with contextlib.suppress(OSError):
             self.path.unlink()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._writers.add(writer)
         try:
             while line := await reader.readline():
                 writer.write(json.dumps(self.answer(line)).encode() + b"\n")
@@ -84,6 +91,7 @@ class CtlServer:
         except (ValueError, ConnectionError):
             pass  # a line beyond the limit, or the other side is gone: nobody to tell
         finally:
+            self._writers.discard(writer)
             writer.close()
 
     def answer(self, line: bytes) -> dict[str, Any]:

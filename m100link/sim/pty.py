@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["PtyPort"]
 
 _STALE_S = 1.0
+_FULL = 4000  # the line discipline holds 4095 bytes
 _SPEEDS = {
     getattr(termios, f"B{rate}"): rate
     for rate in (
@@ -54,6 +55,7 @@ class PtyPort:
         device: Path of the terminal, such as ``/dev/pts/3``.
         name: What to open: the link if there is one, else the device.
         backlog: Frames that wait for the reader.
+        flushes: How often a full terminal was emptied because nobody had read for a second.
     """
 
     def __init__(
@@ -65,6 +67,9 @@ class PtyPort:
         self._master = self._slave = -1
         self._partial = b""
         self._blocked_since: float | None = None
+        self._look_at = 0.0
+        self._was_full = False
+        self.flushes = 0
         self.device = ""
         self.backlog = Backlog()
         self._open()
@@ -150,7 +155,24 @@ class PtyPort:
         if self._is_wrong_rate():
             frames = [self._garbled(frame) for frame in frames]
         self.backlog.extend(frames)
+        self._throw_stale_away()
         self._drain()
+
+    def _throw_stale_away(self) -> None:
+        """Empty a terminal that nobody has read from for a while.
+
+        The system keeps some 70 kB for a reader who may never come: six seconds of telemetry.
+        """
+        now = self._driver.loop.time()
+        if now < self._look_at:
+            return
+        self._look_at = now + _STALE_S
+        is_full = self.unread >= _FULL
+        if is_full and self._was_full:
+            termios.tcflush(self._slave, termios.TCIFLUSH)
+            self.flushes += 1
+            is_full = False
+        self._was_full = is_full
 
     def _drain(self) -> None:
         pieces = self.backlog.take()

@@ -34,9 +34,14 @@ def test_virtual_time_jumps_and_is_exact() -> None:
 
 def test_virtual_time_begins_at_zero_and_keeps_the_order_of_timers() -> None:
     async def main() -> list[tuple[float, int]]:
-        loop, fired = asyncio.get_running_loop(), []
+        loop = asyncio.get_running_loop()
+        fired: list[tuple[float, int]] = []
+
+        def fire(number: int) -> None:
+            fired.append((round(loop.time(), 9), number))
+
         for number, delay in enumerate((0.3, 0.1, 0.2, 0.1)):
-            loop.call_later(delay, lambda n=number: fired.append((round(loop.time(), 9), n)))
+            loop.call_later(delay, fire, number)
         await asyncio.sleep(1.0)
         return fired
 

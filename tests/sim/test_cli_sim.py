@@ -1,0 +1,193 @@
+"""``m100link sim`` as a process, in real time (few and short)."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+
+from m100link.wire import FrameDecoder, encode_frame
+
+pytestmark = pytest.mark.pty
+
+KEY = "5837313ef98f1f7f1c50eebb0b06363d523a369289e042c4d00b66d8e49337a7"
+
+
+class Simulator:
+    """A running ``m100link sim``."""
+
+    def __init__(self, runtime: Path, *arguments: str) -> None:
+        self.environment = os.environ | {"XDG_RUNTIME_DIR": str(runtime)}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "m100link", "sim", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=self.environment,
+        )
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        assert line, self.process.communicate()[1]
+        self.hello: dict[str, Any] = json.loads(line)
+
+    def ctl(self, *order: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "m100link", "sim", "ctl", *order],
+            capture_output=True,
+            text=True,
+            env=self.environment,
+            check=False,
+            timeout=20,
+        )
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        out, err = self.process.communicate(timeout=10)
+        assert (out, err) == ("", "")
+        return self.process.returncode
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Any]:
+    running: list[Simulator] = []
+
+    def run(*arguments: str) -> Simulator:
+        simulator = Simulator(tmp_path, *arguments)
+        running.append(simulator)
+        return simulator
+
+    yield run
+    for simulator in running:
+        if simulator.process.poll() is None:
+            simulator.process.kill()
+        simulator.process.communicate()
+
+
+def version_of(port: Any) -> bytes:
+    """Ask for the version over anything with read and write."""
+    decoder = FrameDecoder()
+    port.write(encode_frame(b"\x00\x00\x00", session=2, sequence=77))
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline:
+        for frame in decoder.feed(port.read(64)):
+            if frame.is_ack and frame.sequence == 77:
+                return frame.data
+    raise AssertionError("no version")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_one_line_of_json_once_it_answers_and_a_clean_end(
+    start: Any, tmp_path: Path, number: int
+) -> None:
+    link = tmp_path / "ttyUSB0"
+    simulator = start(
+        *("--link", str(link), "--app-id", "10086", "--key", KEY, "--level", "2"),
+        *("--firmware", "1.0", "--seed", "1"),
+    )
+    hello = simulator.hello
+    assert (hello["port"], hello["firmware"], hello["seed"]) == (str(link), "1.0", 1)
+    with serial.Serial(str(link), 230400, timeout=0.2) as port:
+        assert len(version_of(port)) == 38
+    assert KEY not in json.dumps(hello)
+    assert simulator.end(number) == 0
+    assert not link.is_symlink()
+    assert not Path(hello["control_socket"]).exists()
+
+
+def test_orders_from_another_shell(start: Any) -> None:
+    simulator = start("--seed", "2")
+    answer = simulator.ctl("rc-mode", "P")
+    assert answer.returncode == 0, answer.stderr
+    assert json.loads(answer.stdout)["rc_mode"] == "P"
+    wrong = simulator.ctl("rc-mode", "X")
+    assert wrong.returncode == 2
+    assert "positions P, A and F" in wrong.stderr
+    assert "rc-mode P|A|F" in simulator.ctl().stdout
+
+
+def test_tcp_many_and_scenario(start: Any, tmp_path: Path) -> None:
+    file = tmp_path / "scenario.toml"
+    file.write_text('[[step]]\nat = 0.2\ndo = "gps 1"\n')
+    simulator = start(
+        *("--tcp", "0", "--count", "3", "--scenario", str(file)),
+        *("--firmware", "3.1", "--speed", "5", "--loss", "0.01"),
+    )
+    ports = simulator.hello["ports"]
+    assert len(set(ports)) == 3
+    for port in ports:
+        with serial.serial_for_url(port.replace("tcp://", "socket://"), timeout=0.2) as opened:
+            assert len(version_of(opened)) == 49
+    assert json.loads(simulator.ctl("status").stdout)["gps_health"] == 1
+
+
+def test_it_ends_by_itself_after_its_time(start: Any) -> None:
+    simulator = start("--for", "2", "--speed", "10")
+    assert simulator.process.wait(timeout=10) == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--key", "123"],
+        ["--key-file", "/does/not/exist"],
+        ["--speed", "0"],
+        ["--count", "0"],
+        ["--tcp", "nowhere"],
+        ["--rate", "battery=2"],
+        ["--rate", "battery"],
+        ["--firmware", "9.9"],
+        ["--loss", "7"],
+        ["--link", "/dev/null"],
+        ["--scenario", "/does/not/exist"],
+        ["--latitude", "95"],
+    ],
+)
+def test_wrong_arguments_end_with_a_sentence_and_no_traceback(arguments: list[str]) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "m100link", "sim", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=20,
+    )
+    assert ended.returncode in (2, 3)
+    assert ended.stdout == ""
+    assert "Traceback" not in ended.stderr
+    assert len(ended.stderr) > 20
+
+
+def test_on_a_terminal_it_is_shown_live_and_has_keys(tmp_path: Path) -> None:
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path), "TERM": "xterm", "COLUMNS": "120"}
+    child, master = pty.fork()
+    if child == 0:  # pragma: no cover (the simulator itself)
+        os.execve(
+            sys.executable,
+            [sys.executable, "-m", "m100link", "sim", "--seed", "3", "--for", "4"],
+            environment,
+        )
+    seen = b""
+    pressed = False
+    try:
+        while chunk := os.read(master, 65_536):
+            seen += chunk
+            if not pressed and b"seed 3" in seen:
+                os.write(master, b"p")
+                pressed = True
+    except OSError:
+        pass  # the terminal closes with its last process
+    finally:
+        os.close(master)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+    assert b"the mode switch is not in F" in seen

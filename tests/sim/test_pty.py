@@ -1,0 +1,148 @@
+"""The aircraft behind a pseudo-terminal, in real time (few and short)."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+
+import pytest
+import serial
+
+import m100link
+from m100link.link import open_link
+from m100link.sim import Driver, PtyPort, VirtualAircraft
+from m100link.wire import FrameDecoder
+
+pytestmark = [pytest.mark.anyio, pytest.mark.pty]
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+def read(port: PtyPort, seconds: float, baud_rate: int = 230_400) -> FrameDecoder:
+    """Open the port like any serial program does, and read for a while."""
+    decoder = FrameDecoder()
+    with serial.Serial(port.name, baud_rate, timeout=seconds) as opened:
+        decoder.feed(opened.read(100_000))
+    return decoder
+
+
+async def test_programs_may_open_and_close_the_port_as_often_as_they_like() -> None:
+    driver = Driver(VirtualAircraft(seed=1))
+    port = PtyPort(driver)
+    for _ in range(3):
+        decoder = await asyncio.to_thread(read, port, 0.3)
+        assert decoder.frames >= 20
+    driver.stop()
+
+
+async def test_the_whole_stack_over_a_port() -> None:
+    aircraft = VirtualAircraft(seed=1)
+    driver = Driver(aircraft)
+    port = PtyPort(driver)
+    async with m100link.connect(port.name) as connected:
+        await connected.activate(aircraft.credentials)
+        async with connected.control():
+            await asyncio.sleep(0.05)
+    assert aircraft.autopilot.endpoint.statistics.commands >= 4
+    driver.stop()
+
+
+async def test_a_link_is_made_and_removed(tmp_path: Path) -> None:
+    driver, link = Driver(VirtualAircraft()), tmp_path / "ttyUSB0"
+    port = PtyPort(driver, link=link)
+    assert port.name == str(link)
+    assert str(link.readlink()) == port.device
+    assert os.listdir(tmp_path) == ["ttyUSB0"]  # noqa: PTH208 (not blocking, says the linter)
+    driver.stop()
+    assert not link.is_symlink()
+
+
+async def test_a_stale_link_is_replaced(tmp_path: Path) -> None:
+    driver, link = Driver(VirtualAircraft()), tmp_path / "ttyUSB0"
+    link.symlink_to(tmp_path / "gone")
+    PtyPort(driver, link=link)
+    assert link.exists()
+    driver.stop()
+
+
+@pytest.mark.parametrize("kind", ["file", "live link", "directory"])
+async def test_anything_else_is_left_alone(tmp_path: Path, kind: str) -> None:
+    driver, link = Driver(VirtualAircraft()), tmp_path / "ttyUSB0"
+    if kind == "file":
+        link.write_text("precious")
+    elif kind == "directory":
+        link.mkdir()
+    else:
+        link.symlink_to("/dev/null")
+    with pytest.raises(m100link.PortBusy):
+        PtyPort(driver, link=link)
+    assert link.exists()
+    assert driver.ports == []
+
+
+async def test_a_link_that_cannot_be_made_says_so(tmp_path: Path) -> None:
+    with pytest.raises(m100link.PortFailed, match="cannot be made"):
+        PtyPort(Driver(VirtualAircraft()), link=tmp_path / "missing" / "ttyUSB0")
+
+
+async def test_a_link_that_became_anothers_is_not_removed(tmp_path: Path) -> None:
+    driver, link = Driver(VirtualAircraft()), tmp_path / "ttyUSB0"
+    PtyPort(driver, link=link)
+    link.unlink()
+    link.symlink_to("/dev/null")
+    driver.stop()
+    assert link.is_symlink()
+
+
+async def test_nobody_reading_grows_nothing_and_a_late_reader_gets_fresh_bytes() -> None:
+    aircraft = VirtualAircraft(seed=1)
+    driver = Driver(aircraft)
+    port = PtyPort(driver)
+    await asyncio.sleep(2.5)
+    assert port.unread <= 4096
+    assert len(port.backlog) <= port.backlog.LIMIT
+    assert port.flushes >= 1
+    decoder = await asyncio.to_thread(read, port, 0.4)
+    assert 30 <= decoder.frames < 250, "not the two and a half seconds that were missed"
+    driver.stop()
+
+
+async def test_another_baud_rate_reads_garbage_and_is_not_understood() -> None:
+    aircraft = VirtualAircraft(seed=1)
+    driver = Driver(aircraft)
+    port = PtyPort(driver)
+    link = await open_link(port.name, baud_rate=115_200)
+    await asyncio.sleep(0.3)
+    with pytest.raises(m100link.AckTimeout):
+        await link.request(b"\x00\x00\x00", name="version", timeout=0.1, tries=2)
+    statistics = link.statistics()
+    assert statistics.bytes_received > 1000
+    assert statistics.frames_received == 0
+    assert aircraft.autopilot.endpoint.statistics.commands == 0
+    await link.close()
+    decoder = await asyncio.to_thread(read, port, 0.3)
+    assert decoder.frames >= 20, "the next program chooses its own"
+    driver.stop()
+
+
+async def test_unplugging_takes_the_port_away_and_replugging_brings_it_back(
+    tmp_path: Path,
+) -> None:
+    aircraft = VirtualAircraft(seed=1)
+    driver = Driver(aircraft)
+    port = PtyPort(driver, link=tmp_path / "ttyUSB0")
+    async with m100link.connect(port.name) as connected:
+        aircraft.unplug()
+        await asyncio.sleep(0.3)
+        assert not connected.link.is_open
+        assert isinstance(connected.link.failure, m100link.LinkLost)
+    assert not (tmp_path / "ttyUSB0").exists()
+    aircraft.replug()
+    await asyncio.sleep(0.05)
+    async with m100link.connect(port.name) as connected:
+        await connected.version()
+    driver.stop()
