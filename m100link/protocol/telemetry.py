@@ -16,7 +16,7 @@ from enum import IntEnum, IntFlag
 from functools import lru_cache
 from operator import itemgetter
 from struct import Struct
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import ITEM_NAMES, PROFILES, FirmwareProfile, ItemLayout
@@ -414,7 +414,7 @@ RECORDS: tuple[type[Any], ...] = (
 RECORD_NAMES: dict[type[Any], str] = dict(zip(RECORDS, ITEM_NAMES, strict=True))
 """Item name per record class."""
 
-_INDEX = {record: index for index, record in enumerate(RECORDS)}
+_INDEX: dict[type[Any], int] = {record: index for index, record in enumerate(RECORDS)}
 
 # Wire name of each record field, in the record's order; a layout may lack some or reorder them.
 _WIRE_FIELDS: tuple[tuple[str, ...], ...] = (
@@ -657,14 +657,18 @@ def encode_telemetry(
         struct.error: Values that do not fit the layout.
         KeyError: An item name that does not exist.
     """
+    pairs: Iterable[tuple[int, Sequence[float]]]
     if isinstance(items, Mapping):
-        unknown = set(items) - set(ITEM_NAMES)
+        named: Mapping[str, Sequence[float]] = items
+        unknown = set(named) - set(ITEM_NAMES)
         if unknown:
             raise KeyError(unknown.pop())
-        items = [(bit, items[name]) for bit, name in enumerate(ITEM_NAMES) if name in items]
+        pairs = [(bit, named[name]) for bit, name in enumerate(ITEM_NAMES) if name in named]
+    else:
+        pairs = items
     flags = 0
     values: list[float] = []
-    for bit, row in items:
+    for bit, row in pairs:
         flags |= 1 << bit
         values += row
     return _plan(flags, profile.name).pack(flags, *values)

@@ -263,7 +263,7 @@ class FrameDecoder:
         frames: list[Frame] = []
         headers = self._headers
         size = len(data)
-        position = delivered = false_starts = 0
+        position = end = delivered = false_starts = 0
         while position < size:
             if data[position] != SOF:
                 position = data.find(SOF, position)

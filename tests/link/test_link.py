@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -141,11 +142,12 @@ async def test_session_1_is_asked_once() -> None:
 
 async def test_a_request_that_cannot_be_sent_raises_at_once_and_leaves_nothing() -> None:
     link, _, _ = await connected()
-    for words, error in (
+    cases: list[tuple[dict[str, Any], type[UsageError]]] = [
         ({"data": bytes(1008)}, PayloadTooLarge),
         ({"data": b"x", "encrypted": True}, UsageError),
         ({"data": b"x", "tries": 0}, UsageError),
-    ):
+    ]
+    for words, error in cases:
         with pytest.raises(error):
             await link.request(**words)
     assert await link.request(b"x") == b"ack of x"

@@ -48,7 +48,9 @@ BODY = 0x02
 FIRMWARES = [PROFILES[name] for name in ("1.0", "2.3", "3.1")]
 
 
-ZEROS: dict[str, Any] = {"x": 0.0, "y": 0.0, "z": 0.0, "turn": 0.0}
+def only(name: str, value: float) -> dict[str, Any]:
+    """Arguments of ``build``, all zero but one."""
+    return {"x": 0.0, "y": 0.0, "z": 0.0, "turn": 0.0} | {name: value}
 
 
 def build(
@@ -151,10 +153,10 @@ def test_values_reach_to_the_ends_of_their_range_and_not_beyond(
 ) -> None:
     for bound, beyond in ((low, -math.inf), (high, math.inf)):
         inside = bound if bound is not None else math.copysign(1e6, beyond)
-        build(horizontal, vertical, yaw, **ZEROS | {name: inside})
+        build(horizontal, vertical, yaw, **only(name, inside))
         if bound is not None:
             with pytest.raises(BadSetpoint, match="outside"):
-                build(horizontal, vertical, yaw, **ZEROS | {name: math.nextafter(bound, beyond)})
+                build(horizontal, vertical, yaw, **only(name, math.nextafter(bound, beyond)))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -170,14 +172,14 @@ def test_no_value_may_be_nan_or_infinite(
     value: float,
 ) -> None:
     with pytest.raises(BadSetpoint):
-        build(horizontal, vertical, yaw, **ZEROS | {name: value})
+        build(horizontal, vertical, yaw, **only(name, value))
 
 
 @pytest.mark.parametrize("name", ["x", "z"])
 def test_a_value_that_no_32_bit_float_holds_is_refused(name: str) -> None:
-    build(OFFSET, HEIGHT, Yaw.RATE, **ZEROS | {name: 3e38})
+    build(OFFSET, HEIGHT, Yaw.RATE, **only(name, 3e38))
     with pytest.raises(BadSetpoint, match="1e\\+39"):
-        build(OFFSET, HEIGHT, Yaw.RATE, **ZEROS | {name: 1e39})
+        build(OFFSET, HEIGHT, Yaw.RATE, **only(name, 1e39))
 
 
 SETPOINTS = st.one_of(
