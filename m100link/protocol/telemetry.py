@@ -16,7 +16,7 @@ from enum import IntEnum, IntFlag
 from functools import lru_cache
 from operator import itemgetter
 from struct import Struct
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import ITEM_NAMES, PROFILES, FirmwareProfile, ItemLayout
@@ -42,6 +42,7 @@ __all__ = [
     "TelemetryPacket",
     "Time",
     "Velocity",
+    "encode_rows",
     "encode_telemetry",
     "fitting_profiles",
     "telemetry_size",
@@ -642,33 +643,33 @@ def _mismatch(value: bytes, profile: FirmwareProfile) -> LayoutMismatch:
     )
 
 
-def encode_telemetry(
-    items: Mapping[str, Sequence[float]] | Iterable[tuple[int, Sequence[float]]],
-    profile: FirmwareProfile,
-) -> bytes:
+def encode_telemetry(items: Mapping[str, Sequence[float]], profile: FirmwareProfile) -> bytes:
     """Build a telemetry value.
 
     Args:
-        items: Raw values per item name in wire order, or pairs of bit number and values in
-            ascending bit order (the road for senders in a hurry).
+        items: Raw values per item name in wire order.
         profile: Layout to use.
 
     Raises:
         struct.error: Values that do not fit the layout.
         KeyError: An item name that does not exist.
     """
-    pairs: Iterable[tuple[int, Sequence[float]]]
-    if isinstance(items, Mapping):
-        named: Mapping[str, Sequence[float]] = items
-        unknown = set(named) - set(ITEM_NAMES)
-        if unknown:
-            raise KeyError(unknown.pop())
-        pairs = [(bit, named[name]) for bit, name in enumerate(ITEM_NAMES) if name in named]
-    else:
-        pairs = items
+    unknown = set(items) - set(ITEM_NAMES)
+    if unknown:
+        raise KeyError(unknown.pop())
+    rows = [(bit, items[name]) for bit, name in enumerate(ITEM_NAMES) if name in items]
+    return encode_rows(rows, profile)
+
+
+def encode_rows(rows: Iterable[tuple[int, Sequence[float]]], profile: FirmwareProfile) -> bytes:
+    """The same from pairs of bit number and values in ascending bit order, for senders in a hurry.
+
+    Raises:
+        struct.error: Values that do not fit the layout.
+    """
     flags = 0
     values: list[float] = []
-    for bit, row in pairs:
+    for bit, row in rows:
         flags |= 1 << bit
         values += row
     return _plan(flags, profile.name).pack(flags, *values)
