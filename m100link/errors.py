@@ -28,8 +28,9 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── LevelTooLow            system code 0xFF02
     │   ├── CommandNotSupported    system code 0xFF00
     │   ├── AuthorityRefused
-    │   ├── TaskRefused            take-off, landing or go-home was not begun
-    │   └── TaskFailed             it was begun and the aircraft reports failure
+    │   └── TaskError              take-off, landing or go-home did not happen
+    │       ├── TaskRefused        it was not begun
+    │       └── TaskFailed         it was begun and the aircraft reports failure
     ├── NotObserved                begun, but telemetry never showed the result (TimeoutError)
     ├── AuthorityError
     │   ├── NoAuthority            movement was asked for without authority
@@ -75,6 +76,7 @@ __all__ = [
     "PortNotFound",
     "PortPermissionDenied",
     "SilentLine",
+    "TaskError",
     "TaskFailed",
     "TaskRefused",
     "TelemetryError",
@@ -255,9 +257,7 @@ class KeyRejected(M100Error):
         command: Name of the encrypted command.
     """
 
-    def __init__(
-        self, seen: str, *, command: str = "", cause: str = "", remedy: str = ""
-    ) -> None:
+    def __init__(self, seen: str, *, command: str = "", cause: str = "", remedy: str = "") -> None:
         super().__init__(seen, cause=cause, remedy=remedy)
         self.command = command
 
@@ -320,11 +320,11 @@ class AuthorityRefused(CommandRefused):
     """Control authority was not given (document 2.2.2.1)."""
 
 
-class TaskRefused(CommandRefused):
-    """Take-off, landing or go-home was rejected and not begun (document 2.2.2.2).
+class TaskError(CommandRefused):
+    """Take-off, landing or go-home did not happen.
 
     Attributes:
-        situation: Telemetry values at the moment of the refusal that explain it.
+        situation: Telemetry values at that moment which explain it.
     """
 
     def __init__(
@@ -341,8 +341,20 @@ class TaskRefused(CommandRefused):
         self.situation = situation or {}
 
 
-class TaskFailed(TaskRefused):
-    """The task was begun and the aircraft reports that it failed."""
+class TaskRefused(TaskError):
+    """Take-off, landing or go-home was rejected and not begun (document 2.2.2.2).
+
+    Attributes:
+        situation: Telemetry values at the moment of the refusal that explain it.
+    """
+
+
+class TaskFailed(TaskError):
+    """The task was begun and the aircraft reports that it failed.
+
+    Attributes:
+        situation: Telemetry values at the moment of the report that explain it.
+    """
 
 
 class NotObserved(M100Error, TimeoutError):

@@ -113,7 +113,8 @@ class Alarm:
         self._waiter: asyncio.Future[None] | None = None
         if self._fd >= 0:
             # The loop must not keep it alive: a Ticker has no end that its user would mark.
-            self._loop.add_reader(self._fd, _ring, weakref.ref(self))
+            alarm: weakref.ref[Alarm] = weakref.ref(self)
+            self._loop.add_reader(self._fd, _ring, alarm)
 
     async def sleep_until(self, deadline: float) -> None:
         """Return at ``deadline`` or a little later; at once when it has passed."""

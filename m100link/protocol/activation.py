@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 
 from m100link.errors import BadAck, PayloadTooLarge, UsageError
 from m100link.protocol.codes import (
+    AckCode,
     ActivationCode,
     MobileDataCode,
     RatesCode,
@@ -152,7 +153,7 @@ class GetVersion(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x00)
     NAME: ClassVar[str] = "get_version"
-    CODES: ClassVar[type[VersionCode]] = VersionCode
+    CODES: ClassVar[type[AckCode] | None] = VersionCode
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """One zero byte."""
@@ -194,7 +195,7 @@ class Activate(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x01)
     NAME: ClassVar[str] = "activate"
-    CODES: ClassVar[type[ActivationCode]] = ActivationCode
+    CODES: ClassVar[type[AckCode] | None] = ActivationCode
 
     app_id: int
     level: int
@@ -243,7 +244,7 @@ class SetTelemetryRates(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x10)
     NAME: ClassVar[str] = "set_telemetry_rates"
-    CODES: ClassVar[type[RatesCode]] = RatesCode
+    CODES: ClassVar[type[AckCode] | None] = RatesCode
 
     rates_hz: dict[str, int] = field(default_factory=dict)
 
@@ -299,7 +300,7 @@ class SendToMobile(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0xFE)
     NAME: ClassVar[str] = "send_to_mobile"
-    CODES: ClassVar[type[MobileDataCode]] = MobileDataCode
+    CODES: ClassVar[type[AckCode] | None] = MobileDataCode
 
     data: bytes
 

@@ -7,7 +7,7 @@ from enum import IntEnum
 from struct import Struct
 from typing import Any, ClassVar, Self
 
-from m100link.protocol.codes import ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
+from m100link.protocol.codes import AckCode, ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
 from m100link.protocol.command import Address, Command, field_names
 from m100link.protocol.firmware import FirmwareProfile
 
@@ -26,7 +26,7 @@ class RequestAuthority(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x00)
     NAME: ClassVar[str] = "request_authority"
-    CODES: ClassVar[type[AuthorityCode]] = AuthorityCode
+    CODES: ClassVar[type[AckCode] | None] = AuthorityCode
 
     obtain: bool
 
@@ -62,7 +62,7 @@ class StartTask(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x01)
     NAME: ClassVar[str] = "start_task"
-    CODES: ClassVar[type[TaskStartCode]] = TaskStartCode
+    CODES: ClassVar[type[AckCode] | None] = TaskStartCode
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
 
     task_sequence: int
@@ -93,7 +93,7 @@ class QueryTask(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x02)
     NAME: ClassVar[str] = "query_task"
-    CODES: ClassVar[type[TaskResultCode]] = TaskResultCode
+    CODES: ClassVar[type[AckCode] | None] = TaskResultCode
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
 
     task_sequence: int
@@ -155,7 +155,7 @@ class Arm(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x05)
     NAME: ClassVar[str] = "arm"
-    CODES: ClassVar[type[ArmCode]] = ArmCode
+    CODES: ClassVar[type[AckCode] | None] = ArmCode
 
     on: bool
 

@@ -42,7 +42,6 @@ __all__ = [
     "TelemetryPacket",
     "Time",
     "Velocity",
-    "encode_rows",
     "encode_telemetry",
     "fitting_profiles",
     "telemetry_size",
@@ -657,19 +656,10 @@ def encode_telemetry(items: Mapping[str, Sequence[float]], profile: FirmwareProf
     unknown = set(items) - set(ITEM_NAMES)
     if unknown:
         raise KeyError(unknown.pop())
-    rows = [(bit, items[name]) for bit, name in enumerate(ITEM_NAMES) if name in items]
-    return encode_rows(rows, profile)
-
-
-def encode_rows(rows: Iterable[tuple[int, Sequence[float]]], profile: FirmwareProfile) -> bytes:
-    """The same from pairs of bit number and values in ascending bit order, for senders in a hurry.
-
-    Raises:
-        struct.error: Values that do not fit the layout.
-    """
     flags = 0
     values: list[float] = []
-    for bit, row in rows:
-        flags |= 1 << bit
-        values += row
+    for bit, name in enumerate(ITEM_NAMES):
+        if name in items:
+            flags |= 1 << bit
+            values += items[name]
     return _plan(flags, profile.name).pack(flags, *values)
