@@ -127,6 +127,7 @@ class Control(ClosedLoops):
             # The ack may be lost and authority ours all the same.
             await self._end(lambda: release_authority(self._commander))
             raise
+        self._guards.start()
         self._watch_telemetry()
         self._scope.__enter__()
         return self

@@ -164,19 +164,33 @@ class GuardKeeper:
                 remedy="fly slower, or control(guards=Guards(envelope=Envelope(max_speed_m_s=…)))",
             )
 
-    def _check_radius(self, setpoint: Setpoint, envelope: Envelope) -> None:
+    def start(self) -> None:
+        """Control begins here: distances are measured from this place, once GPS knows it."""
+        self._from_start()
+
+    def _from_start(self) -> tuple[float, float] | None:
+        """Metres north and east of where control began, None while nobody knows."""
         position = self._state.fresh(Position, within=_FRESH_S)
-        if position is None or setpoint.mode.horizontal is Horizontal.TILT:
-            return
+        if position is None:
+            return None
+        if position.gps_health is not None and position.gps_health < GPS_HEALTH_NEEDED:
+            return None  # without reception the coordinates mean nothing
+        here = position.latitude_deg, position.longitude_deg
         if self._origin is None:
-            self._origin = LocalFrame(position.latitude_deg, position.longitude_deg)
-        north, east = self._origin.to_local(position.latitude_deg, position.longitude_deg)
+            self._origin = LocalFrame(*here)
+        return self._origin.to_local(*here)
+
+    def _check_radius(self, setpoint: Setpoint, envelope: Envelope) -> None:
+        place = self._from_start()
+        if place is None:
+            return
+        north, east = place
         here = math.hypot(north, east)
         step_north, step_east = self._ground(setpoint)
         if setpoint.mode.horizontal is Horizontal.POSITION_OFFSET:
             there = math.hypot(north + step_north, east + step_east)
         else:
-            # Outside, a velocity is allowed only if it leads back.
+            # Outside, a velocity or a tilt is allowed only if it does not lead further away.
             is_outward = north * step_north + east * step_east > 0
             there = here if is_outward else 0.0
         if there > envelope.max_radius_m and there >= here:
@@ -184,16 +198,19 @@ class GuardKeeper:
                 f"a setpoint {there:.0f} m from the start was refused: the envelope ends at "
                 f"{envelope.max_radius_m:g} m",
                 guard="envelope",
-                measured=here,
+                measured=there,
                 limit=envelope.max_radius_m,
                 remedy="fly back, or control(guards=Guards(envelope=Envelope(max_radius_m=…)))",
             )
 
     def _ground(self, setpoint: Setpoint) -> tuple[float, float]:
-        """The horizontal values of a setpoint as north and east."""
+        """The way of a setpoint as north and east: velocity, offset, or direction of a tilt."""
+        forward, right = setpoint.x, setpoint.y
+        if setpoint.mode.horizontal is Horizontal.TILT:
+            forward, right = -setpoint.y, setpoint.x  # negative pitch flies forward
         if setpoint.frame is Frame.GROUND:
-            return setpoint.x, setpoint.y
+            return forward, right
         attitude = self._state.get(Attitude)
         yaw = 0.0 if attitude is None else math.radians(attitude.yaw_deg)
         cos, sin = math.cos(yaw), math.sin(yaw)
-        return setpoint.x * cos - setpoint.y * sin, setpoint.x * sin + setpoint.y * cos
+        return forward * cos - right * sin, forward * sin + right * cos

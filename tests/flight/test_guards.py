@@ -1,0 +1,348 @@
+"""Guards: refused before a byte is sent, with name, measured value and limit; off by their name."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+from m100link import (
+    Control,
+    Envelope,
+    FlightPhase,
+    Frame,
+    GuardRefused,
+    Guards,
+    Setpoint,
+    TelemetryStalled,
+    UsageError,
+)
+from tests.flight.rig import NORTH, Rig, rig
+
+pytestmark = pytest.mark.anyio
+
+TILT = Setpoint.tilt(roll_deg=0, pitch_deg=-5, up=0, yaw_rate_deg_s=0)
+OFFSET = Setpoint.position_offset(north=5, east=0, up=0, yaw_rate_deg_s=0)
+CLIMB = Setpoint.velocity(north=0, east=0, up=1, yaw_rate_deg_s=0)
+
+
+def velocity(north: float = 0.0, east: float = 0.0, up: float = 0.0) -> Setpoint:
+    return Setpoint.velocity(north=north, east=east, up=up, yaw_rate_deg_s=0)
+
+
+def put(flown: Rig, north: float = 0.0, east: float = 0.0, height: float = 5.0) -> None:
+    """Hovering there, as if it had flown there."""
+    flight = flown.virtual.autopilot.flight
+    flight.start_motors()
+    flight.dynamics.place(north, east, height)
+    flight.phase = FlightPhase.IN_AIR
+
+
+@asynccontextmanager
+async def hovering(
+    guards: Guards | None = None, **options: Any
+) -> AsyncIterator[tuple[Rig, Control]]:
+    async with rig(**options) as flown:
+        put(flown)
+        await asyncio.sleep(0.1)
+        async with flown.aircraft.control(guards=guards) as control:
+            yield flown, control
+
+
+def refusal(flown: Rig, control: Control, setpoint: Setpoint) -> GuardRefused:
+    """The refusal of a setpoint; nothing of it was sent."""
+    sent = control.setpoints_sent
+    with pytest.raises(GuardRefused) as caught:
+        control.send(setpoint)
+    assert control.setpoints_sent == sent
+    return caught.value
+
+
+# -- GPS -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("health", [0, 1, 2])
+@pytest.mark.parametrize("setpoint", [NORTH, OFFSET], ids=["velocity", "position offset"])
+async def test_velocity_and_position_need_gps(setpoint: Setpoint, health: int) -> None:
+    async with hovering() as (flown, control):
+        flown.virtual.gps_health = health
+        await asyncio.sleep(0.1)
+        error = refusal(flown, control, setpoint)
+        assert (error.guard, error.measured, error.limit) == ("gps", health, 3)
+        assert f"GPS health is {health}, 3 is needed" in error.seen
+        assert "Guards(gps=False)" in error.remedy
+
+
+async def test_gps_health_3_is_enough_and_tilt_needs_none() -> None:
+    async with hovering() as (flown, control):
+        flown.virtual.gps_health = 3
+        await asyncio.sleep(0.1)
+        control.send(NORTH)
+        flown.virtual.gps_health = 0
+        await asyncio.sleep(0.1)
+        control.send(TILT)
+
+
+async def test_a_position_item_that_is_not_sent_is_said_to_be_so() -> None:
+    async with rig() as flown:
+        flown.virtual.set_rates(position=0)
+        put(flown)
+        await asyncio.sleep(1.5)
+        async with flown.aircraft.control() as control:
+            error = refusal(flown, control, NORTH)
+        assert (error.guard, error.measured) == ("gps", None)
+        assert "unknown" in error.seen
+        assert "position item" in error.cause
+
+
+async def test_gps_guard_off_by_its_name() -> None:
+    async with hovering(Guards(gps=False)) as (flown, control):
+        flown.virtual.gps_health = 0
+        await asyncio.sleep(0.1)
+        control.send(NORTH)
+
+
+# -- battery -------------------------------------------------------------------------------------
+
+
+async def test_battery_below_its_floor_refuses_take_off_and_setpoints_but_never_landing() -> None:
+    async with rig() as flown:
+        flown.virtual.battery_percent = 19.2
+        await asyncio.sleep(1.1)
+        async with flown.aircraft.control() as control:
+            with pytest.raises(GuardRefused, match="19 %, the floor is 20 %") as caught:
+                await control.take_off()
+            assert (caught.value.guard, caught.value.measured, caught.value.limit) == (
+                ("battery_floor_percent", 19, 20)
+            )
+            put(flown)
+            error = refusal(flown, control, TILT)
+            assert error.guard == "battery_floor_percent"
+            await control.land()
+            assert flown.virtual.height == 0.0
+
+
+async def test_going_home_is_never_refused() -> None:
+    async with hovering(Guards(envelope=Envelope(max_height_m=2.0))) as (flown, control):
+        flown.virtual.battery_percent = 15
+        flown.virtual.autopilot.flight.dynamics.place(60.0, 0.0, 20.0)
+        await asyncio.sleep(1.1)
+        assert refusal(flown, control, TILT).guard == "battery_floor_percent"
+        await control.go_home()
+        assert flown.virtual.height == 0.0
+
+
+async def test_battery_guard_off_by_its_name() -> None:
+    async with hovering(Guards(battery_floor_percent=None)) as (flown, control):
+        flown.virtual.battery_percent = 15
+        await asyncio.sleep(1.1)
+        control.send(TILT)
+
+
+# -- envelope ------------------------------------------------------------------------------------
+
+
+async def test_a_height_beyond_the_envelope_is_refused() -> None:
+    async with hovering() as (flown, control):
+        error = refusal(
+            flown,
+            control,
+            Setpoint.tilt(roll_deg=0, pitch_deg=0, height=50.1, yaw_rate_deg_s=0),
+        )
+        assert (error.guard, error.limit) == ("envelope", 50.0)
+        assert error.measured == pytest.approx(5.0, abs=0.1)
+        assert "50.1 m" in error.seen
+        control.send(Setpoint.tilt(roll_deg=0, pitch_deg=0, height=50, yaw_rate_deg_s=0))
+
+
+async def test_above_the_envelope_climbing_and_thrust_are_refused_descending_is_not() -> None:
+    guards = Guards(envelope=Envelope(max_height_m=10))
+    async with hovering(guards) as (flown, control):
+        put(flown, height=10.5)
+        await asyncio.sleep(0.1)
+        error = refusal(flown, control, CLIMB)
+        assert error.measured == pytest.approx(10.5, abs=0.1)
+        thrust = Setpoint.tilt(roll_deg=0, pitch_deg=0, thrust_percent=45, yaw_rate_deg_s=0)
+        assert refusal(flown, control, thrust).guard == "envelope"
+        control.send(velocity(up=-1))
+        control.send(velocity(up=0))
+
+
+async def test_climbing_for_ever_ends_at_the_envelope() -> None:
+    guards = Guards(envelope=Envelope(max_height_m=10))
+    async with rig() as flown:
+        put(flown)
+        await asyncio.sleep(0.1)
+        with pytest.raises(GuardRefused):
+            async with flown.aircraft.control(guards=guards) as control:
+                async for _ in control.ticks():
+                    control.send(CLIMB)
+        await flown.assert_hovers()
+        assert flown.virtual.height < 11.5
+
+
+async def test_speed_is_measured_over_both_axes() -> None:
+    guards = Guards(envelope=Envelope(max_speed_m_s=5))
+    async with hovering(guards) as (flown, control):
+        error = refusal(flown, control, velocity(north=4, east=4))
+        assert (error.guard, error.limit) == ("envelope", 5)
+        assert error.measured == pytest.approx(5.657, abs=0.001)
+        control.send(velocity(north=3, east=4))
+
+
+@pytest.mark.parametrize(
+    "outward",
+    [
+        velocity(north=1),
+        TILT,
+        Setpoint.velocity(forward=1, right=0, up=0, yaw_rate_deg_s=0),
+        OFFSET,
+    ],
+    ids=["velocity", "tilt", "forward", "position offset"],
+)
+async def test_outside_the_radius_nothing_leads_further_away(outward: Setpoint) -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=50))
+    async with hovering(guards) as (flown, control):
+        put(flown, north=51)
+        await asyncio.sleep(0.1)
+        error = refusal(flown, control, outward)
+        assert (error.guard, error.limit) == ("envelope", 50)
+        assert isinstance(error.measured, float)
+        assert error.measured >= 51 - 0.1
+
+
+@pytest.mark.parametrize(
+    "back",
+    [
+        velocity(north=-1),
+        velocity(east=1),
+        Setpoint.tilt(roll_deg=0, pitch_deg=5, up=0, yaw_rate_deg_s=0),
+        Setpoint.tilt(roll_deg=0, pitch_deg=0, up=0, yaw_rate_deg_s=0),
+        Setpoint.position_offset(north=-30, east=0, up=0, yaw_rate_deg_s=0),
+    ],
+    ids=["velocity back", "velocity along", "tilt back", "level", "offset back"],
+)
+async def test_outside_the_radius_every_way_back_is_open(back: Setpoint) -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=50))
+    async with hovering(guards) as (flown, control):
+        put(flown, north=100)
+        await asyncio.sleep(0.1)
+        control.send(back)
+
+
+async def test_an_offset_that_would_end_outside_is_refused_from_inside() -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=50))
+    async with hovering(guards) as (flown, control):
+        put(flown, north=30)
+        await asyncio.sleep(0.1)
+        error = refusal(
+            flown,
+            control,
+            Setpoint.position_offset(north=25, east=0, up=0, yaw_rate_deg_s=0),
+        )
+        assert error.measured == pytest.approx(55, abs=0.2)
+        assert "55 m from the start" in error.seen
+
+
+async def test_body_frame_directions_turn_with_the_nose() -> None:
+    """The nose points south: forward leads back, backwards leads away."""
+    guards = Guards(envelope=Envelope(max_radius_m=50))
+    async with hovering(guards) as (flown, control):
+        flown.virtual.autopilot.flight.dynamics.place(60.0, 0.0, 5.0, 180.0)
+        await asyncio.sleep(0.1)
+        control.send(Setpoint.velocity(forward=1, right=0, up=0, yaw_rate_deg_s=0))
+        refusal(
+            flown,
+            control,
+            Setpoint.velocity(forward=-1, right=0, up=0, yaw_rate_deg_s=0),
+        )
+
+
+async def test_ground_frame_tilt_is_judged_in_the_ground_frame() -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=50))
+    async with hovering(guards, firmware="3.1") as (flown, control):
+        flown.virtual.autopilot.flight.dynamics.place(60.0, 0.0, 5.0, 180.0)
+        await asyncio.sleep(0.1)
+        refusal(
+            flown,
+            control,
+            Setpoint.tilt(roll_deg=0, pitch_deg=-5, up=0, yaw_rate_deg_s=0, frame=Frame.GROUND),
+        )
+
+
+async def test_the_radius_is_measured_from_where_control_was_obtained() -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=50))
+    async with hovering(guards) as (flown, control):
+        put(flown, north=60)  # before any setpoint was sent
+        await asyncio.sleep(0.1)
+        assert refusal(flown, control, velocity(north=1)).guard == "envelope"
+
+
+async def test_coordinates_without_reception_are_not_taken_for_the_start() -> None:
+    """Before its first fix a receiver says anything."""
+    async with rig() as flown:
+        flown.virtual.gps_health = 0
+        put(flown, north=5000)
+        await asyncio.sleep(0.1)
+        async with flown.aircraft.control() as control:
+            control.send(TILT)
+            flown.virtual.gps_health = 5
+            put(flown)
+            await asyncio.sleep(0.1)
+            control.send(NORTH)
+
+
+async def test_envelope_off_by_its_name() -> None:
+    async with hovering(Guards(envelope=None)) as (flown, control):
+        put(flown, north=500, height=80)
+        await asyncio.sleep(0.1)
+        control.send(velocity(north=10, up=4))
+
+
+@pytest.mark.parametrize("name", ["max_height_m", "max_radius_m", "max_speed_m_s"])
+@pytest.mark.parametrize("value", [0, -1, float("nan")])
+def test_an_envelope_that_allows_nothing_is_no_envelope(name: str, value: float) -> None:
+    with pytest.raises(UsageError, match=name):
+        Envelope(**{name: value})
+
+
+# -- stale telemetry -----------------------------------------------------------------------------
+
+
+async def test_stale_telemetry_guard_off_by_its_name() -> None:
+    async with hovering(Guards(stale_telemetry_s=None)) as (flown, control):
+        flown.virtual.line.stall(to_host=True, to_aircraft=False)
+        await asyncio.sleep(5.0)
+        control.send(TILT)
+        flown.virtual.line.stall(to_host=False, to_aircraft=False)
+
+
+async def test_stale_telemetry_waits_as_long_as_it_is_told() -> None:
+    async with rig() as flown:
+        put(flown)
+        await asyncio.sleep(0.1)
+        with pytest.raises(TelemetryStalled):
+            async with flown.aircraft.control(guards=Guards(stale_telemetry_s=3.0)):
+                start = flown.now
+                flown.virtual.line.stall(to_host=True, to_aircraft=False)
+                try:
+                    await asyncio.sleep(60)
+                finally:
+                    took = flown.now - start
+        assert took == pytest.approx(3.0, abs=0.1)
+
+
+async def test_neutral_is_never_refused() -> None:
+    """The stop path sends it whatever guards say: battery low, GPS gone, outside the envelope."""
+    async with rig() as flown:
+        put(flown)
+        await asyncio.sleep(0.1)
+        async with flown.aircraft.control() as control:
+            control.send(NORTH)
+            flown.virtual.battery_percent = 12
+            flown.virtual.gps_health = 0
+            await asyncio.sleep(0.1)
+        flown.assert_stopped_in_order()
