@@ -1,0 +1,111 @@
+"""The fixtures of :mod:`m100link.testing`, and the example project that shows them."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import serial
+
+from m100link.protocol import Setpoint
+from m100link.sim import VirtualClockEventLoop
+from m100link.testing import ConnectableAircraft, VirtualClock, VirtualPort, VirtualSerialPair
+
+EXAMPLE = Path(__file__).parent.parent.parent / "examples" / "pytest_project"
+
+
+@pytest.mark.anyio
+async def test_virtual_clock_runs_the_test_on_virtual_time(virtual_clock: VirtualClock) -> None:
+    began = time.perf_counter()
+    assert isinstance(asyncio.get_running_loop(), VirtualClockEventLoop)
+    await virtual_clock.sleep_until(3600.0)
+    assert virtual_clock.now == pytest.approx(3600.0)
+    await virtual_clock.sleep_until(5.0)
+    assert virtual_clock.now == pytest.approx(3600.0)
+    assert time.perf_counter() - began < 5.0
+
+
+@pytest.mark.anyio
+async def test_without_it_time_is_real() -> None:
+    assert not isinstance(asyncio.get_running_loop(), VirtualClockEventLoop)
+
+
+@pytest.mark.anyio
+@pytest.mark.aircraft(firmware="3.1", seed=42, level=1)
+async def test_the_marker_sets_what_the_aircraft_is(
+    virtual_aircraft: ConnectableAircraft,
+) -> None:
+    assert virtual_aircraft.autopilot.profile.name == "3.1"
+    assert virtual_aircraft.seed == 42
+    assert virtual_aircraft.credentials.level == 1
+
+
+@pytest.mark.anyio
+async def test_virtual_aircraft_flies_with_the_library(
+    virtual_aircraft: ConnectableAircraft,
+) -> None:
+    async with virtual_aircraft.connect() as aircraft:
+        await aircraft.activate(virtual_aircraft.credentials)
+        async with aircraft.control() as control:
+            await control.take_off()
+            async for tick in control.ticks(rate_hz=50):
+                if tick.elapsed > 5.0:
+                    break
+                control.send(Setpoint.velocity(north=2, east=0, up=0, yaw_rate_deg_s=0))
+            await control.land()
+    assert virtual_aircraft.position[0] > 6.0
+    assert virtual_aircraft.height == 0.0
+
+
+def test_virtual_serial_pair_carries_bytes_both_ways(
+    virtual_serial_pair: VirtualSerialPair,
+) -> None:
+    with (
+        serial.Serial(virtual_serial_pair.first, 230400, timeout=2) as first,
+        serial.Serial(virtual_serial_pair.second, 230400, timeout=2) as second,
+    ):
+        first.write(bytes(range(256)))
+        assert second.read(256) == bytes(range(256))
+        second.write(b"\xaa\r\n\x03")
+        assert first.read(4) == b"\xaa\r\n\x03"
+
+
+def test_virtual_serial_pair_may_be_closed_twice() -> None:
+    pair = VirtualSerialPair()
+    pair.close()
+    pair.close()
+
+
+def test_virtual_aircraft_port_serves_synchronous_programs(
+    virtual_aircraft_port: VirtualPort,
+) -> None:
+    with serial.Serial(virtual_aircraft_port.name, 230400, timeout=2) as port:
+        assert b"\xaa" in port.read(300)
+    virtual_aircraft_port.call("set_rc_mode", "P")
+    assert virtual_aircraft_port.call("app_takes_control") is False
+    with pytest.raises(ValueError, match="stick"):
+        virtual_aircraft_port.call("move_stick", roll=2.0)
+
+
+def test_virtual_port_may_be_closed_twice() -> None:
+    port = VirtualPort(seed=1)
+    port.close()
+    port.close()
+
+
+def test_the_example_project_passes_its_own_suite() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error"],
+        cwd=EXAMPLE,
+        env={"PYTHONPATH": str(EXAMPLE.parent.parent), "PATH": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=50,
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "5 passed" in ended.stdout
