@@ -110,7 +110,7 @@ async def test_gps_guard_off_by_its_name() -> None:
 
 async def test_battery_below_its_floor_refuses_take_off_and_setpoints_but_never_landing() -> None:
     async with rig() as flown:
-        flown.virtual.battery_percent = 19.2
+        flown.virtual.battery_percent = 18.9
         await asyncio.sleep(1.1)
         async with flown.aircraft.control() as control:
             with pytest.raises(GuardRefused, match="19 %, the floor is 20 %") as caught:
