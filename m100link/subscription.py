@@ -14,7 +14,7 @@ from itertools import pairwise
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
-from m100link.errors import M100Error, TelemetryOverflow
+from m100link.errors import M100Error, TelemetryOverflow, UsageError
 from m100link.protocol.firmware import ITEM_NAMES, FirmwareProfile
 from m100link.protocol.telemetry import (
     RECORDS,
@@ -44,15 +44,25 @@ __all__ = [
     "Subscription",
 ]
 
+_TOLERANCE_S = 1e-6  # a value exactly one interval after the last is not early
+
 T = TypeVar("T")
 R = TypeVar("R", bound=tuple[Any, ...])
 
 
+def _check_count(count: int) -> None:
+    if count < 1:
+        raise UsageError(f"a queue for {count} values keeps none", remedy="1 or more")
+
+
 @dataclass(frozen=True, slots=True)
 class Newest:
-    """Keep the newest ``count`` values; older ones are dropped and counted."""
+    """Keep the newest ``count`` values, 1 or more; older ones are dropped and counted."""
 
     count: int
+
+    def __post_init__(self) -> None:
+        _check_count(self.count)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +70,9 @@ class Lossless:
     """Keep every value; more than ``count`` waiting ends the subscription with an error."""
 
     count: int = 1000
+
+    def __post_init__(self) -> None:
+        _check_count(self.count)
 
 
 class Latest(Newest):
@@ -135,13 +148,13 @@ class Subscription(Generic[T]):
         """Queue a value, as the policy says. Called by the reader; never waits, never raises."""
         if self._is_closed or self._error is not None:
             return
-        if now < self._next_at:
-            self.thinned += 1
-            return
         if self._min_interval:
+            if now < self._next_at - _TOLERANCE_S:
+                self.thinned += 1
+                return
             # A late value does not shift the ones after it, a long gap does not let a burst in.
-            self._next_at = max(self._next_at, now - self._min_interval) + self._min_interval
-            self._next_at -= 1e-6  # a value exactly one interval later is not early
+            is_on_grid = now - self._next_at < self._min_interval
+            self._next_at = (self._next_at if is_on_grid else now) + self._min_interval
         self.received += 1
         if len(self._queue) >= self._policy.count:
             if isinstance(self._policy, Lossless):
