@@ -146,15 +146,7 @@ class Autopilot:
         self.authority = Authority(
             self.profile, self.settings, self.assistant, self.remote, self.app
         )
-        self._sensors = Sensors(
-            self.profile,
-            self.settings,
-            random,
-            flight=self.flight,
-            authority=self.authority,
-            remote=self.remote,
-            gimbal=self.gimbal,
-        )
+        self._sensors = self._make_sensors(random)
         self._telemetry = TelemetryPusher(self.profile, self._sensors, self.assistant.rates_hz)
         self._random = random
         self._gust_north = self._gust_east = 0.0
@@ -176,6 +168,17 @@ class Autopilot:
         self._rc_lost_since: float | None = None
         self._gps_good_at: float | None = None
         self.time = 0.0
+
+    def _make_sensors(self, random: Random) -> Sensors:
+        return Sensors(
+            self.profile,
+            self.settings,
+            random,
+            flight=self.flight,
+            authority=self.authority,
+            remote=self.remote,
+            gimbal=self.gimbal,
+        )
 
     # --- the line ---------------------------------------------------------------------------
 

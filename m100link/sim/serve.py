@@ -219,6 +219,9 @@ class StreamPort(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """The other end is there."""
         assert isinstance(transport, asyncio.Transport)
+        if not self._driver.aircraft.line.is_plugged:
+            transport.abort()
+            return
         self._transport = transport
         transport.set_write_buffer_limits(high=16_384)
         self._driver.attach(self)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import serial
 import m100link
 from m100link.link import open_link
 from m100link.sim import Driver, PtyPort, VirtualAircraft
-from m100link.wire import FrameDecoder
+from m100link.wire import FrameDecoder, encode_frame
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]
 
@@ -108,6 +109,32 @@ async def test_nobody_reading_grows_nothing_and_a_late_reader_gets_fresh_bytes()
     assert port.flushes >= 1
     decoder = await asyncio.to_thread(read, port, 0.4)
     assert 30 <= decoder.frames < 250, "not the two and a half seconds that were missed"
+    driver.stop()
+
+
+async def test_what_the_terminal_cannot_hold_waits_bounded_and_arrives_whole() -> None:
+    driver = Driver(VirtualAircraft(seed=1))
+    port = PtyPort(driver)
+    driver.aircraft.stall_line()  # nothing but what is written here
+    for number in range(3000):
+        push = b"\x02\x00" + bytes(100)
+        port.write([encode_frame(push, session=0, sequence=number)])
+    ack = encode_frame(b"\x00\x00", session=2, sequence=9, is_ack=True)
+    port.write([ack])
+    assert len(port.backlog) == port.backlog.LIMIT
+    assert port.backlog.dropped > 1000
+
+    decoder, sequences = FrameDecoder(), []
+    descriptor = os.open(port.device, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    for _ in range(60):
+        await asyncio.sleep(0.01)
+        with contextlib.suppress(BlockingIOError):
+            frames = decoder.feed(os.read(descriptor, 65_536))
+            sequences += [frame.sequence for frame in frames]
+    os.close(descriptor)
+    assert decoder.discarded_bytes == 0, "whole frames only"
+    assert sequences[-2:] == [2999, 9], "the newest are there"
+    assert len(port.backlog) == 0
     driver.stop()
 
 

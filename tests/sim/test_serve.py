@@ -270,6 +270,24 @@ async def test_tcp_serves_one_program_at_a_time_and_a_new_one_replaces_it() -> N
     assert server.port > 0
 
 
+async def test_tcp_refuses_while_the_aircraft_is_unplugged() -> None:
+    aircraft = VirtualAircraft(seed=1)
+    driver = Driver(aircraft)
+    server = await serve_tcp(driver)
+    loop = asyncio.get_running_loop()
+    heard = []
+    for plugged in (True, False, True):
+        aircraft.replug() if plugged else aircraft.unplug()
+        await asyncio.sleep(0.05)
+        _, listener = await loop.create_connection(Listener, "127.0.0.1", server.port)
+        await asyncio.sleep(0.15)
+        heard.append(listener.bytes > 0)
+    assert heard == [True, False, True]
+    await server.stop()
+    driver.stop()
+    await asyncio.sleep(0.05)
+
+
 # --- pace -----------------------------------------------------------------------------------
 
 
