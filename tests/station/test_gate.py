@@ -1,0 +1,161 @@
+"""Nobody gets in by a page opened elsewhere, by a name that points here, or without the token."""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+from typing import Any
+
+import pytest
+
+from m100link.station.gate import COOKIE, Gate, host_of, is_loopback
+
+pytestmark = pytest.mark.anyio
+
+TOKEN = "0123456789abcdefXY"
+HERE = ("host", "127.0.0.1:9090")
+
+
+class Visit:
+    """What a request gets; the application behind the gate notes that it was reached."""
+
+    def __init__(self, **options: Any) -> None:
+        self.is_in = False
+        self.sent: list[MutableMapping[str, Any]] = []
+        self.gate = Gate(self._app, **options)
+
+    async def _app(self, scope: Any, receive: Any, send: Any) -> None:
+        self.is_in = True
+        if scope["type"] == "http":
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    async def ask(
+        self, *headers: tuple[str, str], kind: str = "websocket", query: str = "", tls: bool = False
+    ) -> bool:
+        scheme = {"websocket": "ws", "http": "http"}[kind] + ("s" if tls else "")
+        scope = {
+            "type": kind,
+            "scheme": scheme,
+            "headers": [(name.encode(), value.encode()) for name, value in headers],
+            "query_string": query.encode(),
+        }
+
+        async def receive() -> dict[str, Any]:
+            return {"type": "websocket.connect"}
+
+        async def send(message: MutableMapping[str, Any]) -> None:
+            self.sent.append(message)
+
+        await self.gate(scope, receive, send)
+        return self.is_in
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:9090", "localhost", "LOCALHOST:1", "[::1]:9090"])
+async def test_programs_of_this_machine_send_no_origin_and_get_in(host: str) -> None:
+    assert await Visit().ask(("host", host))
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example",
+        "evil.example:9090",
+        "127.0.0.1.evil.example",
+        "localhost.evil.example",
+        "192.168.1.5",
+        "127.0.0.1@evil.example",
+        "127.0.0.1:port",
+        "127.0.0.1/evil.example",
+        "",
+    ],
+)
+async def test_a_name_that_points_here_is_not_this_station(host: str) -> None:
+    # DNS rebinding: the page's own name resolves to 127.0.0.1, and Host and Origin agree.
+    visit = Visit()
+    assert not await visit.ask(("host", host), ("origin", f"http://{host}"))
+    assert visit.sent == [{"type": "websocket.close", "code": 1008}]  # before it was accepted
+
+
+async def test_two_hosts_or_none_are_refused() -> None:
+    assert not await Visit().ask()
+    assert not await Visit().ask(HERE, HERE)
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://evil.example",
+        "https://127.0.0.1:9090",
+        "http://127.0.0.1:9091",
+        "http://127.0.0.1",
+        "http://localhost:9090",
+        "http://127.0.0.1:9090.evil.example",
+        "null",
+        "",
+        "file://",
+    ],
+)
+@pytest.mark.parametrize("kind", ["websocket", "http"])
+async def test_pages_from_elsewhere_are_refused(origin: str, kind: str) -> None:
+    assert not await Visit().ask(HERE, ("origin", origin), kind=kind)
+
+
+async def test_pages_of_the_station_itself_get_in() -> None:
+    assert await Visit().ask(HERE, ("origin", "http://127.0.0.1:9090"))
+    assert await Visit().ask(HERE, ("origin", "https://127.0.0.1:9090"), tls=True)
+    assert not await Visit().ask(HERE, ("origin", "http://127.0.0.1:9090"), tls=True)
+
+
+async def test_pages_allowed_by_name_get_in_and_null_is_such_a_name() -> None:
+    options = {"origins": ["http://127.0.0.1:8000/", "null"], "hosts": ["Field-Laptop"]}
+    assert await Visit(**options).ask(HERE, ("origin", "http://127.0.0.1:8000"))
+    assert await Visit(**options).ask(("host", "field-laptop:9090"), ("origin", "null"))
+    assert not await Visit(**options).ask(HERE, ("origin", "http://127.0.0.1:8001"))
+    two = (("origin", "null"), ("origin", "null"))
+    assert not await Visit(**options).ask(HERE, *two)
+
+
+@pytest.mark.parametrize(
+    ("header", "query", "gets_in"),
+    [
+        (None, "", False),
+        (None, f"token={TOKEN}", True),
+        (None, f"token={TOKEN[:-1]}", False),
+        (None, f"token=x&token={TOKEN}", False),
+        (("authorization", f"Bearer {TOKEN}"), "", True),
+        (("authorization", f"Basic {TOKEN}"), "", False),
+        (("cookie", f"a=b; {COOKIE}={TOKEN}"), "", True),
+        (("cookie", f"{COOKIE}={TOKEN}x"), "", False),
+        (("cookie", "\x01"), "", False),
+        (("authorization", "Bearer ü"), "", False),
+    ],
+)
+async def test_a_token_is_needed_where_one_is_set(
+    header: tuple[str, str] | None, query: str, gets_in: bool
+) -> None:
+    headers = [HERE, *([header] if header else [])]
+    assert await Visit(token=TOKEN).ask(*headers, query=query) is gets_in
+
+
+async def test_the_token_moves_from_the_address_into_a_cookie() -> None:
+    visit = Visit(token=TOKEN)
+    await visit.ask(HERE, kind="http", query=f"token={TOKEN}", tls=True)
+    (cookie,) = [
+        value.decode() for name, value in visit.sent[0]["headers"] if name == b"set-cookie"
+    ]
+    assert cookie == f"{COOKIE}={TOKEN}; HttpOnly; SameSite=Strict; Path=/; Secure"
+
+
+async def test_a_page_is_told_why_it_was_refused() -> None:
+    visit = Visit()
+    await visit.ask(HERE, ("origin", "http://evil.example"), kind="http")
+    assert visit.sent[0]["status"] == 403
+    assert b"--allow-origin" in visit.sent[1]["body"]
+    assert visit.gate.refused == 1
+
+
+def test_hosts_and_addresses() -> None:
+    assert host_of("[::1]:9090") == "[::1]"
+    assert host_of("Name:1") == "name"
+    assert is_loopback("127.0.0.1")
+    assert is_loopback("::1")
+    assert not is_loopback("0.0.0.0")
