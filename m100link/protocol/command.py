@@ -44,9 +44,14 @@ class Command:
     CODES: ClassVar[type[AckCode] | None] = None
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (2,)
 
+    _PREFIX: ClassVar[bytes]
+
+    def __init_subclass__(cls) -> None:
+        cls._PREFIX = bytes(cls.ADDRESS)
+
     def encode(self, profile: FirmwareProfile) -> bytes:
         """The data of the frame: set, id, value."""
-        return bytes(self.ADDRESS) + self.value(profile)
+        return self._PREFIX + self.value(profile)
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """The command value alone."""
