@@ -173,7 +173,7 @@ def test_each_change_is_reported_once_and_no_change_is_not() -> None:
     ]
 
 
-# -- cross-checks --------------------------------------------------------------------------------
+# -- cross-checks ---------------------------------------------------------------------------------
 
 
 def rc(mode: RcMode) -> RemoteControl:
@@ -269,7 +269,7 @@ def test_the_request_bit_of_later_firmware_does_not_hide_the_device() -> None:
     assert (authority.state, authority.reason) == (S.LOST, "app")
 
 
-# -- waiting -------------------------------------------------------------------------------------
+# -- waiting --------------------------------------------------------------------------------------
 
 
 @pytest.mark.anyio

@@ -304,7 +304,7 @@ async def test_a_dead_line_both_ways_bounds_the_stop_path() -> None:
         assert flown.now - start < 10.0
 
 
-# -- landing at the end --------------------------------------------------------------------------
+# -- landing at the end ---------------------------------------------------------------------------
 
 
 @each_firmware
@@ -406,7 +406,7 @@ async def test_the_pilot_may_take_over_from_the_stop_path() -> None:
         assert flown.is_released
 
 
-# -- pause and resume ----------------------------------------------------------------------------
+# -- pause and resume -----------------------------------------------------------------------------
 
 
 @each_firmware
@@ -486,7 +486,7 @@ async def test_after_a_loss_a_new_block_can_be_entered() -> None:
         await assert_all_is_well(flown)
 
 
-# -- one at a time -------------------------------------------------------------------------------
+# -- one at a time --------------------------------------------------------------------------------
 
 
 async def test_a_nested_block_is_refused_and_leaves_the_first_alone() -> None:
@@ -550,7 +550,7 @@ async def test_setpoints_are_refused_while_a_task_flies_the_aircraft() -> None:
             control.send(NORTH)
 
 
-# -- entering ------------------------------------------------------------------------------------
+# -- entering -------------------------------------------------------------------------------------
 
 
 @each_firmware

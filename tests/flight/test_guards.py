@@ -61,7 +61,7 @@ def refusal(flown: Rig, control: Control, setpoint: Setpoint) -> GuardRefused:
     return caught.value
 
 
-# -- GPS -----------------------------------------------------------------------------------------
+# -- GPS ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("health", [0, 1, 2])
@@ -105,7 +105,7 @@ async def test_gps_guard_off_by_its_name() -> None:
         control.send(NORTH)
 
 
-# -- battery -------------------------------------------------------------------------------------
+# -- battery --------------------------------------------------------------------------------------
 
 
 async def test_battery_below_its_floor_refuses_take_off_and_setpoints_but_never_landing() -> None:
@@ -142,7 +142,7 @@ async def test_battery_guard_off_by_its_name() -> None:
         control.send(TILT)
 
 
-# -- envelope ------------------------------------------------------------------------------------
+# -- envelope -------------------------------------------------------------------------------------
 
 
 async def test_a_height_beyond_the_envelope_is_refused() -> None:
@@ -309,7 +309,7 @@ def test_an_envelope_that_allows_nothing_is_no_envelope(name: str, value: float)
         Envelope(**{name: value})
 
 
-# -- stale telemetry -----------------------------------------------------------------------------
+# -- stale telemetry ------------------------------------------------------------------------------
 
 
 async def test_stale_telemetry_guard_off_by_its_name() -> None:

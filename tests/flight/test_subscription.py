@@ -55,7 +55,7 @@ def drain(subscription: Subscription[int]) -> list[int]:
     return values
 
 
-# -- policies ------------------------------------------------------------------------------------
+# -- policies -------------------------------------------------------------------------------------
 
 
 def test_latest_keeps_the_newest_value_and_counts_the_others() -> None:
@@ -100,7 +100,7 @@ def test_a_policy_that_keeps_nothing_is_refused(
         policy(count)
 
 
-# -- rate limit ----------------------------------------------------------------------------------
+# -- rate limit -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("rate", [1, 3, 7, 10, 25, 50, 99])
@@ -151,7 +151,7 @@ async def test_only_records_can_be_asked_for() -> None:
             flown.aircraft.telemetry(int)
 
 
-# -- ending --------------------------------------------------------------------------------------
+# -- ending ---------------------------------------------------------------------------------------
 
 
 async def test_close_ends_the_iteration_also_of_a_task_that_waits() -> None:
@@ -203,7 +203,7 @@ async def test_a_hub_that_failed_fails_those_who_come_later_too() -> None:
         await anext(hub.subscribe(Latest()))
 
 
-# -- over the virtual aircraft ---------------------------------------------------------------------
+# -- over the virtual aircraft --------------------------------------------------------------------
 
 
 async def test_a_slow_a_blocked_and_a_dead_consumer_do_not_delay_the_others() -> None:
@@ -394,7 +394,7 @@ async def test_a_rate_limit_over_the_line() -> None:
             assert samples.received in (100, 101)
 
 
-# -- wait_for --------------------------------------------------------------------------------------
+# -- wait_for -------------------------------------------------------------------------------------
 
 
 async def test_wait_for_returns_at_the_package_that_makes_it_true() -> None:
@@ -445,7 +445,7 @@ async def test_a_predicate_that_fails_fails_its_caller_only() -> None:
         await flown.aircraft.wait_for(lambda state: state.attitude is not None, timeout=1)
 
 
-# -- layouts ---------------------------------------------------------------------------------------
+# -- layouts --------------------------------------------------------------------------------------
 
 
 async def test_packages_that_do_not_fit_are_refused_counted_and_told_once(
