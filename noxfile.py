@@ -100,8 +100,9 @@ def run_tests(session: nox.Session, *options: str, constrained_to: list[str] | N
 @nox.session(default=False)
 def bench(session: nox.Session) -> None:
     """The benchmarks, beside their rivals on the same machine."""
-    session.install(PACKAGE, *group("bench"))
-    session.run("python", "benchmarks/run.py", *session.posargs)
+    session.install("-e", PACKAGE, *group("bench"))
+    for name in ("run", "consumer", "ticks"):
+        session.run("python", "-m", f"benchmarks.{name}", *session.posargs)
 
 
 @nox.session(default=False)

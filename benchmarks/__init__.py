@@ -1,0 +1,1 @@
+"""Benchmarks; each prints figures beside those of a rival in the same run."""
