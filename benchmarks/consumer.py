@@ -22,7 +22,7 @@ from typing import Any
 
 import m100link
 from benchmarks import run as base
-from benchmarks from m100link.link import Link
+from m100link.link import Link
 from m100link.wire import encode_frame
 
 KEPT = 1000
