@@ -31,8 +31,8 @@ from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfi
 from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
 from m100link.protocol.telemetry import RECORDS
 from m100link.refusals import key_rejected, no_aircraft, system_error
+from m100link.state import AircraftState
 from m100link.subscription import (
-    AircraftState,
     Hub,
     Latest,
     Newest,
@@ -93,6 +93,7 @@ class Aircraft:
         self._from_mobile: Hub[bytes] = Hub()
         self._control: Control | None = None
         self._task_sequence = secrets.randbits(8)
+        self._proven_cipher: Cipher | None = None
         self.state = AircraftState(self._clock)
         self.authority = Authority(self._authority_changed)
         self.telemetry_mismatches = 0
@@ -302,8 +303,11 @@ class Aircraft:
             AckTimeout, BadAck, LinkError: See each class.
         """
         self._require_known_firmware(command)
+        cipher = self.link.cipher
         if encrypted is None:
-            encrypted = self.link.cipher is not None and command.ADDRESS.command_set == 0x01
+            encrypted = cipher is not None and command.ADDRESS.command_set == 0x01
+        # A key that was understood once is right; a lost frame does not make it wrong.
+        may_be_wrong = encrypted and cipher is not self._proven_cipher
         try:
             payload = await self.link.request(
                 command.encode(self._firmware),
@@ -313,13 +317,15 @@ class Aircraft:
                 tries=tries,
             )
         except AckTimeout as error:
-            if encrypted and await self._answers_plain():
+            if may_be_wrong and await self._answers_plain():
                 raise key_rejected(command.NAME) from error
             raise
         code = command.parse_ack(payload)
         assert isinstance(code, AckCode)
         if code.is_system:
-            raise system_error(command.NAME, code, encrypted, refusal)
+            raise system_error(command.NAME, code, may_be_wrong, refusal)
+        if encrypted:
+            self._proven_cipher = cipher
         return code
 
     async def _answers_plain(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import signal
 import threading
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
@@ -36,7 +37,7 @@ from m100link.protocol.control import Move, Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.protocol.telemetry import FlightPhase
 from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
-from m100link.subscription import AircraftState
+from m100link.state import AircraftState
 from m100link.tasks import Commander, TaskProgress, run_task, task_name
 
 __all__ = ["Control", "Hold", "PauseAction", "StopAction"]
@@ -306,8 +307,8 @@ class Control(ClosedLoops):
                 cause="the aircraft ignores movement during take-off, landing and go-home",
                 remedy="await the task first",
             )
-        if not lifetime > 0:
-            raise UsageError(f"a lifetime of {lifetime} s is no time at all")
+        if not 0 < lifetime < math.inf:
+            raise UsageError(f"a lifetime of {lifetime} s is no time that ends")
         setpoint.control_flag(self._commander.firmware)  # refused here, not in the sending task
         self._guards.check(setpoint)
         self._setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
@@ -396,27 +397,37 @@ class Control(ClosedLoops):
         finally:
             self._setpoints.neutralise()
 
-    async def follow(self, source: SetpointSource, *, rate_hz: float = MAX_RATE_HZ) -> None:
+    async def follow(
+        self,
+        source: SetpointSource,
+        *,
+        rate_hz: float = MAX_RATE_HZ,
+        lifetime: float | None = None,
+    ) -> None:
         """Send what a source gives until it ends, then the mode's neutral.
 
         Args:
             source: A callable that gets each :class:`Tick` and returns a setpoint, or None to end;
                 or an async iterable of setpoints, which sets its own pace.
             rate_hz: Ticks per second for a callable.
+            lifetime: Seconds that each setpoint lasts when the next one does not come; by default
+                0.2 s, or two ticks where these are longer.
 
         Raises:
             NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
         """
+        if lifetime is None:
+            lifetime = max(SETPOINT_LIFETIME, 2 * period_of(rate_hz))
         try:
             if isinstance(source, AsyncIterable):
                 async for setpoint in source:
-                    self.send(setpoint)
+                    self.send(setpoint, lifetime=lifetime)
                 return
             async for tick in self.ticks(rate_hz):
                 wanted = source(tick)
                 if wanted is None:
                     return
-                self.send(wanted)
+                self.send(wanted, lifetime=lifetime)
         finally:
             self._setpoints.neutralise()
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from m100link.authority import Authority
     from m100link.protocol.command import Command
     from m100link.protocol.firmware import FirmwareProfile
-    from m100link.subscription import AircraftState
+    from m100link.state import AircraftState
 
 __all__ = ["Commander", "TaskProgress", "run_task"]
 
@@ -32,6 +32,9 @@ _logger = logging.getLogger("m100link.control")
 _POLL_S = 0.25
 _QUERY_INTERVAL_S = 1.0
 _TAKEN_OFF_HEIGHT_M = 1.0
+_SETTLED_S = 1.0
+_SETTLED_M_S = 0.15
+_UNANSWERED = 3  # queries in a row, after which what telemetry shows must do
 
 TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
 """Seconds to wait for the end of each task unless told otherwise."""
@@ -147,6 +150,8 @@ class _Watch:
         self._sequence = sequence
         self._progress = progress
         self._result: TaskResultCode | None = None
+        self._unanswered = 0
+        self._observed_since: float | None = None
 
     async def run(self, timeout: float) -> None:
         clock = asyncio.get_running_loop().time
@@ -155,7 +160,7 @@ class _Watch:
         while True:
             if clock() >= next_query_at:
                 next_query_at = clock() + _QUERY_INTERVAL_S
-                self._result = await self._query()
+                await self._query()
             elapsed = clock() - began_at
             self._report(elapsed)
             if self._is_done():
@@ -171,14 +176,23 @@ class _Watch:
                 )
             await asyncio.sleep(_POLL_S)
 
-    async def _query(self) -> TaskResultCode:
+    async def _query(self) -> None:
+        """Ask for the result. One answer that is lost does not change what the last one said."""
+        query = QueryTask(self._sequence)
         try:
-            return TaskResultCode(
-                await self._commander.execute(QueryTask(self._sequence), timeout=0.2, tries=2)
+            self._result = TaskResultCode(
+                await self._commander.execute(query, timeout=0.2, tries=2)
             )
-        except (AckTimeout, CommandRefused) as error:
+        except AckTimeout as error:
             _logger.debug("no result of the task: %s", error)
-            return TaskResultCode.NOT_CURRENT
+            self._unanswered += 1
+            if self._unanswered >= _UNANSWERED:
+                self._result = TaskResultCode.NOT_CURRENT
+        except CommandRefused as error:
+            _logger.debug("no result of the task: %s", error)
+            self._result = TaskResultCode.NOT_CURRENT
+        else:
+            self._unanswered = 0
 
     def _is_done(self) -> bool:
         result = self._result
@@ -195,16 +209,32 @@ class _Watch:
             )
         # Observation decides when the query brought nothing. While the aircraft says that it is
         # executing, it would ignore what comes next; before the first query nobody knows.
-        return result not in (None, TaskResultCode.EXECUTING) and self._is_observed()
+        is_observed = self._is_observed()
+        return result not in (None, TaskResultCode.EXECUTING) and is_observed
 
     def _is_observed(self) -> bool:
-        status, position = self._state.flight_status, self._state.position
-        if status is None:
-            return False
+        """Whether telemetry shows the end, for a while: at 1 m a take-off is still climbing."""
+        status = self._state.flight_status
         if self._task is not Task.TAKE_OFF:
-            return status.status == FlightPhase.STANDBY
-        is_high = position is not None and position.height_m >= _TAKEN_OFF_HEIGHT_M
-        return status.status == FlightPhase.IN_AIR and is_high
+            return status is not None and status.status == FlightPhase.STANDBY
+        if not self._hovers():
+            self._observed_since = None
+            return False
+        now = asyncio.get_running_loop().time()
+        if self._observed_since is None:
+            self._observed_since = now
+        return now - self._observed_since >= _SETTLED_S
+
+    def _hovers(self) -> bool:
+        status, position = self._state.flight_status, self._state.position
+        velocity = self._state.velocity
+        return (
+            status is not None
+            and status.status == FlightPhase.IN_AIR
+            and position is not None
+            and position.height_m >= _TAKEN_OFF_HEIGHT_M
+            and (velocity is None or abs(velocity.up_m_s) < _SETTLED_M_S)
+        )
 
     def _report(self, elapsed: float) -> None:
         if self._progress is None:

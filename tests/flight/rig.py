@@ -79,6 +79,7 @@ class Rig:
 
     async def assert_hovers(self, *, within: float = 4.0) -> None:
         """It comes to rest in the air and stays there; nobody moves it any more."""
+        await asyncio.sleep(0.001)  # what is on the line arrives
         count = len(self.moves)
         await asyncio.sleep(within)
         height, (north, east) = self.virtual.height, self.virtual.position

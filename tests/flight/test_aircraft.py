@@ -16,6 +16,7 @@ from m100link import (
     Aircraft,
     AuthorityRefused,
     BadURL,
+    CommandNotSupported,
     CommandRefused,
     Credentials,
     KeyRejected,
@@ -34,7 +35,7 @@ from m100link.errors import M100Error
 from m100link.link import Link, connect_in_memory
 from m100link.protocol.activation import Activate, GetVersion
 from m100link.protocol.command import encode_code
-from m100link.protocol.control import RequestAuthority
+from m100link.protocol.control import Arm, RequestAuthority
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim import AircraftSettings, LineFaults
 from m100link.sim.settings import Undecodable
@@ -431,6 +432,27 @@ async def test_a_dead_line_is_no_wrong_key() -> None:
         with pytest.raises(AckTimeout) as caught:
             await enter_control(flown.aircraft)
         assert not isinstance(caught.value, KeyRejected)
+
+
+async def test_a_key_that_was_understood_is_not_blamed_for_a_lost_frame() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        flown.virtual.set_faults(LineFaults(), to_aircraft=LineFaults(loss=1.0))
+        asyncio.get_running_loop().call_later(1.5, flown.virtual.set_faults)
+        with pytest.raises(AckTimeout):
+            await control.take_off()
+
+
+@pytest.mark.parametrize("is_proven", [False, True])
+async def test_an_unknown_command_blames_the_key_only_while_nobody_knows_it(
+    is_proven: bool,
+) -> None:
+    """Firmware 1.0 has no arm command; it answers 0xFF00 as for what it cannot decrypt."""
+    async with rig() as flown:
+        if is_proven:
+            async with flown.aircraft.control():
+                pass
+        with pytest.raises(CommandNotSupported if is_proven else KeyRejected):
+            await flown.aircraft.execute(Arm(on=True))
 
 
 async def test_not_activated_is_told_as_such() -> None:

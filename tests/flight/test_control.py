@@ -1,0 +1,368 @@
+"""Sending: hold, follow, ticks and stop, seen from the aircraft."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from itertools import pairwise
+
+import pytest
+
+from m100link import (
+    BadSetpoint,
+    Control,
+    GuardRefused,
+    NoAuthority,
+    Setpoint,
+    Tick,
+    UsageError,
+)
+from m100link.protocol.control import Move
+from m100link.sim import VirtualClockEventLoop
+from tests.flight.rig import NORTH, STILL, Rig, rig
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+async def flying() -> AsyncIterator[tuple[Rig, Control]]:
+    """In the air, under control."""
+    async with rig() as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        yield flown, control
+
+
+def north(speed: float) -> Setpoint:
+    return Setpoint.velocity(north=speed, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+def gaps(flown: Rig) -> list[float]:
+    return [later - earlier for earlier, later in pairwise(flown.moves.times)]
+
+
+# -- send -----------------------------------------------------------------------------------------
+
+
+async def test_one_send_is_repeated_for_its_lifetime_then_neutral_then_silence(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+    control.send(NORTH)
+    await asyncio.sleep(3.0)
+    speeds = [move.roll_or_x for move in flown.moves]
+    assert 9 <= speeds.count(2.0) <= 11
+    assert speeds.count(2.0) + speeds.count(0.0) == len(speeds)
+    assert 14 <= speeds.count(0.0) <= 16
+    assert speeds == sorted(speeds, reverse=True)
+    assert control.setpoints_expired == 1
+    await flown.assert_hovers()
+
+
+async def test_a_hung_program_does_not_keep_the_aircraft_flying(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+    await flown.fly(control, 2.0)
+    hung_at = flown.now
+    await asyncio.sleep(5.0)  # it awaits something that never comes
+    last = max(t for t, m in zip(flown.moves.times, flown.moves, strict=True) if m.roll_or_x)
+    assert last - hung_at < 0.2
+    assert flown.moves.times[-1] - hung_at < 0.55
+
+
+async def test_ten_minutes_at_50_hz_are_30000_frames(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    start = flown.now
+    count = 0
+    async for tick in control.ticks():
+        control.send(STILL)
+        count += 1
+        if tick.index == 29_999:
+            break
+    assert count == 30_000
+    assert len(flown.moves.times) in (29_999, 30_000, 30_001)
+    assert flown.now - start == pytest.approx(599.98, abs=1e-3)
+    assert min(gaps(flown)) == pytest.approx(0.02, abs=1e-6)
+    assert max(gaps(flown)) == pytest.approx(0.02, abs=1e-6)
+
+
+async def test_each_tick_of_a_loop_gets_through_in_its_own_period(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+    async for tick in control.ticks():
+        control.send(north(tick.index / 100))
+        if tick.index == 99:
+            break
+    await asyncio.sleep(0.001)
+    speeds = [move.roll_or_x for move in flown.moves]
+    assert speeds == pytest.approx([index / 100 for index in range(100)], abs=1e-6)
+
+
+async def test_a_blocking_stall_of_the_program_is_a_gap_and_a_count(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualClockEventLoop)
+    missed = []
+    async for tick in control.ticks():
+        control.send(NORTH)
+        missed.append(tick.missed)
+        if tick.index == 20:
+            await asyncio.sleep(0.001)  # let the frame arrive before
+            loop._jumping.now += 0.11
+        if tick.index >= 50:
+            break
+    assert sum(missed) == 5
+    assert sum(gap > 0.03 for gap in gaps(flown)) == 1
+    assert min(gaps(flown)) > 0.009
+
+
+@pytest.mark.parametrize("lifetime", [0.0, -1.0, float("nan")])
+async def test_a_lifetime_that_is_none_is_refused(
+    flying: tuple[Rig, Control], lifetime: float
+) -> None:
+    _, control = flying
+    with pytest.raises(UsageError, match="lifetime"):
+        control.send(NORTH, lifetime=lifetime)
+    assert control.setpoints_sent == 0
+
+
+async def test_a_lifetime_without_end_is_refused(flying: tuple[Rig, Control]) -> None:
+    """A setpoint that outlives its program's attention is what lifetimes are there against."""
+    _, control = flying
+    with pytest.raises(UsageError, match="lifetime"):
+        control.send(NORTH, lifetime=float("inf"))
+
+
+@pytest.mark.parametrize("rate", [0, 51, 1000])
+async def test_a_rate_beyond_50_hz_is_refused(flying: tuple[Rig, Control], rate: float) -> None:
+    _, control = flying
+    with pytest.raises(UsageError, match="50 Hz"):
+        control.send(NORTH, rate_hz=rate)
+    with pytest.raises(UsageError, match="50 Hz"):
+        control.ticks(rate)
+    assert control.setpoints_sent == 0
+
+
+async def test_before_the_block_nothing_is_sent() -> None:
+    async with rig() as flown:
+        control = flown.aircraft.control()
+        with pytest.raises(NoAuthority, match="authority is none; nothing was sent") as caught:
+            control.send(NORTH)
+        assert "async with aircraft.control()" in caught.value.remedy
+        await asyncio.sleep(0.1)
+        assert len(flown.moves) == 0
+
+
+# -- hold -----------------------------------------------------------------------------------------
+
+
+async def test_hold_keeps_a_setpoint_that_is_renewed_and_leaves_it_neutral(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+    async with control.hold(NORTH) as hold:
+        for _ in range(20):
+            await asyncio.sleep(0.15)
+            hold.set(NORTH)
+        assert {move.roll_or_x for move in flown.moves} == {2.0}
+        assert flown.speed > 1.0
+    left_at = flown.now
+    await asyncio.sleep(1.0)
+    after = [
+        move.roll_or_x
+        for time, move in zip(flown.moves.times, flown.moves, strict=True)
+        if time > left_at
+    ]
+    assert set(after) == {0.0}
+    assert 14 <= len(after) <= 16
+
+
+async def test_hold_without_renewal_expires_like_any_setpoint(
+    flying: tuple[Rig, Control], caplog: pytest.LogCaptureFixture
+) -> None:
+    flown, control = flying
+    with caplog.at_level(logging.WARNING):
+        async with control.hold(NORTH):
+            await asyncio.sleep(5.0)
+    assert control.setpoints_expired == 1
+    assert "not renewed" in caplog.text
+    assert flown.moves[-1].roll_or_x == 0.0
+    assert flown.speed < 0.1
+
+
+async def test_hold_may_be_given_a_longer_life(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    async with control.hold(NORTH, lifetime=2.0, rate_hz=10):
+        await asyncio.sleep(1.95)
+    assert {move.roll_or_x for move in list(flown.moves)[:19]} == {2.0}
+    assert 19 <= sum(move.roll_or_x == 2.0 for move in flown.moves) <= 21
+
+
+async def test_hold_that_fails_inside_leaves_neutral(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    with pytest.raises(ZeroDivisionError):
+        async with control.hold(NORTH):
+            await asyncio.sleep(0.1)
+            raise ZeroDivisionError
+    await asyncio.sleep(0.03)
+    assert flown.moves[-1].roll_or_x == 0.0
+
+
+async def test_hold_refuses_at_once_what_send_refuses(flying: tuple[Rig, Control]) -> None:
+    _, control = flying
+    with pytest.raises(GuardRefused):
+        async with control.hold(Setpoint.velocity(north=9, east=9, up=0, yaw_rate_deg_s=0)):
+            pytest.fail("entered")
+    with pytest.raises(BadSetpoint):
+        async with control.hold(
+            Setpoint.velocity(north=1, east=0, up=0, yaw_rate_deg_s=0, stable=True)
+        ):
+            pytest.fail("entered")
+
+
+# -- follow ---------------------------------------------------------------------------------------
+
+
+async def test_follow_calls_a_function_at_each_tick_until_it_returns_none(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+    ticks: list[Tick] = []
+
+    def source(tick: Tick) -> Setpoint | None:
+        ticks.append(tick)
+        return north(1.0) if tick.elapsed < 1.0 else None
+
+    await control.follow(source)
+    assert len(ticks) == 51
+    await asyncio.sleep(1.0)
+    speeds = [move.roll_or_x for move in flown.moves]
+    assert speeds[:50] == [1.0] * 50
+    assert set(speeds[50:]) == {0.0}
+
+
+async def test_follow_takes_setpoints_from_an_async_iterator_at_its_own_pace(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+
+    async def source() -> AsyncIterator[Setpoint]:
+        for step in range(10):
+            yield north(1.0 + step)
+            await asyncio.sleep(0.1)
+
+    guarded = [1.0 + step for step in range(10)]
+    await control.follow(source())
+    seen = list(dict.fromkeys(move.roll_or_x for move in flown.moves if move.roll_or_x))
+    assert seen == guarded
+    await asyncio.sleep(0.03)
+    assert flown.moves[-1].roll_or_x == 0.0
+
+
+async def test_follow_at_a_slower_rate_keeps_the_setpoint_alive_between_its_ticks(
+    flying: tuple[Rig, Control],
+) -> None:
+    """At 4 Hz a lifetime of 0.2 s would stop the aircraft between any two ticks."""
+    flown, control = flying
+    await control.follow(lambda tick: north(1.0) if tick.elapsed < 3.0 else None, rate_hz=4)
+    await asyncio.sleep(0.1)
+    flying_frames = [move for move in flown.moves if move.roll_or_x]
+    first_neutral = next(i for i, move in enumerate(flown.moves) if not move.roll_or_x)
+    assert first_neutral >= len(flying_frames)
+    assert control.setpoints_expired == 0
+
+
+async def test_follow_that_fails_leaves_neutral(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+
+    def source(tick: Tick) -> Setpoint:
+        if tick.index == 10:
+            raise ZeroDivisionError
+        return NORTH
+
+    with pytest.raises(ZeroDivisionError):
+        await control.follow(source)
+    await asyncio.sleep(0.03)
+    assert flown.moves[-1].roll_or_x == 0.0
+
+
+async def test_follow_that_is_cancelled_leaves_neutral(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(1.0):
+            await control.follow(lambda tick: NORTH)
+    await asyncio.sleep(0.03)
+    assert flown.moves[-1].roll_or_x == 0.0
+
+
+# -- stop and experts -----------------------------------------------------------------------------
+
+
+async def test_stop_sends_neutral_for_a_moment_and_the_aircraft_hovers(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+    await flown.fly(control, 2.0)
+    await control.stop()
+    flown.assert_stopped_in_order()
+    await flown.assert_hovers()
+
+
+async def test_stop_that_is_cancelled_still_falls_silent(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    await flown.fly(control, 1.0)
+    task = asyncio.create_task(control.stop())
+    await asyncio.sleep(0.1)
+    task.cancel()
+    await asyncio.sleep(0.5)
+    flown.assert_stopped_in_order()
+
+
+async def test_stop_with_nothing_to_stop_takes_no_time(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    start = flown.now
+    await control.stop()
+    assert flown.now == start
+    assert len(flown.moves) == 0
+
+
+async def test_the_experts_door_sends_once_unchecked(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    move = Move(0xFF, 99.0, 99.0, 99.0, 999.0)
+    assert control.send_raw_move_as_expert(move)
+    await asyncio.sleep(1.0)
+    assert list(flown.moves) == [move]
+
+
+async def test_the_experts_door_needs_authority_too() -> None:
+    async with rig() as flown:
+        with pytest.raises(NoAuthority):
+            flown.aircraft.control().send_raw_move_as_expert(Move(0, 0, 0, 0, 0))
+
+
+async def test_movement_is_encrypted_once_there_is_a_key() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        control.send(NORTH)
+        await asyncio.sleep(0.02)
+        assert flown.virtual.autopilot.counters.movements >= 1
+        assert flown.virtual.autopilot.counters.undecodable == 0
+
+
+async def test_a_line_that_does_not_drain_drops_setpoints_instead_of_queueing_them() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        flown.aircraft.link.pause_writing()
+        for _ in range(50):
+            control.send(north(2.0))
+            await asyncio.sleep(0.02)
+        assert len(flown.moves) == 0
+        flown.aircraft.link.resume_writing()
+        control.send(north(3.0))
+        await asyncio.sleep(0.03)
+        assert {move.roll_or_x for move in flown.moves} == {3.0}
+        assert flown.aircraft.statistics().dropped_writes >= 45

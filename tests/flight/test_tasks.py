@@ -1,0 +1,240 @@
+"""Take-off, landing, going home: done when seen done; refused, failed and unseen with reasons."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+
+import pytest
+
+from m100link import (
+    AckTimeout,
+    AuthorityLost,
+    FlightPhase,
+    Guards,
+    LinkLost,
+    NoAuthority,
+    NotObserved,
+    TaskFailed,
+    TaskProgress,
+    TaskRefused,
+    TaskResultCode,
+)
+from m100link.protocol.command import encode_code
+from m100link.protocol.control import QueryTask, StartTask, Task
+from m100link.sim import LineFaults
+from m100link.sim.commands import Reply
+from tests.flight.rig import FIRMWARES, Rig, rig
+
+pytestmark = pytest.mark.anyio
+
+each_firmware = pytest.mark.parametrize("firmware", FIRMWARES)
+
+
+def started(flown: Rig) -> list[StartTask]:
+    commands = (c.command for c in flown.virtual.autopilot.received_commands)
+    return [c for c in commands if isinstance(c, StartTask)]
+
+
+@each_firmware
+async def test_take_off_and_landing_return_when_they_are_done_not_when_they_begin(
+    firmware: str,
+) -> None:
+    async with rig(firmware=firmware) as flown, flown.aircraft.control() as control:
+        start = flown.now
+        await control.take_off()
+        assert flown.now - start > 2.0
+        assert flown.phase is FlightPhase.IN_AIR
+        assert flown.virtual.height == pytest.approx(1.2, abs=0.15)
+        await control.land()
+        assert flown.virtual.height == 0.0
+        assert not flown.is_running
+
+
+@each_firmware
+async def test_go_home_flies_home_and_lands(firmware: str) -> None:
+    async with rig(firmware=firmware) as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        flown.virtual.autopilot.flight.dynamics.place(60.0, 0.0, 5.0)
+        await control.go_home()
+        assert flown.virtual.height == 0.0
+        assert abs(flown.virtual.position[0]) < 2.0
+
+
+async def test_progress_tells_phase_height_and_result() -> None:
+    seen: list[TaskProgress] = []
+    async with rig() as flown, flown.aircraft.control() as control:
+        await control.take_off(progress=seen.append)
+        assert len(seen) > 8
+        assert [p.elapsed for p in seen] == sorted(p.elapsed for p in seen)
+        assert {p.task for p in seen} == {Task.TAKE_OFF}
+        assert seen[0].result is None
+        assert {p.phase for p in seen} >= {FlightPhase.TAKING_OFF, FlightPhase.IN_AIR}
+        heights = [p.height_m for p in seen if p.height_m is not None]
+        assert heights[0] == pytest.approx(0.0, abs=0.05)
+        assert heights[-1] == pytest.approx(1.2, abs=0.15)
+        assert seen[-1].result in (TaskResultCode.SUCCEEDED, TaskResultCode.EXECUTING)
+
+
+async def test_each_task_has_a_number_of_its_own_and_is_asked_for_by_it() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        await control.land()
+        first, second = started(flown)
+        assert second.task_sequence == (first.task_sequence + 1) & 0xFF
+        asked = {
+            c.command.task_sequence
+            for c in flown.virtual.autopilot.received_commands
+            if isinstance(c.command, QueryTask)
+        }
+        assert asked <= {first.task_sequence, second.task_sequence}
+        assert asked
+
+
+async def test_a_task_number_wraps_at_256() -> None:
+    async with rig() as flown:
+        numbers = [flown.aircraft.next_task_sequence() for _ in range(600)]
+        assert set(numbers) == set(range(256))
+
+
+@each_firmware
+async def test_take_off_in_the_air_is_refused_with_the_situation(firmware: str) -> None:
+    async with rig(firmware=firmware) as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        with pytest.raises(
+            TaskRefused, match="take off was refused: received and rejected"
+        ) as caught:
+            await control.take_off()
+        error = caught.value
+        assert error.code == 1
+        assert error.situation["flight_status"] == "IN_AIR"
+        assert error.situation["battery_percent"] == 100
+        assert error.situation["gps_health"] == 5
+        assert error.situation["mode_switch"] == "F"
+        assert "stopped motors" in error.remedy
+
+
+async def test_landing_on_the_ground_is_refused() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        with pytest.raises(TaskRefused, match="land was refused"):
+            await control.land()
+
+
+async def test_a_task_that_the_pilot_interrupts_ends_the_block_as_a_loss() -> None:
+    async with rig() as flown:
+        with pytest.raises(AuthorityLost):
+            async with flown.aircraft.control() as control:
+                asyncio.get_running_loop().call_later(2.0, flown.virtual.leave_f)
+                await control.take_off()
+
+
+async def test_a_task_that_the_aircraft_gives_up_is_a_failure() -> None:
+    """The battery runs down to the point where the aircraft lands by itself."""
+    async with rig() as flown:
+        async with flown.aircraft.control(guards=Guards(battery_floor_percent=None)) as control:
+            await control.take_off()
+            flown.virtual.autopilot.flight.dynamics.place(200.0, 0.0, 30.0)
+
+            def run_down() -> None:
+                flown.virtual.battery_percent = 9.0
+
+            asyncio.get_running_loop().call_later(3.0, run_down)
+            with pytest.raises(TaskFailed, match="go home began and failed") as caught:
+                await control.go_home()
+            assert caught.value.situation["flight_status"] == "LANDING"
+
+
+async def test_one_task_at_a_time() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        take_off = asyncio.create_task(control.take_off())
+        await asyncio.sleep(0.5)
+        with pytest.raises(TaskRefused, match="land was asked for during take off"):
+            await control.land()
+        await take_off
+        assert len(started(flown)) == 1, "the second was not even sent"
+
+
+async def test_tasks_need_authority() -> None:
+    async with rig() as flown:
+        control = flown.aircraft.control()
+        for work in (control.take_off, control.land, control.go_home):
+            with pytest.raises(NoAuthority, match="nothing was sent"):
+                await work()
+        assert started(flown) == []
+
+
+async def test_without_telemetry_items_the_result_query_decides() -> None:
+    async with rig() as flown:
+        flown.virtual.set_rates(flight_status=0, position=0)
+        async with flown.virtual.connect() as blind:
+            blind.use_key(flown.virtual.credentials)
+            async with blind.control() as control:
+                await control.take_off()
+                assert blind.state.flight_status is None
+                assert flown.virtual.height > 1.0
+                await control.land()
+                assert flown.virtual.height == 0.0
+
+
+async def test_without_the_result_query_what_telemetry_shows_decides() -> None:
+    """Some firmware answers only the newest query; here none comes through."""
+    async with rig() as flown, flown.aircraft.control() as control:
+        handlers = flown.virtual.autopilot._commands._handlers
+        handlers[QueryTask.ADDRESS] = lambda frame: Reply(encode_code(TaskResultCode.NOT_CURRENT))
+        await control.take_off()
+        assert flown.virtual.height > 1.0
+        await control.land()
+        assert flown.virtual.height == 0.0
+
+
+async def test_neither_seen_nor_told_is_not_observed_and_says_that_it_may_still_run() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        start = flown.now
+        with pytest.raises(
+            NotObserved, match=r"accepted 1\.5 s ago and is not seen done"
+        ) as caught:
+            await control.take_off(timeout=1.5)
+        assert flown.now - start < 2.5
+        assert isinstance(caught.value, TimeoutError)
+        assert "may still be running" in caught.value.remedy
+
+
+async def test_no_ack_of_the_start_leaves_the_outcome_unknown() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        flown.virtual.set_faults(LineFaults(), to_aircraft=LineFaults(loss=1.0))
+        with pytest.raises(AckTimeout, match="outcome is unknown") as caught:
+            await control.take_off()
+        assert caught.value.command == "start_task"
+        flown.virtual.set_faults()
+
+
+@pytest.mark.parametrize("seed", range(12))
+async def test_a_lossy_line_starts_no_task_twice_and_blames_no_key(seed: int) -> None:
+    """An answer that does not come after all tries is an unknown outcome, and nothing else."""
+    async with rig(seed=seed) as flown:
+        guards = Guards(stale_telemetry_s=None)
+        async with flown.aircraft.control(guards=guards) as control:
+            flown.virtual.set_faults(LineFaults(loss=0.25, duplicate=0.2, jitter=0.05))
+            with contextlib.suppress(AckTimeout):
+                await control.take_off()
+                await control.land()
+            flown.virtual.set_faults()
+        tasks = [command.task for command in started(flown)]
+        assert tasks in ([Task.TAKE_OFF], [Task.TAKE_OFF, Task.LAND])
+
+
+async def test_unplugged_during_a_task() -> None:
+    async with rig() as flown:
+        with pytest.raises(LinkLost):
+            async with flown.aircraft.control() as control:
+                asyncio.get_running_loop().call_later(2.0, flown.virtual.unplug)
+                await control.take_off()
+
+
+async def test_setpoints_stop_while_a_task_flies() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        await flown.fly(control, 1.0)
+        count = len(flown.moves)
+        await control.land()
+        assert len(flown.moves) <= count + 1
