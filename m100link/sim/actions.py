@@ -221,6 +221,7 @@ def status(aircraft: VirtualAircraft) -> dict[str, Any]:
     flight, motion, authority = autopilot.flight, autopilot.flight.dynamics, autopilot.authority
     obstacle = authority.obstacle()
     active = autopilot.activation.active
+    move = autopilot.received_movements[-1] if autopilot.received_movements else None
     statistics, line = autopilot.endpoint.statistics, aircraft.line
     return {
         "time": round(autopilot.time, 2),
@@ -250,6 +251,7 @@ def status(aircraft: VirtualAircraft) -> dict[str, Any]:
         "task": None if flight.tasks.task is None else flight.tasks.task.name.lower(),
         "task_state": flight.tasks.state.name.lower(),
         "movements": autopilot.counters.movements,
+        "last_movement": None if move is None else move.fields()["movement"],
         "ignored_movements": autopilot.counters.ignored_movements,
         "commands": statistics.commands,
         "repeated_commands": statistics.repeated_commands,

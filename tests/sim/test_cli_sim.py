@@ -15,7 +15,10 @@ from typing import Any
 
 import pytest
 import serial
+from cyclopts import CycloptsError
 
+from m100link.cli.app import app
+from m100link.errors import M100Error
 from m100link.wire import FrameDecoder, encode_frame
 
 pytestmark = pytest.mark.pty
@@ -153,18 +156,18 @@ def test_it_ends_by_itself_after_its_time(start: Any) -> None:
         ["--latitude", "95"],
     ],
 )
-def test_wrong_arguments_end_with_a_sentence_and_no_traceback(arguments: list[str]) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-m", "m100link", "sim", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=20,
-    )
-    assert ended.returncode in (2, 3)
-    assert ended.stdout == ""
-    assert "Traceback" not in ended.stderr
-    assert len(ended.stderr) > 20
+def test_wrong_arguments_end_with_a_sentence_and_no_traceback(
+    arguments: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises((M100Error, CycloptsError)) as ended:
+        app(
+            ["sim", *arguments],
+            exit_on_error=False,
+            print_error=False,
+            result_action="return_value",
+        )
+    assert len(str(ended.value)) > 20
+    assert capfd.readouterr().out == ""
 
 
 def test_on_a_terminal_it_is_shown_live_and_has_keys(tmp_path: Path) -> None:
