@@ -91,9 +91,8 @@ from m100link.protocol import (
     Version,
 )
 from m100link.session import SessionMode
+from m100link.state import AircraftState, ItemStatistics
 from m100link.subscription import (
-    AircraftState,
-    ItemStatistics,
     Latest,
     Lossless,
     Newest,

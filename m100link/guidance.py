@@ -20,7 +20,7 @@ from m100link.protocol.setpoint import Setpoint
 from m100link.protocol.telemetry import Attitude, Position, Velocity
 
 if TYPE_CHECKING:
-    from m100link.subscription import AircraftState
+    from m100link.state import AircraftState
 
 __all__ = ["Arrival", "ClosedLoops", "GuidanceProgress"]
 

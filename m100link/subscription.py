@@ -10,32 +10,16 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 from m100link.errors import M100Error, TelemetryOverflow, UsageError
-from m100link.protocol.firmware import ITEM_NAMES, FirmwareProfile
+from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.telemetry import (
-    RECORDS,
-    Acceleration,
-    AngularVelocity,
-    Attitude,
-    Battery,
-    ControlDevice,
-    FlightStatus,
-    Gimbal,
-    Magnetometer,
-    Position,
-    RemoteControl,
     TelemetryPacket,
-    Time,
-    Velocity,
 )
 
 __all__ = [
-    "AircraftState",
-    "ItemStatistics",
     "Latest",
     "Lossless",
     "Newest",
@@ -258,175 +242,3 @@ class Hub(Generic[T]):
         self._error = error
         for subscription in self._subscriptions:
             subscription.fail(error)
-
-
-class AircraftState:
-    """The newest value of every telemetry item.
-
-    An item that never arrived is None, never zero. Every value knows its age.
-    """
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self._samples: list[Sample | None] = [None] * len(ITEM_NAMES)
-        self._statistics = [ItemStatistics(name) for name in ITEM_NAMES]
-        self._newest_at: float | None = None
-
-    def update(self, sample: Sample) -> None:
-        """Take over what the sample carries."""
-        self._newest_at = sample.received_at
-        for index in sample.indices:
-            self._samples[index] = sample
-            self._statistics[index].count_arrival(sample.received_at)
-
-    def get(self, record: type[R]) -> R | None:
-        """The newest record of that class, None when it never arrived."""
-        sample = self._samples[RECORDS.index(record)]
-        return None if sample is None else sample.get(record)
-
-    def received_at(self, record: type[Any]) -> float | None:
-        """When the newest record arrived, on the event loop's clock."""
-        sample = self._samples[RECORDS.index(record)]
-        return None if sample is None else sample.received_at
-
-    def age(self, record: type[Any]) -> float | None:
-        """Seconds since the newest record arrived, None when it never did."""
-        received_at = self.received_at(record)
-        return None if received_at is None else self._clock() - received_at
-
-    @property
-    def newest_age(self) -> float | None:
-        """Seconds since any telemetry arrived, None when none ever did."""
-        return None if self._newest_at is None else self._clock() - self._newest_at
-
-    def fresh(self, record: type[R], *, within: float) -> R | None:
-        """The newest record if it is at most ``within`` seconds old, else None."""
-        age = self.age(record)
-        return None if age is None or age > within else self.get(record)
-
-    def statistics(self, record: type[Any]) -> ItemStatistics:
-        """Measured rate, jitter and longest gap of an item."""
-        return self._statistics[RECORDS.index(record)]
-
-    @property
-    def time(self) -> Time | None:
-        """Clock of the aircraft."""
-        return self.get(Time)
-
-    @property
-    def attitude(self) -> Attitude | None:
-        """Attitude."""
-        return self.get(Attitude)
-
-    @property
-    def acceleration(self) -> Acceleration | None:
-        """Linear acceleration."""
-        return self.get(Acceleration)
-
-    @property
-    def velocity(self) -> Velocity | None:
-        """Linear velocity."""
-        return self.get(Velocity)
-
-    @property
-    def angular_velocity(self) -> AngularVelocity | None:
-        """Angular velocity."""
-        return self.get(AngularVelocity)
-
-    @property
-    def position(self) -> Position | None:
-        """Position, altitude, height and GPS health."""
-        return self.get(Position)
-
-    @property
-    def magnetometer(self) -> Magnetometer | None:
-        """Magnetometer."""
-        return self.get(Magnetometer)
-
-    @property
-    def remote_control(self) -> RemoteControl | None:
-        """Channels of the remote controller."""
-        return self.get(RemoteControl)
-
-    @property
-    def gimbal(self) -> Gimbal | None:
-        """Gimbal attitude."""
-        return self.get(Gimbal)
-
-    @property
-    def flight_status(self) -> FlightStatus | None:
-        """Flight status."""
-        return self.get(FlightStatus)
-
-    @property
-    def battery(self) -> Battery | None:
-        """Battery charge."""
-        return self.get(Battery)
-
-    @property
-    def control_device(self) -> ControlDevice | None:
-        """Who controls the aircraft."""
-        return self.get(ControlDevice)
-
-    def situation(self) -> dict[str, object]:
-        """What explains a refusal, for errors: status, battery, GPS health, mode switch, holder."""
-        phase = self.flight_status and (self.flight_status.phase or self.flight_status.status)
-        device = self.control_device and self.control_device.device
-        rc = self.remote_control
-        return {
-            "flight_status": getattr(phase, "name", phase),
-            "height_m": self.position and round(self.position.height_m, 2),
-            "battery_percent": self.battery and self.battery.percent,
-            "gps_health": self.position and self.position.gps_health,
-            "mode_switch": rc.mode_switch.name if rc else None,
-            "control_device": getattr(device, "name", device),
-        }
-
-
-class ItemStatistics:
-    """How an item arrives.
-
-    Attributes:
-        name: Item name.
-        count: Arrivals in all.
-        longest_gap_s: Longest interval so far, s.
-    """
-
-    __slots__ = ("_arrivals", "count", "longest_gap_s", "name")
-
-    WINDOW_S = 2.5
-    """Rate and jitter speak of the newest arrivals, at most so many seconds apart."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.count = 0
-        self.longest_gap_s = 0.0
-        self._arrivals: deque[float] = deque(maxlen=256)
-
-    def count_arrival(self, now: float) -> None:
-        """Take an arrival into account."""
-        self.count += 1
-        arrivals = self._arrivals
-        if arrivals:
-            gap = now - arrivals[-1]
-            if gap > self.longest_gap_s:
-                self.longest_gap_s = gap
-            oldest = now - self.WINDOW_S
-            while len(arrivals) > 1 and arrivals[0] < oldest:
-                arrivals.popleft()
-        arrivals.append(now)
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Arrivals per second; None before the second arrival."""
-        span = self._arrivals[-1] - self._arrivals[0] if self._arrivals else 0.0
-        return (len(self._arrivals) - 1) / span if span > 0 else None
-
-    @property
-    def jitter_s(self) -> float | None:
-        """Mean deviation of the intervals from their mean, s; None before the third arrival."""
-        gaps = [later - earlier for earlier, later in pairwise(self._arrivals)]
-        if len(gaps) < 2:
-            return None
-        mean = sum(gaps) / len(gaps)
-        return sum(abs(gap - mean) for gap in gaps) / len(gaps)

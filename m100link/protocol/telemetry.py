@@ -286,7 +286,9 @@ class RemoteControl(NamedTuple):
     @property
     def mode_switch(self) -> RcMode:
         """The nearest position of the mode switch."""
-        return min(RcMode, key=lambda position: abs(position - self.mode))
+        if self.mode > RcMode.F // 2:
+            return RcMode.F
+        return RcMode.A if self.mode >= RcMode.P // 2 else RcMode.P
 
     @property
     def is_in_f(self) -> bool:
