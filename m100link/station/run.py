@@ -110,7 +110,8 @@ async def _add_console(
     listening = listen(settings.host, settings.console_port)
     stack.callback(listening.close)
     app = console_app(station, settings, virtual)
-    await stack.enter_async_context(_serving(Server.make(app, settings), [listening]))
+    server = Server.make(app, settings, lifespan="on")
+    await stack.enter_async_context(_serving(server, [listening]))
     port: int = listening.getsockname()[1]
     return port
 

@@ -13,7 +13,7 @@ import socket
 import ssl
 from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import uvicorn
 from starlette.applications import Starlette
@@ -194,7 +194,12 @@ class Server(uvicorn.Server):
 
     @classmethod
     def make(
-        cls, app: App, settings: Settings, *, message_size: int = Limits().message_size
+        cls,
+        app: App,
+        settings: Settings,
+        *,
+        message_size: int = Limits().message_size,
+        lifespan: Literal["on", "off"] = "off",
     ) -> Server:
         """A server with the limits of the station."""
         config = uvicorn.Config(
@@ -207,7 +212,7 @@ class Server(uvicorn.Server):
             limit_concurrency=4 * settings.max_clients,
             timeout_graceful_shutdown=2,
             timeout_keep_alive=5,
-            lifespan="off",
+            lifespan=lifespan,
             log_config=None,
             log_level="warning",  # its "info" prints addresses with their tokens
             access_log=False,

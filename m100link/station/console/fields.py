@@ -1,0 +1,140 @@
+"""What the console shows of the telemetry: names, texts, and from when on a value is stale."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from m100link.aircraft import Aircraft
+from m100link.protocol.telemetry import (
+    AngularVelocity,
+    Attitude,
+    Battery,
+    ControlDevice,
+    FlightStatus,
+    Gimbal,
+    Position,
+    RemoteControl,
+    Time,
+    Velocity,
+)
+
+__all__ = ["FIELDS", "Field", "Reading", "live", "read"]
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field of the console.
+
+    Attributes:
+        name: Identifies it in the page.
+        label: What stands before the value.
+        record: Telemetry record that it comes from.
+        text: The value as text.
+        stale_after: Seconds after which it is greyed out: a few times the slowest usual interval.
+    """
+
+    name: str
+    label: str
+    record: type[Any]
+    text: Callable[[Any], str]
+    stale_after: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A field as it is now.
+
+    Attributes:
+        text: The value, or a dash.
+        is_stale: Whether it is too old to be believed, or was never there.
+        note: Its age when it is stale.
+    """
+
+    text: str
+    is_stale: bool
+    note: str = ""
+
+
+def _phase(status: FlightStatus) -> str:
+    phase = status.phase
+    return phase.name.replace("_", " ").lower() if phase is not None else f"{status.status}?"
+
+
+def _device(item: ControlDevice) -> str:
+    device = item.device
+    return device.name.lower() if device is not None else f"{item.control}?"
+
+
+def _gps(position: Position) -> str:
+    health = position.gps_health
+    if health is None:
+        return "not reported"
+    return f"{health} of 5" + ("" if health >= 3 else " (too low for velocity and position)")
+
+
+FIELDS: tuple[Field, ...] = (
+    Field("flight_status", "Flight status", FlightStatus, _phase, 2.0),
+    Field("battery", "Battery", Battery, lambda b: f"{b.percent} %", 3.0),
+    Field("gps", "GPS health", Position, _gps),
+    Field("height", "Height above take-off", Position, lambda p: f"{p.height_m:.1f} m"),
+    Field("altitude", "Altitude", Position, lambda p: f"{p.altitude_m:.1f} m"),
+    Field("latitude", "Latitude", Position, lambda p: f"{p.latitude_deg:.6f}°"),
+    Field("longitude", "Longitude", Position, lambda p: f"{p.longitude_deg:.6f}°"),
+    Field("speed", "Ground speed", Velocity, lambda v: f"{v.ground_speed_m_s:.1f} m/s"),
+    Field("climb", "Climb", Velocity, lambda v: f"{v.up_m_s:+.1f} m/s"),
+    Field("heading", "Heading", Attitude, lambda a: f"{a.yaw_deg % 360:.0f}°"),
+    Field(
+        "gimbal",
+        "Gimbal",
+        Gimbal,
+        lambda g: f"roll {g.roll_deg:.0f}° pitch {g.pitch_deg:.0f}° yaw {g.yaw_deg:.0f}°",
+    ),
+    Field("mode_switch", "Mode switch", RemoteControl, lambda rc: rc.mode_switch.name),
+    Field("control_device", "Controlled by", ControlDevice, _device, 2.0),
+    Field("time", "Aircraft clock", Time, lambda t: f"{t.seconds:.1f} s", 1.0),
+)
+"""The fields, in the order of the page."""
+
+
+def read(field: Field, aircraft: Aircraft | None) -> Reading:
+    """A field as it is now."""
+    record = aircraft.state.get(field.record) if aircraft is not None else None
+    if aircraft is None or record is None:
+        return Reading("–", is_stale=True, note="never arrived" if aircraft else "")
+    age = aircraft.state.age(field.record) or 0.0
+    if age <= field.stale_after:
+        return Reading(field.text(record), is_stale=False)
+    return Reading(field.text(record), is_stale=True, note=f"{age:.0f} s old")
+
+
+def live(aircraft: Aircraft | None, now: float) -> dict[str, Any]:
+    """What the instruments draw, twenty times a second; None for what is stale or missing."""
+    message: dict[str, Any] = {"op": "live", "t": round(now, 3)}
+    if aircraft is None:
+        return message
+    state = aircraft.state
+    attitude = state.fresh(Attitude, within=1.0)
+    position = state.fresh(Position, within=1.0)
+    velocity = state.fresh(Velocity, within=1.0)
+    rates = state.fresh(AngularVelocity, within=1.0)
+    rc = state.fresh(RemoteControl, within=1.0)
+    if attitude is not None:
+        message["att"] = [
+            round(angle, 2) for angle in (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
+        ]
+    if position is not None:
+        message["pos"] = [
+            round(position.latitude_deg, 8),
+            round(position.longitude_deg, 8),
+            round(position.height_m, 2),
+        ]
+    if velocity is not None:
+        message["vel"] = [round(velocity.ground_speed_m_s, 2), round(velocity.up_m_s, 2)]
+    if rates is not None:
+        message["yaw_rate"] = round(rates.yaw_rate_deg_s, 1)
+    if rc is not None:
+        message["rc"] = [rc.roll, rc.pitch, rc.yaw, rc.throttle]
+    message["rate"] = round(state.statistics(Attitude).rate_hz or 0.0, 1)
+    return message
