@@ -59,7 +59,9 @@ def run() -> None:
     """Parse the command line, run the command, exit with its status."""
     try:
         _show_warnings()
-        status = app(exit_on_error=False, print_error=True, result_action="return_value")
+        status = app(
+            sys.argv[1:], exit_on_error=False, print_error=True, result_action="return_value"
+        )
     except CycloptsError:
         sys.exit(ExitCode.USAGE)
     except M100Error as error:
