@@ -115,7 +115,7 @@ def _expanded(path: str) -> str:
 
 
 def _translate(device: str, address: Address, error: Exception) -> LinkError:
-    number = getattr(error, "errno", None)
+    number = _errno_of(error)
     if number == errno.ENOENT:
         ports = serial_ports()
         return PortNotFound(
@@ -147,6 +147,14 @@ def _translate(device: str, address: Address, error: Exception) -> LinkError:
             remedy="check the device name and the baud rate set in the PC assistant",
         )
     return PortFailed(f"{device} cannot be opened: {error}")
+
+
+def _errno_of(error: BaseException) -> int | None:
+    """The system's number; where configuring fails, pyserial keeps it in the error before only."""
+    number = getattr(error, "errno", None)
+    if number is None and error.__context__ is not None:
+        number = next(iter(error.__context__.args), None)
+    return number if isinstance(number, int) else None
 
 
 def port_owners(device: str) -> tuple[tuple[int, str], ...]:
