@@ -35,7 +35,8 @@ class Limits:
         subscriptions: Subscriptions in force.
         advertisements: Topics advertised.
         calls: Service calls without an answer yet.
-        waiting: Messages that wait for a slow client; beyond it the oldest are dropped.
+        waiting: Messages that wait for a slow client; beyond it the oldest of the busiest topic
+            are dropped.
         answers: Answers and statuses that wait; beyond it the client is disconnected.
         queue_length: Longest queue of a throttled subscription.
         faults: Frames over the rate or without meaning until the client is disconnected.
@@ -64,6 +65,7 @@ class _Subscription:
         self.topic = topic
         self.name = name
         self.wishes: dict[str, dict[str, Any]] = {}
+        self.pending = 0
         self.waiting: deque[Publication] = deque()
         self.next_at = float("-inf")
         self.throttle = 0.0
@@ -366,10 +368,20 @@ class Session:
 
     def _put(self, subscription: _Subscription, publication: Publication) -> None:
         self._waiting.append((subscription, publication))
+        subscription.pending += 1
         if len(self._waiting) > self.limits.waiting:
-            self._waiting.popleft()
-            self.dropped += 1
+            self._drop_one()
         self.on_output()
+
+    def _drop_one(self) -> None:
+        """Drop the oldest message of the busiest topic: a rare one is not pushed out by a fast."""
+        most = max(one.pending for one, _ in self._waiting)
+        for index, (subscription, _) in enumerate(self._waiting):
+            if subscription.pending == most:
+                del self._waiting[index]
+                subscription.pending -= 1
+                break
+        self.dropped += 1
 
     def _answer(self, frame: str) -> None:
         self._answers.append(frame)
@@ -404,6 +416,7 @@ class Session:
         if not self._waiting:
             return None
         subscription, publication = self._waiting.popleft()
+        subscription.pending -= 1
         self._ready = self._pack(subscription, publication)
         return next(self._ready)
 

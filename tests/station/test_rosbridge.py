@@ -341,6 +341,15 @@ def test_a_slow_reader_loses_its_oldest_messages_and_nothing_else() -> None:
     assert other.dropped == 0
 
 
+def test_a_rare_message_is_not_pushed_out_by_a_fast_topic() -> None:
+    bench = Bench(Limits(waiting=5))
+    bench.send("subscribe", topic="/joy")
+    bench.send("subscribe", topic="/height")
+    bench.graph.publish(bench.joy, bench.joy.type.default(), 0.0)
+    bench.publish(*range(50))
+    assert [frame["topic"] for frame in bench.output()] == ["/joy", *["/height"] * 4]
+
+
 def test_a_client_that_asks_and_never_reads_is_disconnected() -> None:
     bench = Bench(Limits(answers=10))
     for _ in range(11):

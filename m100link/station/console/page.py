@@ -63,14 +63,16 @@ class Page:
             f"<script>startConsole({json.dumps(key)}, {json.dumps(has_tiles)})</script>"
         )
         with ui.column().classes("w-full gap-2 p-2"):
-            self._build_top()
+            with ui.column().classes("top w-full gap-2"):
+                self._build_top()
             with ui.row().classes("w-full gap-2 items-start no-wrap max-lg:flex-wrap"):
                 with ui.column().classes("w-80 shrink-0 gap-2"):
                     self._build_fields()
                     self._build_link()
                 with ui.column().classes("grow gap-2 min-w-0"):
-                    self._build_instruments()
+                    self._build_attitude()
                     self._build_steering()
+                    self._build_track()
                 with ui.column().classes("w-96 shrink-0 gap-2"):
                     self._build_channels()
                     if self._virtual is not None:
@@ -127,12 +129,14 @@ class Page:
                 self._numbers[name] = _field(name, label)[1]
             self._reason = ui.label().classes("problem").props("id=connection-error")
 
-    def _build_instruments(self) -> None:
+    def _build_attitude(self) -> None:
         with ui.row().classes("w-full gap-2 no-wrap"):
             with _card("Horizon").classes("w-1/2"):
                 ui.element("canvas").props("id=horizon")
             with _card("Attitude").classes("w-1/2"):
                 self._build_scene()
+
+    def _build_track(self) -> None:
         with _card("Track").classes("w-full"):
             ui.element("canvas").props("id=track")
         with _card("Last minute").classes("w-full"), ui.grid(columns=2).classes("w-full"):

@@ -1,0 +1,231 @@
+"""A tab of the console: beats move, and everything else stops."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from m100link.protocol.control import Task
+from m100link.station.console.fields import FIELDS, live, read
+from m100link.station.console.tab import BEAT_LIFETIME, Tab, _read
+from m100link.station.lease import LeaseHeld, LeaseRefused
+from tests.station.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+
+class Browser:
+    """What the page's script does."""
+
+    def __init__(self, rig: Rig, name: str = "tab") -> None:
+        self.rig = rig
+        self.tab = Tab(rig.station, name)
+        self.count = 0
+
+    def say(self, op: str, **fields: Any) -> dict[str, Any] | None:
+        self.count += 1
+        return self.tab.receive(json.dumps({"op": op, "n": self.count, "at": 1.0, **fields}))
+
+    def beat(self, mode: int = 1, **axes: float) -> dict[str, Any] | None:
+        return self.say("beat", mode=mode, **({"x": 0, "y": 0, "z": 0, "w": 0} | axes))
+
+    async def hold(self, seconds: float, **axes: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            self.beat(1, **axes)
+            await anyio.sleep(0.05)
+
+
+async def airborne(rig: Rig) -> Browser:
+    browser = Browser(rig)
+    await browser.tab.activate()
+    await browser.tab.obtain()
+    await keep_alive(browser, browser.tab.fly(Task.TAKE_OFF))
+    return browser
+
+
+async def keep_alive(browser: Browser, work: Any) -> None:
+    """The page says twice a second that it is there."""
+    async with anyio.create_task_group() as group:
+
+        async def alive() -> None:
+            while True:
+                browser.say("alive")
+                await anyio.sleep(0.5)
+
+        group.start_soon(alive)
+        await work
+        group.cancel_scope.cancel()
+
+
+async def test_a_whole_flight(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(2.0, x=-4)
+    browser.say("rest")
+    assert rig.aircraft.position[0] > 0.5
+    assert browser.tab.problem == ""
+    await keep_alive(browser, browser.tab.fly(Task.LAND))
+    await browser.tab.release()
+    assert rig.aircraft.height == pytest.approx(0, abs=0.05)
+    assert not rig.station.has_authority
+
+
+async def test_a_beat_is_on_the_line_at_once(rig: Rig) -> None:
+    browser = await airborne(rig)
+    count = len(rig.moves)
+    browser.beat(x=-4)
+    await anyio.lowlevel.checkpoint()
+    await anyio.lowlevel.checkpoint()
+    assert len(rig.moves) == count + 1
+
+
+async def test_300_ms_without_a_beat_stop_the_motion(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(1.0, x=-4)
+    last_beat = rig.station.now - 0.05
+    await rig.until(lambda: rig.moves[-1].pitch_or_y == 0, within=1.0)
+    assert rig.station.now - last_beat == pytest.approx(BEAT_LIFETIME, abs=0.03)
+
+
+async def test_a_rest_stops_at_once(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.5, x=-4)
+    browser.say("rest")
+    await anyio.sleep(0.03)
+    assert rig.moves[-1].pitch_or_y == 0
+
+
+async def test_a_lost_socket_stops_at_once_and_frees_control(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.5, x=-4)
+    browser.tab.lost()
+    await anyio.sleep(0.03)
+    assert rig.moves[-1].pitch_or_y == 0
+    await rig.until(lambda: not rig.station.has_authority, within=1.0)
+
+
+async def test_a_tab_that_is_silent_loses_its_lease(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await anyio.sleep(2.9)
+    assert rig.station.desk.holder(rig.station.now) == browser.tab.lease
+    await rig.until(lambda: not browser.tab.has_lease, within=0.3)
+    await rig.until(lambda: not rig.station.has_authority, within=1.0)
+    browser.beat(x=-4)
+    await anyio.sleep(0.1)
+    assert all(move.pitch_or_y == 0 for move in rig.moves)
+
+
+async def test_old_messages_again_do_nothing(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.2, x=-4)
+    browser.say("rest")
+    await anyio.sleep(0.5)
+    count = len(rig.moves)
+    old = {"op": "beat", "n": 5, "at": 1.0, "mode": 1, "x": -4, "y": 0, "z": 0, "w": 0}
+    assert browser.tab.receive(json.dumps(old)) is None
+    await anyio.sleep(0.1)
+    assert len(rig.moves) == count
+
+
+async def test_a_tab_without_the_lease_moves_nothing(rig: Rig) -> None:
+    await airborne(rig)
+    other = Browser(rig, "other")
+    assert other.beat(x=-4) == {"op": "echo", "at": 1.0}
+    with pytest.raises(LeaseHeld):
+        await other.tab.obtain()
+    with pytest.raises(LeaseRefused):
+        await other.tab.fly(Task.LAND)
+    with pytest.raises(LeaseRefused):
+        await other.tab.release()
+    await anyio.sleep(0.2)
+    assert rig.moves == []
+
+
+async def test_a_take_over_stops_the_motion_and_keeps_authority(rig: Rig) -> None:
+    browser = await airborne(rig)
+    other = Browser(rig, "other")
+    await browser.hold(0.5, x=-4)
+    wanted = other.tab.ask_take_over()
+    assert wanted.from_name == "tab"
+    await other.tab.confirm_take_over(wanted)
+    browser.beat(x=-4)
+    await anyio.sleep(0.03)
+    assert rig.moves[-1].pitch_or_y == 0
+    assert rig.station.has_authority
+    other.beat(y=2)
+    await anyio.sleep(0.03)
+    assert rig.moves[-1].roll_or_x == 2
+
+
+async def test_stop_ends_a_task_by_giving_authority_back(rig: Rig) -> None:
+    browser = Browser(rig)
+    await browser.tab.activate()
+    await browser.tab.obtain()
+    async with anyio.create_task_group() as group:
+        group.start_soon(browser.tab.attempt, lambda: browser.tab.fly(Task.TAKE_OFF))
+        await anyio.sleep(2.0)
+        await Browser(rig, "anybody").tab.stop()
+    assert "control ended" in browser.tab.problem
+    assert not rig.station.has_authority
+
+
+async def test_problems_are_kept_for_the_operator(rig: Rig) -> None:
+    browser = Browser(rig)
+    assert not await browser.tab.attempt(browser.tab.obtain)
+    assert "activate first" in browser.tab.problem
+    assert not browser.tab.has_lease
+    await browser.tab.attempt(browser.tab.activate)
+    assert browser.tab.problem == ""
+    assert await browser.tab.attempt(browser.tab.obtain)
+    assert not await browser.tab.attempt(lambda: browser.tab.simple_task(3))
+    assert "random commands" in browser.tab.problem
+    browser.beat(x=-31)
+    assert "outside" in browser.tab.problem
+
+
+_VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(["op", "n", "at", "mode", "x", "y", "z", "w"]),
+        _VALUES | st.sampled_from(["beat", "rest", "alive"]),
+    )
+)
+def test_a_message_is_whole_or_nothing(message: dict[str, Any]) -> None:
+    result = _read(json.dumps(message))
+    if result is not None:
+        assert type(result["n"]) is int
+        if result["op"] == "beat":
+            assert all(isinstance(result[axis], int | float) for axis in "xyzw")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "1", "[" * 1000, "x" * 3000, b"\xff\xfe"])
+def test_nonsense_is_nothing(text: str | bytes) -> None:
+    assert _read(text) is None
+
+
+async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
+    aircraft = rig.station.aircraft
+    assert aircraft is not None
+    await anyio.sleep(1.5)
+    readings = {field.name: read(field, aircraft) for field in FIELDS}
+    assert not readings["height"].is_stale
+    assert readings["flight_status"].text == "standby"
+    assert readings["control_device"].note == "never arrived"  # not sent by default
+    rig.aircraft.stall_line()
+    await anyio.sleep(1.5)
+    readings = {field.name: read(field, aircraft) for field in FIELDS}
+    assert readings["height"].is_stale
+    assert not readings["battery"].is_stale  # comes once a second only
+    await anyio.sleep(2.0)
+    readings = {field.name: read(field, aircraft) for field in FIELDS}
+    assert readings["battery"].is_stale
+    assert "att" not in live(aircraft, rig.station.now)
+    assert read(FIELDS[0], None).is_stale
+    assert live(None, 1.0) == {"op": "live", "t": 1.0}
