@@ -102,6 +102,10 @@ def test_the_pilot_tilts_in_a() -> None:
     host.aircraft.move_stick(roll=0.5, throttle=0.25)
     host.wait(1.0)
     assert host.motion.roll == pytest.approx(0.2618, abs=0.002)
+    host.aircraft.move_stick(roll=0.0, pitch=0.5)
+    host.wait(2.0)
+    assert host.motion.pitch == pytest.approx(-0.2618, abs=0.002)
+    assert host.motion.velocity_north > 3.0
     assert host.motion.velocity_up == pytest.approx(1.0, abs=0.1)
 
 

@@ -315,6 +315,16 @@ def test_gimbal_rate_acts_with_bit_7_only_and_for_a_moment() -> None:
     assert host.autopilot.gimbal.yaw == pytest.approx(5.0, abs=0.6)
 
 
+@pytest.mark.parametrize(("level", "moves"), [(0, False), (1, True), (2, True)])
+@pytest.mark.parametrize("data", ["011a 6400 0000 0000 80", "011b 6400 0000 0000 01 02"])
+def test_gimbal_needs_level_1(level: int, moves: bool, data: str) -> None:
+    host = Host(firmware="2.3", level=level)
+    host.activate()
+    host.send(bytes.fromhex(data), session=0)
+    host.wait(1.0)
+    assert (host.autopilot.gimbal.yaw > 1.0) is moves
+
+
 def test_gimbal_stops_at_its_limits_and_shows_them_in_3_1() -> None:
     host = Host(firmware="3.1")
     host.activate()

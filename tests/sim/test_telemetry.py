@@ -273,6 +273,28 @@ def test_noise_is_small_has_no_bias_and_comes_from_the_seed() -> None:
     assert deviation == pytest.approx(0.03, rel=0.1)
 
 
+def deviation(values: list[float]) -> float:
+    mean = sum(values) / len(values)
+    return math.sqrt(sum((value - mean) ** 2 for value in values) / len(values))
+
+
+@pytest.mark.parametrize(("scale", "health"), [(1.0, 5), (2.0, 5), (1.0, 2)])
+def test_noise_of_each_sensor(scale: float, health: int) -> None:
+    host = Host(aircraft(settings={"noise": scale}))
+    host.aircraft.gps_health = health
+    host.wait(20.0)
+    packets = host.packets()
+    north = [p.position.latitude_rad * 6_344_800 for p in packets if p.position]
+    height = [p.position.height_m for p in packets if p.position]
+    acceleration = [p.acceleration.up_m_s2 for p in packets if p.acceleration]
+    rates = [p.angular_velocity.down_rad_s for p in packets if p.angular_velocity]
+    worse = 20.0 if health < 3 else 1.0
+    assert deviation(north) == pytest.approx(0.05 * scale * worse, rel=0.1)
+    assert deviation(height) == pytest.approx(0.04 * scale, rel=0.1)
+    assert deviation(acceleration) == pytest.approx(0.05 * scale, rel=0.1)
+    assert deviation(rates) == pytest.approx(0.005 * scale, rel=0.1)
+
+
 def test_gusts_push_and_come_from_the_seed() -> None:
     places = []
     for seed in (1, 1, 2):
