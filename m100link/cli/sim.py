@@ -192,8 +192,8 @@ def run(
         seed = secrets.randbits(32)
     if count < 1:
         raise UsageError(f"{count} aircraft cannot be run")
-    if not speed > 0.0:
-        raise UsageError(f"speed must be above 0, not {speed:g}")
+    if not 0.0 < speed <= 1000.0:
+        raise UsageError(f"speed is above 0 and at most 1000, not {speed:g}")
     options: dict[str, Any] = {
         "firmware": firmware,
         "app_id": app_id,

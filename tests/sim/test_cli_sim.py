@@ -145,6 +145,7 @@ def test_it_ends_by_itself_after_its_time(start: Any) -> None:
         ["--key", "123"],
         ["--key-file", "/does/not/exist"],
         ["--speed", "0"],
+        ["--speed", "inf"],
         ["--count", "0"],
         ["--tcp", "nowhere"],
         ["--rate", "battery=2"],

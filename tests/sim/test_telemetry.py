@@ -154,7 +154,7 @@ def test_the_quick_encoder_agrees_with_the_ordinary_one(firmware: str) -> None:
         names = [name for bit, name in enumerate(ITEM_NAMES) if flags >> bit & 1]
         pusher.set_rates({name: 100 if name in names else 0 for name in ITEM_NAMES})
         sequence = random.randrange(65536)
-        layouts = dict(zip(ITEM_NAMES, host.profile.items, strict=True))
+        layouts: dict[str, Any] = dict(zip(ITEM_NAMES, host.profile.items, strict=True))
         items = {name: sensors.reader(name, layouts[name])() for name in names}
         value = encode_telemetry(items, host.profile)
         expected = encode_frame(b"\x02\x00" + value, session=0, sequence=sequence)
