@@ -124,7 +124,7 @@ def activate(
 async def _activate(
     url: str, app: AppOptions, link: LinkOptions, wait: float, as_json: bool
 ) -> int:
-    credentials = app.credentials()
+    credentials = app.credentials(url)
     attempts = 0
 
     def tell(progress: ActivationProgress) -> None:

@@ -19,6 +19,7 @@ from rich.console import Console
 from m100link import errors
 from m100link.errors import UsageError
 from m100link.protocol.activation import Credentials
+from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
 
 __all__ = [
     "AppOptions",
@@ -154,12 +155,14 @@ class AppOptions:
     app_version: int = 1
     bundle_id: str = "12345678901234567890123456789012"
 
-    def credentials(self) -> Credentials:
-        """The credentials, checked.
+    def credentials(self, url: str = "") -> Credentials:
+        """The credentials, checked; those of the demo app for a ``sim://`` without any.
 
         Raises:
             UsageError, BadKey: Something is missing or cannot be right.
         """
+        if url.startswith("sim:") and self.app_id is self.key is self.key_file is None:
+            return Credentials(DEMO_APP_ID, DEMO_KEY, level=self.level)
         if self.app_id is None:
             raise UsageError("no app id was given", remedy="give --app-id, or set M100LINK_APP_ID")
         return Credentials(

@@ -16,6 +16,7 @@ from m100link.errors import UsageError
 from m100link.guards import Envelope, Guards
 from m100link.guidance import GuidanceProgress
 from m100link.handshake import release_authority
+from m100link.protocol.activation import Credentials
 from m100link.tasks import TaskProgress, describe_situation
 
 __all__ = ["fly", "home", "land", "release", "takeoff"]
@@ -141,7 +142,7 @@ def release(url: Url, /, *, app: AppOptions | None = None, link: LinkOptions | N
 
     async def run() -> None:
         async with connect(url, **(link or LinkOptions()).arguments()) as aircraft:
-            await _activate(aircraft, app or AppOptions())
+            await _activate(aircraft, (app or AppOptions()).credentials(url))
             await release_authority(aircraft)
             out.print("released")
 
@@ -170,23 +171,23 @@ async def _run(
     flight: _Flight,
     guards: Guards | None,
 ) -> int:
-    app.credentials()  # what is wrong with them is told before a port is opened
+    credentials = app.credentials(url)  # what is wrong with them is told before a port is opened
     async with connect(url, **link.arguments()) as aircraft:
         if not yes and not url.startswith("sim:"):
             _confirm(aircraft, what)
-        await _activate(aircraft, app)
+        await _activate(aircraft, credentials)
         async with aircraft.control(guards=guards) as control:
             await flight(control)
         out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
     return 0
 
 
-async def _activate(aircraft: Aircraft, app: AppOptions) -> None:
+async def _activate(aircraft: Aircraft, credentials: Credentials) -> None:
     def tell(progress: ActivationProgress) -> None:
         if progress.next_attempt_in is not None:
             err.print(f"activation: {progress.code.meaning}; again in a moment")
 
-    await aircraft.activate(app.credentials(), progress=tell)
+    await aircraft.activate(credentials, progress=tell)
 
 
 def _confirm(aircraft: Aircraft, what: str) -> None:
