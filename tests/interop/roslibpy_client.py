@@ -1,0 +1,61 @@
+"""What a program with roslibpy sees of a station; prints one line of JSON."""
+
+# mypy: ignore-errors
+# ruff: noqa: T201
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import roslibpy
+
+
+def main(host: str, port: int) -> None:
+    ros = roslibpy.Ros(host, port)
+    ros.run(timeout=10)
+    seen: dict[str, Any] = {"connected": ros.is_connected, "topics": ros.get_topics()}
+    seen["type"] = ros.get_topic_type("/dji_sdk/imu")
+    seen["services"] = ros.get_services()
+    attitudes: list[Any] = []
+    listener = roslibpy.Topic(
+        ros, "/dji_sdk/attitude", "geometry_msgs/QuaternionStamped", throttle_rate=100
+    )
+    listener.subscribe(attitudes.append)
+    time.sleep(2.0)
+    listener.unsubscribe()
+    seen["attitude_rate"] = len(attitudes) / 2.0
+    seen["attitude"] = attitudes[-1]
+
+    def call(name: str, kind: str, **request: Any) -> Any:
+        service = roslibpy.Service(ros, name, kind)
+        return dict(service.call(roslibpy.ServiceRequest(request), timeout=20))
+
+    seen["activation"] = call("/dji_sdk/activation", "dji_sdk/Activation")
+    seen["authority"] = call(
+        "/dji_sdk/sdk_control_authority", "dji_sdk/SDKControlAuthority", control_enable=1
+    )
+    try:
+        call("/nothing", "std_srvs/Empty")
+    except Exception as error:  # noqa: BLE001 - its type is what roslibpy makes of it
+        seen["wrong_service"] = str(error)
+    phases: list[float] = []
+    status = roslibpy.Topic(ros, "/flight_status", "std_msgs/Float32")
+    status.subscribe(lambda message: phases.append(message["data"]))
+    command = roslibpy.Topic(ros, "/sdk_request_cmd", "std_msgs/Float32")
+    command.advertise()
+    command.publish(roslibpy.Message({"data": 4.0}))
+    deadline = time.monotonic() + 20
+    while 3.0 not in phases and time.monotonic() < deadline:
+        time.sleep(0.1)
+    seen["phases"] = sorted(set(phases))
+    command.unadvertise()
+    status.unsubscribe()
+    print(json.dumps(seen))
+    sys.stdout.flush()
+    ros.terminate()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))
