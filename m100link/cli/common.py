@@ -161,7 +161,7 @@ class AppOptions:
         Raises:
             UsageError, BadKey: Something is missing or cannot be right.
         """
-        if url.startswith("sim:") and self.app_id is self.key is self.key_file is None:
+        if url.startswith("sim:") and (self.app_id, self.key, self.key_file) == (None,) * 3:
             return Credentials(DEMO_APP_ID, DEMO_KEY, level=self.level)
         if self.app_id is None:
             raise UsageError("no app id was given", remedy="give --app-id, or set M100LINK_APP_ID")

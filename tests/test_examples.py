@@ -1,0 +1,143 @@
+"""Every example runs as it stands: against the virtual aircraft, on virtual time.
+
+Each is a program with ``async def main(url)``; here main runs on an event loop whose time jumps, so
+a flight takes a moment. That they also run as programs, in real time, is what ``nox -s examples``
+shows.
+"""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+import csv
+import importlib.util
+import io
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from m100link.sim import VirtualClockEventLoop
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+PROGRAMS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    return Run(capsys)
+
+
+class Run:
+    """Runs an example; what it printed is the answer."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, name: str, *arguments: str) -> str:
+        with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+            runner.run(load(name).main(*arguments))
+        return self._capsys.readouterr().out
+
+
+FIRMWARE_URLS = ["sim://", "sim://?firmware=2.3", "sim://?firmware=3.1"]
+each_firmware = pytest.mark.parametrize("url", FIRMWARE_URLS)
+
+
+def test_every_example_is_tested_here() -> None:
+    source = Path(__file__).read_text(encoding="utf-8")
+    assert [name for name in PROGRAMS if f'run("{name}"' not in source] == []
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_each_example_is_short_says_how_to_run_it_and_takes_a_url(name: str) -> None:
+    source = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
+    tree = ast.parse(source)
+    documentation = ast.get_docstring(tree)
+    assert documentation is not None
+    assert f"python examples/{name}.py" in documentation
+    assert f"python examples/{name}.py /dev/ttyUSB0" in documentation
+    assert len(source.splitlines()) <= 90
+    assert "sys.argv" in source
+    assert "asyncio.run(main(" in source
+
+
+@each_firmware
+def test_first_flight(run: Run, url: str) -> None:
+    lines = run("first_flight", url).splitlines()
+    assert lines[0].startswith("SDK-v1.0 BETA M100-0")
+    assert lines[1:] == ["in the air", "landed"]
+
+
+@each_firmware
+def test_square_by_velocity(run: Run, url: str) -> None:
+    out = run("square_by_velocity", url)
+    corners = [tuple(map(float, re.findall(r"-?\d+\.\d+", line))) for line in out.splitlines()[:4]]
+    assert len(corners) == 4
+    # Two seconds at 1 m/s, with the lag of a second that the Matrice 100 has.
+    assert corners[0][0] == pytest.approx(1.5, abs=0.5)
+    assert corners[1][1] == pytest.approx(1.5, abs=0.5)
+    assert corners[2][0] < corners[1][0] - 1
+    [back] = re.findall(r"back within (\d+\.\d) m", out)
+    assert float(back) <= 1.0
+
+
+@each_firmware
+def test_position_loop(run: Run, url: str) -> None:
+    out = run("position_loop", url)
+    distances = [float(d) for d in re.findall(r"(\d+\.\d+) m to go", out)]
+    assert distances == sorted(distances, reverse=True)
+    assert distances[0] == pytest.approx(7.2, abs=0.1)
+    [seconds] = re.findall(r"arrived after (\d+) s", out)
+    assert 3 <= int(seconds) <= 15
+
+
+@each_firmware
+def test_telemetry_to_csv(run: Run, url: str) -> None:
+    rows = list(csv.DictReader(io.StringIO(run("telemetry_to_csv", url))))
+    assert len(rows) == 50
+    seconds = [float(row["seconds"]) for row in rows]
+    assert seconds == pytest.approx([index / 10 for index in range(50)], abs=0.001)
+    assert {row["gps_health"] for row in rows} == {"5"}
+    # Not yet received is empty, never 0.
+    batteries = [row["battery_percent"] for row in rows]
+    assert set(batteries) <= {"", "100"}
+    assert batteries[-1] == "100"
+
+
+def test_two_consumers(run: Run) -> None:
+    out = run("two_consumers", "sim://")
+    assert out.count("height") == 10
+    [(count, lost)] = re.findall(r"(\d+) packages, (\d+) lost", out)
+    assert int(count) >= 450
+    assert lost == "0"
+
+
+def test_watch_telemetry(run: Run) -> None:
+    out = run("watch_telemetry", "sim://")
+    assert out.splitlines()[0] == "firmware 1.0"
+    assert out.count("height") == 10
+    assert "battery: Battery(percent=100)" in out
+
+
+def test_authority_loss(run: Run) -> None:
+    assert run("authority_loss").splitlines() == [
+        "flying north; now the pilot may move the switch out of F",
+        "the pilot has it: mode_switch; waiting",
+        "back in F: flying on, because this program wants to",
+        "landed",
+    ]
+
+
+def test_authority_loss_without_any_loss(run: Run) -> None:
+    assert run("authority_loss", "sim://").splitlines()[-1] == "landed"
