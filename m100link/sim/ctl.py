@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from m100link.errors import M100Error, UsageError
 from m100link.sim.actions import perform, status
+from m100link.sim.serve import stop_listening
 
 if TYPE_CHECKING:
     from m100link.sim.virtual import VirtualAircraft
@@ -58,7 +59,7 @@ class CtlServer:
         self._aircraft = aircraft
         self.path = path or socket_directory() / f"sim-{os.getpid()}.sock"
         self._server: asyncio.Server | None = None
-        self._writers: set[asyncio.StreamWriter] = set()
+        self._serving: dict[asyncio.Task[Any], asyncio.StreamWriter] = {}
 
     async def start(self) -> None:
         """Listen."""
@@ -72,18 +73,19 @@ class CtlServer:
     async def stop(self) -> None:
         """Stop listening and remove the socket."""
         if self._server is not None:
-            self._server.close()
+            await stop_listening(self._server)
             self._server = None
-            await asyncio.sleep(0.01)  # connections that were just accepted reach _serve
-            for writer in list(self._writers):
+            for writer in self._serving.values():
                 writer.close()
-                with contextlib.suppress(OSError):
-                    await writer.wait_closed()
+            if self._serving:
+                await asyncio.wait(list(self._serving), timeout=1.0)
         with contextlib.suppress(OSError):
             self.path.unlink()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._writers.add(writer)
+        task = asyncio.current_task()
+        assert task is not None
+        self._serving[task] = writer
         try:
             while line := await reader.readline():
                 writer.write(json.dumps(self.answer(line)).encode() + b"\n")
@@ -91,8 +93,10 @@ class CtlServer:
         except (ValueError, ConnectionError):
             pass  # a line beyond the limit, or the other side is gone: nobody to tell
         finally:
-            self._writers.discard(writer)
             writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+            del self._serving[task]
 
     def answer(self, line: bytes) -> dict[str, Any]:
         """Carry out one request."""

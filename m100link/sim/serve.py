@@ -268,6 +268,21 @@ class StreamPort(asyncio.Protocol):
             self._transport.close()
 
 
+async def stop_listening(server: asyncio.Server) -> None:
+    """Close a listening server without losing a connection on the way in.
+
+    A connection that the event loop has accepted, but not yet made a transport for, would be left
+    open by closing the server (CPython 3.11: an assertion fails inside the transport). So nothing
+    new is accepted first, then what was accepted gets its transport, then the server is closed.
+    """
+    loop = asyncio.get_running_loop()
+    for listening in server.sockets:
+        loop.remove_reader(listening.fileno())
+    for _ in range(3):
+        await asyncio.sleep(0)
+    server.close()
+
+
 class TcpServer:
     """Listens for one aircraft, like a serial server: a new connection replaces the last."""
 
@@ -292,7 +307,7 @@ class TcpServer:
     async def stop(self) -> None:
         """Stop listening and hang up."""
         if self._server is not None:
-            self._server.close()
+            await stop_listening(self._server)
             if self._current is not None:
                 self._current.close()
             with contextlib.suppress(TimeoutError):
