@@ -225,8 +225,11 @@ class ClosedLoops(ABC):
         """
         target = _target(_position(self), (north, east, up), (latitude_deg, longitude_deg, height))
         latitude, longitude, target_height = target
-        if not all(map(math.isfinite, target)) or target_height < 0:
-            raise UsageError(f"a target at height {target_height:g} m cannot be flown to")
+        if not all(map(math.isfinite, target)) or target_height < 0 or abs(latitude) > 89:
+            raise UsageError(
+                f"{latitude:g}° {longitude:g}° at height {target_height:g} m cannot be flown to",
+                remedy="finite numbers, height 0 m or more, latitude within ±89°",
+            )
         heading = _heading(self) if yaw_deg is None else yaw_deg
         there = LocalFrame(latitude, longitude)
 
@@ -334,7 +337,7 @@ class ClosedLoops(ABC):
         Raises: as :meth:`fly_to`.
         """
         radius = math.hypot(center_north, center_east)
-        if radius < 1.0 or not 0 < speed <= 10 or not turns > 0:
+        if not 1.0 <= radius < math.inf or not 0 < speed <= 10 or not 0 < turns < math.inf:
             raise UsageError(
                 f"{turns:g} turns of {radius:.1f} m radius at {speed:g} m/s cannot be flown",
                 remedy="radius 1 m or more, speed up to 10 m/s, turns more than 0",

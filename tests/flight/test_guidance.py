@@ -1,0 +1,242 @@
+"""Closed loops over the virtual aircraft: they arrive, say so, and stop whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from m100link import (
+    AuthorityLost,
+    Control,
+    Envelope,
+    GuardRefused,
+    Guards,
+    NotObserved,
+    Position,
+    TelemetryStalled,
+    UsageError,
+)
+from m100link.geodesy import LocalFrame
+from m100link.guidance import GuidanceProgress
+from m100link.sim import AircraftSettings
+from tests.flight.rig import FIRMWARES, Rig, rig
+
+pytestmark = pytest.mark.anyio
+
+each_firmware = pytest.mark.parametrize("firmware", FIRMWARES)
+
+
+@asynccontextmanager
+async def flying(
+    guards: Guards | None = None, **options: Any
+) -> AsyncIterator[tuple[Rig, Control]]:
+    async with rig(**options) as flown, flown.aircraft.control(guards=guards) as control:
+        await control.take_off()
+        yield flown, control
+
+
+def heading(flown: Rig) -> float:
+    return math.degrees(flown.virtual.autopilot.flight.dynamics.yaw)
+
+
+@each_firmware
+@pytest.mark.parametrize(
+    ("north", "east", "up"), [(5, 0, 0), (0, -5, 2), (30, 40, 10), (-3, 3, -0.5), (0, 0, 0)]
+)
+async def test_fly_to_an_offset_arrives_and_hovers_there(
+    firmware: str, north: float, east: float, up: float
+) -> None:
+    async with flying(firmware=firmware) as (flown, control):
+        (n0, e0), h0 = flown.virtual.position, flown.virtual.height
+        arrival = await control.fly_to(north=north, east=east, up=up)
+        n1, e1 = flown.virtual.position
+        assert math.hypot(n1 - n0 - north, e1 - e0 - east) < 0.6
+        assert flown.virtual.height - h0 == pytest.approx(up, abs=0.6)
+        assert arrival.distance_m <= 0.5
+        assert abs(arrival.height_error_m) <= 0.5
+        await flown.assert_hovers()
+
+
+async def test_fly_to_a_place_by_latitude_and_longitude() -> None:
+    async with flying() as (flown, control):
+        position = flown.aircraft.state.get(Position)
+        assert position is not None
+        there = LocalFrame(position.latitude_deg, position.longitude_deg).to_geodetic(12.0, -7.0)
+        await control.fly_to(latitude_deg=there[0], longitude_deg=there[1], height=6.0)
+        assert flown.virtual.position == pytest.approx((12.0, -7.0), abs=0.6)
+        assert flown.virtual.height == pytest.approx(6.0, abs=0.6)
+
+
+async def test_fly_to_keeps_its_heading_or_takes_the_one_that_is_wanted() -> None:
+    async with flying(settings=AircraftSettings(heading_deg=70.0)) as (flown, control):
+        await control.fly_to(north=5, east=5, up=1)
+        assert heading(flown) == pytest.approx(70.0, abs=3)
+        arrival = await control.fly_to(north=-5, east=-5, up=0, yaw_deg=-170)
+        assert heading(flown) == pytest.approx(-170, abs=6)
+        assert abs(arrival.heading_error_deg) <= 5
+
+
+@pytest.mark.parametrize("seed", range(3))
+async def test_fly_to_in_wind_with_noisy_sensors(seed: int) -> None:
+    settings = AircraftSettings(wind_north=4.0, wind_east=-3.0, gusts=1.0, noise=1.0)
+    async with flying(settings=settings, seed=seed) as (flown, control):
+        await control.fly_to(north=15, east=10, up=3, tolerance_m=1.0)
+        assert flown.virtual.position == pytest.approx((15, 10), abs=2.5)
+
+
+async def test_progress_counts_down() -> None:
+    seen: list[GuidanceProgress] = []
+    async with flying() as (_, control):
+        await control.fly_to(north=10, east=0, up=0, progress=seen.append)
+    assert seen[0].distance_m == pytest.approx(10, abs=0.2)
+    assert seen[-1].distance_m <= 0.5
+    assert [p.elapsed for p in seen] == sorted(p.elapsed for p in seen)
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        {},
+        {"north": 1.0},
+        {"north": 1.0, "east": 1.0},
+        {"north": 1.0, "east": 1.0, "up": 0.0, "height": 3.0},
+        {"latitude_deg": 22.0, "longitude_deg": 113.0},
+        {"north": math.nan, "east": 0.0, "up": 0.0},
+        {"north": 0.0, "east": 0.0, "up": -50.0},
+        {"latitude_deg": 95.0, "longitude_deg": 0.0, "height": 3.0},
+    ],
+    ids=str,
+)
+async def test_a_target_that_is_none_is_refused_before_anything_moves(
+    target: dict[str, float],
+) -> None:
+    async with flying() as (flown, control):
+        with pytest.raises(UsageError):
+            await control.fly_to(**target)  # type: ignore[arg-type]
+        assert len(flown.moves) == 0
+
+
+async def test_what_does_not_arrive_in_time_says_what_remains_and_hovers() -> None:
+    async with flying() as (flown, control):
+        with pytest.raises(NotObserved, match="did not arrive within 3 s") as caught:
+            await control.fly_to(north=100, east=0, up=0, timeout=3)
+        assert "m of height" in caught.value.seen
+        assert caught.value.situation["flight_status"] == "IN_AIR"
+        await flown.assert_hovers()
+
+
+async def test_a_position_that_is_not_sent_is_told_at_once() -> None:
+    async with flying() as (flown, control):
+        flown.virtual.set_rates(position=0)
+        await asyncio.sleep(1.0)
+        with pytest.raises(TelemetryStalled, match="the position is needed"):
+            await control.fly_to(north=5, east=0, up=0)
+
+
+async def test_a_position_that_stops_on_the_way_stops_the_aircraft() -> None:
+    async with flying() as (flown, control):
+        asyncio.get_running_loop().call_later(2.0, lambda: flown.virtual.set_rates(position=0))
+        with pytest.raises((TelemetryStalled, GuardRefused)):
+            await control.fly_to(north=50, east=0, up=0)
+        flown.assert_stopped_in_order()
+        await flown.assert_hovers()
+
+
+async def test_the_envelope_holds_for_closed_loops() -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=20, max_height_m=10))
+    async with flying(guards) as (flown, control):
+        with pytest.raises(GuardRefused):
+            await control.fly_to(north=60, east=0, up=0)
+        with pytest.raises(GuardRefused):
+            await control.climb_to(15)
+        assert math.hypot(*flown.virtual.position) < 22
+
+
+async def test_cancelling_a_loop_stops_the_aircraft() -> None:
+    async with flying() as (flown, control):
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(3.0):
+                await control.fly_to(north=100, east=0, up=0)
+        await asyncio.sleep(0.5)
+        flown.assert_stopped_in_order()
+        await flown.assert_hovers()
+
+
+async def test_the_pilot_ends_a_loop() -> None:
+    with pytest.raises(AuthorityLost):
+        async with flying() as (flown, control):
+            asyncio.get_running_loop().call_later(2.0, flown.virtual.leave_f)
+            await control.fly_to(north=100, east=0, up=0)
+
+
+@each_firmware
+@pytest.mark.parametrize("height", [8.0, 0.8])
+async def test_climb_to(firmware: str, height: float) -> None:
+    async with flying(firmware=firmware) as (flown, control):
+        before = flown.virtual.position
+        arrival = await control.climb_to(height)
+        assert flown.virtual.height == pytest.approx(height, abs=0.35)
+        assert abs(arrival.height_error_m) <= 0.3
+        assert flown.virtual.position == pytest.approx(before, abs=0.2)
+
+
+@each_firmware
+@pytest.mark.parametrize(("start", "end"), [(0, 90), (170, -170), (-90, 90), (10, 5)])
+async def test_turn_to_takes_the_short_way(firmware: str, start: float, end: float) -> None:
+    settings = AircraftSettings(heading_deg=start)
+    async with flying(firmware=firmware, settings=settings) as (flown, control):
+        began = flown.now
+        arrival = await control.turn_to(end)
+        assert abs(math.remainder(heading(flown) - end, 360)) <= 2.5
+        assert abs(arrival.heading_error_deg) <= 2.0
+        assert flown.now - began < 8.0
+
+
+@each_firmware
+@pytest.mark.parametrize("clockwise", [True, False])
+async def test_orbit_goes_round_once_at_its_radius_looking_at_the_centre(
+    firmware: str, clockwise: bool
+) -> None:
+    async with flying(firmware=firmware) as (flown, control):
+        n0, e0 = flown.virtual.position
+        centre = (n0 + 8.0, e0)
+        radii: list[float] = []
+        bearings: list[float] = []
+
+        def watch(progress: GuidanceProgress) -> None:
+            north, east = flown.virtual.position
+            radii.append(math.hypot(north - centre[0], east - centre[1]))
+            bearings.append(math.degrees(math.atan2(east - centre[1], north - centre[0])))
+
+        await control.orbit(center_north=8.0, center_east=0.0, clockwise=clockwise, progress=watch)
+        turned = sum(math.remainder(after - before, 360) for before, after in pairwise(bearings))
+        assert turned == pytest.approx(360 if clockwise else -360, abs=12)
+        assert min(radii) > 6.5
+        assert max(radii) < 9.5
+        assert flown.virtual.position == pytest.approx((n0, e0), abs=1.5)
+        assert abs(math.remainder(heading(flown) - 0.0, 360)) < 20  # the centre is north of here
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"center_north": 0.5, "center_east": 0.0},
+        {"center_north": 5.0, "center_east": 0.0, "speed": 0.0},
+        {"center_north": 5.0, "center_east": 0.0, "speed": 11.0},
+        {"center_north": 5.0, "center_east": 0.0, "turns": 0.0},
+        {"center_north": math.nan, "center_east": 0.0},
+        {"center_north": 5.0, "center_east": 0.0, "turns": math.nan},
+    ],
+    ids=str,
+)
+async def test_an_orbit_that_is_none_is_refused(options: dict[str, float]) -> None:
+    async with flying() as (flown, control):
+        with pytest.raises(UsageError):
+            await control.orbit(**options)  # type: ignore[arg-type]
+        assert len(flown.moves) == 0
