@@ -217,7 +217,8 @@ class Node:
             setpoint = setpoint_of(mode, *values)
             is_repeated = session.data.get(_LAST) == (mode, values)
             session.data[_LAST] = (mode, values)
-            lifetime = REPEAT_LIFETIME if is_repeated else PRESS_LIFETIME
+            is_short = is_repeated or not any(values)  # zeros need no lifetime: they stop
+            lifetime = REPEAT_LIFETIME if is_short else PRESS_LIFETIME
             self._station.steer(self._clients.held_token(session), setpoint, lifetime)
         except M100Error as error:
             self._clients.complain(session, error)

@@ -1,0 +1,153 @@
+"""A console in a process of its own, Chromium, and a rosbridge client that sees what is flown."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import shutil
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+import pytest
+
+playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
+pytest.importorskip("nicegui", reason="the extra `station` is not installed")
+from websockets.asyncio.client import ClientConnection, connect  # noqa: E402
+
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+ARGUMENTS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+class Watch:
+    """Telemetry of the virtual aircraft, by rosbridge."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self.newest: dict[str, Any] = {}
+
+    async def run(self) -> None:
+        for topic in ("velocity", "height_above_takeoff", "flight_status", "attitude"):
+            await self._socket.send(
+                json.dumps({"op": "subscribe", "topic": f"/dji_sdk/{topic}", "throttle_rate": 20})
+            )
+        async for text in self._socket:
+            message = json.loads(text)
+            self.newest[message["topic"].removeprefix("/dji_sdk/")] = message["msg"]
+
+    @property
+    def speed(self) -> tuple[float, float, float]:
+        """East, north, up, m/s."""
+        vector = self.newest["velocity"]["vector"]
+        return vector["x"], vector["y"], vector["z"]
+
+    @property
+    def height(self) -> float:
+        return float(self.newest["height_above_takeoff"]["data"])
+
+    @property
+    def status(self) -> int:
+        return int(self.newest["flight_status"]["data"])
+
+
+class Console:
+    """A running console, a browser, and what the page did that it should not."""
+
+    def __init__(self, url: str, process: asyncio.subprocess.Process, browser: Any) -> None:
+        self.url = url
+        self.process = process
+        self.browser = browser
+        self.foreign: list[str] = []
+        self.errors: list[str] = []
+        self.watch: Watch
+
+    async def open(self, script: str = "") -> Any:
+        page = await self.browser.new_page(viewport={"width": 1500, "height": 1100})
+        page.on("request", self._note_request)
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        if script:
+            await page.add_init_script(script)
+        await page.goto(self.url)
+        await page.wait_for_function("window.m100 && window.m100.socket.heardAt > 0")
+        return page
+
+    def _note_request(self, request: Any) -> None:
+        if not request.url.startswith((self.url, self.url.replace("http", "ws"), "data:", "blob:")):
+            self.foreign.append(request.url)
+
+
+async def until(
+    predicate: Callable[[], bool | Awaitable[bool]], within: float = 15.0, what: str = ""
+) -> None:
+    """Wait until the predicate holds."""
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + within
+    while True:
+        result = predicate()
+        if result if isinstance(result, bool) else await result:
+            return
+        assert loop.time() < deadline, f"not within {within} s: {what or predicate}"
+        await asyncio.sleep(0.03)
+
+
+@contextlib.asynccontextmanager
+async def running_console(*options: str) -> AsyncIterator[tuple[dict[str, Any], Any]]:
+    """The command, as a user starts it; yields what it printed, and its process."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        *("-c", "from m100link.cli import main; main()"),
+        *("console", "--sim", "--port", "0", "--console-port", "0", "--no-open-browser", "--json"),
+        *options,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    try:
+        async with asyncio.timeout(60):
+            line = await process.stdout.readline()
+        assert line, (await process.stderr.read()).decode()
+        yield json.loads(line), process
+    finally:
+        if process.returncode is None:
+            process.terminate()
+        talk = asyncio.create_task(process.stderr.read())
+        try:
+            async with asyncio.timeout(20):
+                await process.wait()
+        except TimeoutError:
+            process.kill()
+            await process.wait()
+            raise
+        finally:
+            print((await talk).decode())  # noqa: T201 - shown when a test fails
+
+
+@pytest.fixture
+async def console() -> AsyncIterator[Console]:
+    if CHROMIUM is None:
+        pytest.skip("there is no chromium: apt-get install chromium, or set CHROMIUM")
+    async with (
+        running_console() as (report, process),
+        playwright.async_playwright() as started,
+        connect(report["rosbridge"][0]) as socket,
+    ):
+        browser = await started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        console = Console(report["console"], process, browser)
+        console.watch = Watch(socket)
+        watching = asyncio.create_task(console.watch.run())
+        await until(lambda: len(console.watch.newest) == 4)
+        yield console
+        await browser.close()
+        watching.cancel()
+        await asyncio.gather(watching, return_exceptions=True)
+        assert console.errors == []
+        assert console.foreign == []  # the console works without Internet

@@ -1,0 +1,269 @@
+"""The console in a real browser: missions by clicks and keys, and every way to let go."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import urllib.error
+import urllib.request
+from typing import Any
+
+import pytest
+
+from tests.browser.conftest import Console, until
+
+pytestmark = [pytest.mark.anyio, pytest.mark.timeout(180)]
+
+
+async def press(page: Any, name: str) -> None:
+    await page.click(f"[data-act={name}]")
+
+
+async def hold(page: Any, name: str, seconds: float = 1.3) -> None:
+    box = await page.locator(f"[data-act={name}]").bounding_box()
+    await page.mouse.move(box["x"] + 10, box["y"] + 10)
+    await page.mouse.down()
+    await asyncio.sleep(seconds)
+    await page.mouse.up()
+
+
+async def banner(page: Any, text: str) -> None:
+    await shows(page, "#banner", text)
+
+
+async def shows(page: Any, selector: str, text: str) -> None:
+    await page.wait_for_function(
+        "([selector, text]) => document.querySelector(selector).textContent.includes(text)",
+        arg=[selector, text],
+    )
+
+
+async def airborne(console: Console, script: str = "") -> Any:
+    page = await console.open(script)
+    await press(page, "activate")
+    await page.wait_for_function(
+        "document.querySelector('#activation').textContent.includes('active')"
+    )
+    await press(page, "obtain")
+    await banner(page, "You have control")
+    await hold(page, "take_off")
+    await until(lambda: console.watch.height > 1.0)
+    await page.wait_for_selector("[data-act=land]:not([disabled])")
+    return page
+
+
+def is_still(console: Console) -> bool:
+    return math.hypot(*console.watch.speed) < 0.15
+
+
+async def test_a_whole_mission_by_clicks_and_keys(console: Console) -> None:
+    watch = console.watch
+    page = await airborne(console)
+    await page.click("#pad")
+    await page.keyboard.press("Digit3")
+    for key, moves in (
+        ("w", lambda: watch.speed[1] > 0.5),
+        ("s", lambda: watch.speed[1] < -0.3),
+        ("d", lambda: watch.speed[0] > 0.5),
+        ("a", lambda: watch.speed[0] < -0.3),
+        ("z", lambda: watch.speed[2] > 0.2),
+        ("c", lambda: watch.speed[2] < -0.2),
+    ):
+        await page.keyboard.down(key)
+        await until(moves, what=key)
+        await page.keyboard.up(key)
+        await until(lambda: is_still(console), what=f"{key} released")
+    before = watch.newest["attitude"]["quaternion"]
+    await page.keyboard.down("e")
+    await asyncio.sleep(1.0)
+    await page.keyboard.up("e")
+    assert watch.newest["attitude"]["quaternion"] != before
+    await page.keyboard.press("Digit9")
+    await page.keyboard.down("w")
+    await until(lambda: watch.speed[1] > 1.0, what="velocity to the north")
+    await page.keyboard.up("w")
+    await until(lambda: is_still(console))
+    await hold(page, "land")
+    await until(lambda: watch.status == 1, within=40)
+    await page.wait_for_function("document.querySelector('#task').textContent === ''")
+    await press(page, "release")
+    await banner(page, "Nobody has control")
+    assert await page.inner_text("#problem") == ""
+
+
+async def test_a_short_press_neither_takes_off_nor_lands(console: Console) -> None:
+    page = await console.open()
+    await press(page, "activate")
+    await page.wait_for_function(
+        "document.querySelector('#activation').textContent.includes('active')"
+    )
+    await press(page, "obtain")
+    await banner(page, "You have control")
+    await hold(page, "take_off", 0.6)
+    await page.locator("[data-act=take_off]").click()
+    await asyncio.sleep(1.5)
+    assert console.watch.status == 1
+    await hold(page, "take_off")
+    await until(lambda: console.watch.height > 1.0)
+
+
+async def test_closing_the_tab_in_flight_stops_and_frees_control(console: Console) -> None:
+    page = await airborne(console)
+    await page.click("#pad")
+    await page.keyboard.press("Digit4")
+    await page.keyboard.down("w")
+    await until(lambda: console.watch.speed[1] > 0.5)
+    await page.close()
+    await until(lambda: is_still(console), within=6.0)
+    assert console.watch.height > 0.8
+    other = await console.open()
+    await banner(other, "Nobody has control")
+
+
+@pytest.mark.parametrize("how", ["click elsewhere", "escape", "hide"])
+async def test_losing_focus_stops_although_the_key_is_held(console: Console, how: str) -> None:
+    page = await airborne(console)
+    await page.click("#pad")
+    await page.keyboard.press("Digit4")
+    await page.keyboard.down("w")
+    await until(lambda: console.watch.speed[1] > 0.5)
+    if how == "click elsewhere":
+        await page.get_by_label("your name").click()
+    elif how == "escape":
+        await page.keyboard.press("Escape")
+    else:
+        await page.evaluate(
+            """() => {
+                Object.defineProperty(document, 'hidden', {get: () => true});
+                document.dispatchEvent(new Event('visibilitychange'));
+            }"""
+        )
+    await until(lambda: is_still(console), within=6.0)
+    await banner(page, "You have control")
+
+
+async def test_keys_do_nothing_until_the_pad_has_the_focus(console: Console) -> None:
+    page = await airborne(console)
+    await page.click("#banner")
+    await page.keyboard.down("w")
+    await asyncio.sleep(1.0)
+    assert is_still(console)
+
+
+async def test_a_browser_that_hangs_stops_the_aircraft(console: Console) -> None:
+    page = await airborne(console)
+    await page.click("#pad")
+    await page.keyboard.press("Digit4")
+    await page.keyboard.down("w")
+    await until(lambda: console.watch.speed[1] > 0.5)
+    hanging = asyncio.create_task(
+        page.evaluate("() => { const end = Date.now() + 2500; while (Date.now() < end); }")
+    )
+    await asyncio.sleep(0.4)
+    fastest = console.watch.speed[1]
+    await asyncio.sleep(1.6)
+    assert console.watch.speed[1] < fastest / 2
+    await hanging
+
+
+async def test_two_tabs_and_a_take_over(console: Console) -> None:
+    first = await airborne(console)
+    second = await console.open()
+    await banner(second, "console 1 has control")
+    assert await second.locator("[data-act=land]").is_disabled()
+    await press(second, "obtain")
+    await second.wait_for_selector("#take-over")
+    assert "console 1 has control" in await second.inner_text("#take-over")
+    await second.click("#confirm")
+    await banner(second, "You have control")
+    await banner(first, "console 2 has control")
+    await first.click("#pad")
+    await first.keyboard.down("w")
+    await asyncio.sleep(1.0)
+    assert is_still(console)
+    await press(first, "stop")  # anybody may stop
+    await hold(second, "land")
+    await until(lambda: console.watch.status == 1, within=40)
+
+
+async def test_fields_grey_out_by_age_each_in_its_time(console: Console) -> None:
+    page = await console.open()
+    field = ".field:has([data-field={}])"
+    await page.wait_for_selector(field.format("battery") + ":not(.stale)")
+    await page.click("#sim-stall")
+    await page.wait_for_selector(field.format("height") + ".stale", timeout=3000)
+    assert "stale" not in (await page.locator(field.format("battery")).get_attribute("class"))
+    await page.wait_for_selector(field.format("battery") + ".stale", timeout=5000)
+    assert await page.get_attribute("#horizon", "data-stale") == "stale"
+    await page.click("#sim-stall")
+    await page.wait_for_selector(field.format("height") + ":not(.stale)")
+
+
+async def test_everything_greys_when_the_station_is_gone(console: Console) -> None:
+    page = await console.open()
+    console.process.kill()
+    await page.wait_for_function("document.body.classList.contains('station-lost')", timeout=5000)
+    console.watch.newest.clear()
+
+
+async def test_the_pilots_switch_shows_in_the_banner(console: Console) -> None:
+    page = await airborne(console)
+    await page.click("#sim-mode >> text=P")
+    await banner(page, "the aircraft obeys the pilot")
+    await page.click("#sim-mode >> text=F")
+    await banner(page, "You have control")
+
+
+async def test_a_refusal_says_why(console: Console) -> None:
+    page = await console.open()
+    await page.click("#sim-refuse")
+    await press(page, "activate")
+    await shows(page, "#activation", "the server refused")
+    await press(page, "obtain")
+    await shows(page, "#problem", "activate first")
+
+
+GAMEPAD = """
+window.pad = {connected: true, axes: [0, 0, 0, 0], buttons: Array(6).fill({pressed: false})};
+navigator.getGamepads = () => [window.pad];
+"""
+
+
+async def test_a_gamepad_flies_while_its_shoulder_button_is_held(console: Console) -> None:
+    page = await airborne(console, GAMEPAD)
+    await page.click("#pad")
+    await page.keyboard.press("Digit4")
+    await page.evaluate("window.pad.axes = [0, 0, 0, -1]")
+    await asyncio.sleep(0.7)
+    assert is_still(console)  # the stick alone moves nothing
+    await page.evaluate("window.pad.buttons = Array(6).fill({pressed: true})")
+    await until(lambda: console.watch.speed[1] > 0.5)
+    await page.evaluate("window.pad.buttons = Array(6).fill({pressed: false})")
+    await until(lambda: is_still(console), within=6.0)
+
+
+async def test_the_stick_on_the_screen_flies_while_it_is_held(console: Console) -> None:
+    page = await airborne(console)
+    await page.click("#pad")
+    await page.keyboard.press("Digit4")
+    box = await page.locator(".stick").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    await page.mouse.move(x, y)
+    await page.mouse.down()
+    await page.mouse.move(x, y - box["height"] / 2)
+    await until(lambda: console.watch.speed[1] > 0.5)
+    await page.mouse.up()
+    await until(lambda: is_still(console), within=6.0)
+
+
+@pytest.mark.parametrize(
+    "headers", [{"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"}]
+)
+async def test_the_console_is_not_for_pages_from_elsewhere(
+    console: Console, headers: dict[str, str]
+) -> None:
+    request = urllib.request.Request(console.url, headers=headers)
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        await asyncio.to_thread(urllib.request.urlopen, request)
+    assert caught.value.code == 403
+    caught.value.close()
