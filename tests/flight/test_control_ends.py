@@ -6,23 +6,28 @@ On virtual time, for each firmware. Ends of whole processes are in ``test_proces
 from __future__ import annotations
 
 import asyncio
+import signal
+import threading
 
 import anyio
 import pytest
 
 from m100link import (
     AuthorityLost,
+    AuthorityRefused,
     AuthorityState,
     FlightPhase,
     FlightStatus,
     GuardRefused,
+    Guards,
+    LinkClosed,
     LinkLost,
     NoAuthority,
     Setpoint,
     TelemetryStalled,
     UsageError,
 )
-from m100link.sim import LineFaults
+from m100link.sim import LineFaults, VirtualClockEventLoop
 from tests.flight.rig import FIRMWARES, NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -604,3 +609,88 @@ async def test_thrust_is_neutralised_into_no_climb() -> None:
                 )
                 await asyncio.sleep(0.05)
         await assert_all_is_well(flown)
+
+
+# -- the program's own doing ---------------------------------------------------------------------
+
+
+async def test_closing_the_aircraft_inside_the_block_ends_it() -> None:
+    async with rig() as flown:
+        with pytest.raises(LinkClosed):
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                await flown.fly(control, 1.0)
+                await flown.aircraft.aclose()
+                await flown.fly_on(control)
+        await flown.assert_hovers()
+
+
+async def test_a_landing_that_the_stop_path_cannot_begin_is_logged_and_bounded(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with rig() as flown:
+        with pytest.raises(ZeroDivisionError):
+            async with flown.aircraft.control(
+                stop="land", guards=Guards(stale_telemetry_s=None)
+            ) as control:
+                await control.take_off()
+                flown.virtual.set_faults(LineFaults(), to_aircraft=LineFaults(loss=1.0))
+                start = flown.now
+                raise ZeroDivisionError
+        assert flown.now - start < 10.0
+        assert "the stop path could not land" in caplog.text
+        assert "authority may not be released" in caplog.text
+
+
+@pytest.mark.parametrize("handle", [True, False])
+async def test_sigterm_is_taken_only_for_the_block_and_only_if_nobody_else_has_it(
+    handle: bool,
+) -> None:
+    async with rig() as flown:
+        before = signal.getsignal(signal.SIGTERM)
+        async with flown.aircraft.control(handle_sigterm=handle):
+            during = signal.getsignal(signal.SIGTERM)
+        assert (during is not before) is handle
+        assert signal.getsignal(signal.SIGTERM) is before is signal.SIG_DFL
+
+
+async def test_a_programs_own_sigterm_handler_stays() -> None:
+    def own(number: int, frame: object) -> None:
+        """Whatever the program does."""
+
+    signal.signal(signal.SIGTERM, own)
+    try:
+        async with rig() as flown, flown.aircraft.control():
+            assert signal.getsignal(signal.SIGTERM) is own
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+async def test_a_block_refused_at_entry_gives_sigterm_back() -> None:
+    async with rig() as flown:
+        flown.virtual.leave_f()
+        with pytest.raises(AuthorityRefused):
+            async with flown.aircraft.control():
+                pytest.fail("entered")
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_block_in_another_thread_leaves_signals_alone() -> None:
+    async def fly() -> None:
+        async with rig() as flown, flown.aircraft.control() as control:
+            assert control.has_authority
+
+    failures: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+                runner.run(fly())
+        except BaseException as error:  # noqa: BLE001 (told in the test's own thread)
+            failures.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert failures == []
