@@ -1,7 +1,7 @@
 """What `nox` runs. Every session reads its packages from the dependency groups of pyproject.toml.
 
-`nox` alone runs the sessions that must be green: lint, types, docs, examples, tests. They use the
-Python that runs nox. `nox --list` names the others.
+`nox` alone runs the sessions that must be green: lint, types, docs, examples, interop, browser and
+tests. They use the Python that runs nox. `nox --list` names the others.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import nox
 
 nox.needs_version = ">=2025.2.9"
 # Tests come last, so that a run ends with what they have to say.
-nox.options.sessions = ["lint", "types", "docs", "examples", "tests"]
+nox.options.sessions = ["lint", "types", "docs", "examples", "interop", "browser", "tests"]
 nox.options.reuse_venv = "yes"
 
 PYPROJECT = nox.project.load_toml("pyproject.toml")
@@ -46,7 +46,7 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def types(session: nox.Session) -> None:
     """mypy --strict and pyright."""
-    session.install("-e", PACKAGE, *group("types", "test", "docs", "bench"))
+    session.install("-e", PACKAGE, *group("types", "test", "docs", "bench", "browser", "interop"))
     checked = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
     session.run("mypy", *checked)
     session.run("pyright", "--pythonpath", f"{session.bin}/python")
@@ -95,6 +95,20 @@ def run_tests(session: nox.Session, *options: str, constrained_to: list[str] | N
     # Appending the tree to the path instead of prepending it leaves `import m100link` to the
     # installed package.
     session.run("pytest", "--import-mode=append", *options, *session.posargs)
+
+
+@nox.session
+def interop(session: nox.Session) -> None:
+    """The ground station and clients that others wrote: roslibpy, and roslib where node is."""
+    session.install(PACKAGE, *group("test", "interop"))
+    session.run("pytest", "--import-mode=append", "tests/interop", *session.posargs)
+
+
+@nox.session
+def browser(session: nox.Session) -> None:
+    """The console in Chromium; skipped with a reason where there is none."""
+    session.install(PACKAGE, *group("test", "browser"))
+    session.run("pytest", "--import-mode=append", "tests/browser", *session.posargs)
 
 
 @nox.session(default=False)

@@ -6,7 +6,7 @@ import secrets
 import stat
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +198,7 @@ def resolve(
         # A virtual aircraft is asked for louder than an address in a file is.
         if origins["url"] == origins["sim"]:
             raise UsageError("a url and --sim were given", remedy="choose one of them")
-        settings = Settings(**(values | {"url": None}), origins=origins)
+        settings = replace(settings, url=None)
     return settings
 
 

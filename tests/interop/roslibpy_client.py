@@ -1,6 +1,7 @@
 """What a program with roslibpy sees of a station; prints one line of JSON."""
 
 # mypy: ignore-errors
+# pyright: reportArgumentType=false, reportCallIssue=false
 # ruff: noqa: T201
 from __future__ import annotations
 

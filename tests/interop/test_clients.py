@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("starlette", reason="the extra `station` is not installed")
+pytest.importorskip("roslibpy", reason="roslibpy is not installed: nox -s interop")
 
 HERE = Path(__file__).parent
 pytestmark = [pytest.mark.timeout(180)]
@@ -65,7 +66,6 @@ def is_north(quaternion: dict[str, float]) -> bool:
 
 
 def test_roslibpy() -> None:
-    pytest.importorskip("roslibpy", reason="roslibpy is not installed")
     with station() as url:
         port = url.rpartition(":")[2]
         script = str(HERE / "roslibpy_client.py")

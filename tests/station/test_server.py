@@ -182,7 +182,7 @@ async def test_malformed_frames_are_answered_and_nothing_else(frame: str | bytes
 
 async def test_a_flood_does_not_delay_others() -> None:
     async with station() as one, connect(address(one)) as calm:
-        async with connect(address(one)) as hostile:
+        async with connect(address(one), close_timeout=1) as hostile:
             asking = asyncio.create_task(drown(hostile))
             longest = 0.0
             for _ in range(40):
