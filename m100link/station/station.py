@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Coroutine
-from enum import Enum
+from collections.abc import Callable, Coroutine
 from types import TracebackType
 from typing import Any, Self
 
@@ -20,7 +19,6 @@ from m100link.errors import (
     AuthorityLost,
     AuthorityRefused,
     GuardRefused,
-    LinkError,
     M100Error,
     NoAuthority,
     TaskRefused,
@@ -31,17 +29,11 @@ from m100link.protocol.codes import ActivationCode
 from m100link.protocol.control import Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.protocol.telemetry import RemoteControl
-from m100link.station.journal import Journal
+from m100link.station.connection import Connect, Connected, Connection
 from m100link.station.lease import Lease, LeaseChange, LeaseDesk
 from m100link.subscription import Newest
 
-__all__ = ["Connection", "Pattern", "Station"]
-
-RECONNECT_PAUSE = 1.0
-"""Seconds between two attempts to open the line."""
-
-ROUND_TRIP_INTERVAL = 2.0
-"""Seconds between two measurements of the way to the aircraft and back."""
+__all__ = ["Connect", "Connection", "Pattern", "Station"]
 
 SETPOINT_LIFETIME = 0.2
 """Seconds that a setpoint of a program lasts when it is not renewed."""
@@ -49,24 +41,13 @@ SETPOINT_LIFETIME = 0.2
 _AT_ONCE = 1e-3
 _LEASE_CHECK = 0.1
 
-Connect = Callable[[], Awaitable[Aircraft]]
-"""Opens the aircraft; raises :class:`M100Error` when it cannot."""
-
 
 Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, None]]
 """A program that flies: takes the control and what sends a setpoint."""
 
 
-class Connection(Enum):
-    """State of the line."""
-
-    CONNECTING = "connecting"
-    CONNECTED = "connected"
-    LOST = "lost"
-
-
-class Station(Journal):
-    """The aircraft and who may do what with it.
+class Station(Connected):
+    """The aircraft and who may do what with it. See also the attributes of its bases.
 
     Args:
         connect: Opens the aircraft.
@@ -74,16 +55,11 @@ class Station(Journal):
         lease_lifetime: Seconds that a lease lasts without renewal.
 
     Attributes:
-        aircraft: The aircraft while it is connected, else None.
-        connection: State of the line.
-        connection_error: Why it is not connected.
         desk: Who may steer.
         activation: Last answer to an activation, None before the first.
         activation_error: Why it failed, with remedy.
-        round_trip: Seconds for a question to the aircraft and its answer, None when unanswered.
         task: Name of the task that was asked of the aircraft and has not ended, or None.
         accepted: Set while the aircraft flies that task.
-        on_aircraft: Called when the aircraft was connected, and with None when it was lost.
         on_activation_code: Called with each answer to an activation.
         on_authority_lost: Called when somebody else took control authority.
     """
@@ -95,24 +71,18 @@ class Station(Journal):
         credentials: Credentials | None = None,
         lease_lifetime: float = 3.0,
     ) -> None:
-        super().__init__()
-        self._connect = connect
-        self.credentials = credentials
-        self.aircraft: Aircraft | None = None
-        self.connection = Connection.CONNECTING
-        self.connection_error: M100Error | None = None
+        super().__init__(connect, credentials)
         self.desk = LeaseDesk(lifetime=lease_lifetime, on_change=self._lease_changed)
         self.activation: ActivationCode | None = None
         self.activation_error: M100Error | None = None
-        self.round_trip: float | None = None
         self.task: str | None = None
         self.accepted = asyncio.Event()
-        self.on_aircraft: list[Callable[[Aircraft | None], None]] = []
         self.on_activation_code: list[Callable[[ActivationCode], None]] = []
         self.on_authority_lost: list[Callable[[AuthorityLost], None]] = []
         self._control: Control | None = None
         self._last: Setpoint | None = None
         self._let_go = asyncio.Event()
+        self._obtaining = asyncio.Lock()
         self._holding: asyncio.Task[None] | None = None
         self._flight_task: asyncio.Task[None] | None = None
         self._pattern: asyncio.Task[None] | None = None
@@ -136,75 +106,6 @@ class Station(Journal):
         await self.end_tasks()
         if self.aircraft is not None:
             await self.aircraft.aclose()
-
-    # -- the connection --------------------------------------------------------------------------
-
-    async def _keep_connected(self) -> None:
-        while True:
-            self.connection = Connection.CONNECTING
-            try:
-                aircraft = await self._connect()
-            except M100Error as error:
-                if str(error) != str(self.connection_error):
-                    self.note(f"not connected: {error.seen}", "warning")
-                self.connection_error = error
-                await asyncio.sleep(RECONNECT_PAUSE)
-                continue
-            await self._stay_connected(aircraft)
-            await asyncio.sleep(RECONNECT_PAUSE)
-
-    async def _stay_connected(self, aircraft: Aircraft) -> None:
-        try:
-            version = await aircraft.version()
-            self.aircraft, self.connection_error = aircraft, None
-            self.connection = Connection.CONNECTED
-            self.note(f"connected to {aircraft.link.name}: {version.name} ({aircraft.firmware})")
-            if version.is_activated and self.credentials is not None:
-                # As DJI's node does: an aircraft that is active needs no new activation.
-                aircraft.use_key(self.credentials)
-            self._tell_aircraft(aircraft)
-            async with aircraft.telemetry() as samples:
-                async for _ in samples:
-                    pass
-        except M100Error as error:
-            self.connection_error = error
-            self.note(f"connection lost: {error.seen}", "error")
-        finally:
-            self.connection = Connection.LOST
-            self.aircraft, self.round_trip = None, None
-            self._tell_aircraft(None)
-            await aircraft.aclose()
-
-    def _tell_aircraft(self, aircraft: Aircraft | None) -> None:
-        for callback in self.on_aircraft:
-            callback(aircraft)
-
-    async def _measure(self) -> None:
-        while True:
-            await asyncio.sleep(ROUND_TRIP_INTERVAL)
-            aircraft = self.aircraft
-            if aircraft is None:
-                continue
-            asked_at = self.now
-            try:
-                await aircraft.version()
-                self.round_trip = self.now - asked_at
-            except M100Error:
-                self.round_trip = None
-
-    def require_aircraft(self) -> Aircraft:
-        """The aircraft.
-
-        Raises:
-            LinkError: It is not connected; the error says why.
-        """
-        if self.aircraft is None:
-            why = f": {self.connection_error.seen}" if self.connection_error else ""
-            raise LinkError(
-                f"the aircraft is not connected{why}",
-                remedy=self.connection_error.remedy if self.connection_error else "",
-            )
-        return self.aircraft
 
     # -- the lease -------------------------------------------------------------------------------
 
@@ -267,7 +168,8 @@ class Station(Journal):
     @property
     def has_authority(self) -> bool:
         """Whether setpoints and tasks are obeyed now."""
-        return self._control is not None and self._control.has_authority
+        control = self._control
+        return control is not None and not self._let_go.is_set() and control.has_authority
 
     async def obtain(self, token: str) -> None:
         """Obtain control authority for the holder of the lease.
@@ -280,8 +182,11 @@ class Station(Journal):
         await self._obtain()
 
     async def _obtain(self) -> None:
-        if self.has_authority:
-            return
+        async with self._obtaining:  # a double click asks once
+            if not self.has_authority:
+                await self._begin_holding()
+
+    async def _begin_holding(self) -> None:
         aircraft = self.require_aircraft()
         await self._end_holding()
         granted: asyncio.Future[None] = self._loop.create_future()
@@ -371,7 +276,7 @@ class Station(Journal):
         self._holding = None
 
     def _require_control(self) -> Control:
-        if self._control is None or not self._control.has_authority:
+        if self._control is None or not self.has_authority:
             raise NoAuthority(
                 "the station does not hold control authority; nothing was sent",
                 remedy="obtain control first",

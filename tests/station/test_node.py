@@ -236,6 +236,26 @@ async def test_a_lost_socket_stops_at_once_and_gives_control_back(rig: Rig) -> N
     assert rig.aircraft.height > 1.0  # it hovers
 
 
+async def test_the_next_client_gets_authority_although_the_last_is_still_giving_it_back(
+    rig: Rig,
+) -> None:
+    page = await rig.airborne("first")
+    page.publish("/sdk_request_ctrl", **(ZERO | {"x": -4}))
+    await anyio.sleep(0.1)
+    page.leave()
+    other = rig.client("second")
+    other.subscribe("/nav_open_close_status")
+    for _ in range(2):  # and a double click asks once
+        other.publish("/nav_open_close_request", data=1)
+    await rig.until(lambda: len(other.values("/nav_open_close_status")) == 2)
+    await anyio.sleep(2.0)
+    assert other.values("/nav_open_close_status") == [2, 2]
+    assert rig.station.has_authority
+    other.publish("/sdk_request_ctrl", **(ZERO | {"y": 2}))
+    await anyio.sleep(0.1)
+    assert rig.moves[-1].roll_or_x == 2
+
+
 async def test_another_client_cannot_steer_open_or_stop(rig: Rig) -> None:
     page = await rig.airborne("first")
     other = rig.client("second")
