@@ -158,7 +158,7 @@ def _show(settings: Settings) -> int:
         value = getattr(settings, name)
         shown = "(set)" if name in ("key", "token") and value else value
         source = settings.origins.get(name, "default")
-        out.print(f"{name:14} {shown!s:40} {source}", markup=False)
+        out.print(f"{name:14} {shown!s:40} {source}", markup=False, soft_wrap=True)
     return ExitCode.OK
 
 
@@ -198,9 +198,9 @@ def _announce(settings: Settings, running: Running, *, as_json: bool) -> None:
     if as_json:
         print_json({"rosbridge": addresses, "console": console_url, "sim": settings.sim})
     else:
-        out.print(f"rosbridge: {', '.join(addresses)}", markup=False)
+        out.print(f"rosbridge: {', '.join(addresses)}", markup=False, soft_wrap=True)
         if console_url is not None:
-            out.print(f"console:   {console_url}", markup=False)
+            out.print(f"console:   {console_url}", markup=False, soft_wrap=True)
     if settings.is_plain_beyond_loopback():
         err.print(
             "[yellow]warning:[/] without TLS everybody on this network can read the token and "

@@ -67,6 +67,7 @@ async def running(
         UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
     """
     credentials = settings.credentials()
+    settings.access_token()  # before anything is bound
     async with AsyncExitStack() as stack:
         if settings.sim:
             virtual = virtual or _virtual(credentials)

@@ -1,0 +1,144 @@
+"""`m100link serve` as a user starts it, and TLS."""
+
+from __future__ import annotations
+
+import asyncio
+import datetime
+import json
+import os
+import signal
+import ssl
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("cyclopts")
+pytest.importorskip("uvicorn")
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+from websockets.asyncio.client import connect
+
+COMMAND = (sys.executable, "-c", "from m100link.cli import main; main()")
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("M100LINK")}
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=clean | environment,
+        check=False,
+    )
+
+
+def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
+    launch = tmp_path / "sdk.launch"
+    launch.write_text('<launch><param name="baud_rate" value="115200"/></launch>')
+    done = run(
+        *("serve", "--launch", str(launch), "--show-config", "--port", "1234"),
+        M100LINK_APP_ID="7",
+        M100LINK_KEY="00" * 32,
+    )
+    rows = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()}
+    assert rows["baud_rate"] == ["115200", str(launch)]
+    assert rows["app_id"] == ["7", "environment"]
+    assert rows["port"] == ["1234", "command", "line"]
+    assert rows["key"] == ["(set)", "environment"]
+    assert rows["level"] == ["2", "default"]
+    assert "00" * 32 not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("serve",), "no aircraft was named"),
+        (("serve", "--sim", "--host", "0.0.0.0"), "there is no token"),
+        (("serve", "--sim", "--launch", "/none.launch"), "launch file cannot be read"),
+        (("serve", "--sim", "--pages", "/none"), "is no folder"),
+        (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "TLS files"),
+    ],
+)
+def test_mistakes_are_told_with_a_remedy(arguments: tuple[str, ...], says: str) -> None:
+    done = run(*arguments, M100LINK_PORT="0")
+    assert done.returncode == 2
+    assert says in done.stderr.replace("\n", " ")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "serve", "--sim", "--port", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    url = json.loads(await process.stdout.readline())["rosbridge"][0]
+    async with connect(url, close_timeout=1) as client:
+        call = {"op": "call_service", "service": "/dji_sdk/activation"}
+        await client.send(json.dumps(call))
+        await client.recv()
+        call = {"op": "call_service", "service": "/dji_sdk/sdk_control_authority", "args": [1]}  # type: ignore[dict-item]
+        await client.send(json.dumps(call))
+        assert json.loads(await client.recv())["values"]["result"] is True
+        process.send_signal(number)
+        async with asyncio.timeout(20):
+            _, talk = await process.communicate()
+    assert process.returncode == 0
+    assert b"control authority released" in talk
+    assert b"Traceback" not in talk
+
+
+def certificate(folder: Path) -> tuple[Path, Path]:
+    """A certificate for localhost that signs itself, and its key."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "localhost")])
+    now = datetime.datetime.now(datetime.UTC)
+    signed = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(1)
+        .not_valid_before(now - datetime.timedelta(days=1))
+        .not_valid_after(now + datetime.timedelta(days=1))
+        .add_extension(x509.SubjectAlternativeName([x509.DNSName("localhost")]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    paths = folder / "cert.pem", folder / "key.pem"
+    paths[0].write_bytes(signed.public_bytes(serialization.Encoding.PEM))
+    paths[1].write_bytes(
+        key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        )
+    )
+    return paths
+
+
+async def test_tls(tmp_path: Path) -> None:
+    from m100link.station.config import Settings
+    from m100link.station.run import running
+
+    cert, key = certificate(tmp_path)
+    trust = ssl.create_default_context(cafile=str(cert))
+    async with running(Settings(sim=True, port=0, tls_cert=cert, tls_key=key)) as one:
+        url = f"wss://localhost:{one.ports[0]}"
+        origin = f"https://localhost:{one.ports[0]}"
+        async with connect(url, ssl=trust, additional_headers={"Origin": origin}) as client:
+            await client.send('{"op":"subscribe","topic":"/flight_status"}')
+            assert json.loads(await client.recv())["op"] == "publish"
