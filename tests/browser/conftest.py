@@ -131,12 +131,12 @@ async def running_console(*options: str) -> AsyncIterator[tuple[dict[str, Any], 
             print((await talk).decode())  # noqa: T201 - shown when a test fails
 
 
-@pytest.fixture
-async def console() -> AsyncIterator[Console]:
+@contextlib.asynccontextmanager
+async def console_in_browser(*options: str) -> AsyncIterator[Console]:
     if CHROMIUM is None:
         pytest.skip("there is no chromium: apt-get install chromium, or set CHROMIUM")
     async with (
-        running_console() as (report, process),
+        running_console(*options) as (report, process),
         playwright.async_playwright() as started,
         connect(report["rosbridge"][0]) as socket,
     ):
@@ -151,3 +151,9 @@ async def console() -> AsyncIterator[Console]:
         await asyncio.gather(watching, return_exceptions=True)
         assert console.errors == []
         assert console.foreign == []  # the console works without Internet
+
+
+@pytest.fixture
+async def console() -> AsyncIterator[Console]:
+    async with console_in_browser() as one:
+        yield one

@@ -6,11 +6,12 @@ import asyncio
 import math
 import urllib.error
 import urllib.request
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.browser.conftest import Console, until
+from tests.browser.conftest import Console, console_in_browser, until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.timeout(180)]
 
@@ -254,6 +255,21 @@ async def test_the_stick_on_the_screen_flies_while_it_is_held(console: Console) 
     await until(lambda: console.watch.speed[1] > 0.5)
     await page.mouse.up()
     await until(lambda: is_still(console), within=6.0)
+
+
+async def test_map_tiles_come_from_a_folder(tmp_path: Path) -> None:
+    for zoom in range(10, 20):
+        (tmp_path / str(zoom)).mkdir()  # no tile at all is no error either
+    async with console_in_browser("--tiles", str(tmp_path)) as console:
+        page = await console.open()
+        async with page.expect_response(lambda answer: "/tiles/" in answer.url) as waiting:
+            pass
+        answer = await waiting.value
+        zoom, column, row = answer.url.partition("/tiles/")[2].removesuffix(".png").split("/")
+        place = 2 ** int(zoom)
+        assert int(column) / place == pytest.approx((113.9589 + 180) / 360, abs=5 / place)
+        north = math.asinh(math.tan(math.radians(22.5431))) / math.pi
+        assert int(row) / place == pytest.approx((1 - north) / 2, abs=5 / place)
 
 
 @pytest.mark.parametrize(

@@ -242,6 +242,8 @@ function drawHorizon(canvas, attitude) {
   g.moveTo(width / 2 - 40, height / 2); g.lineTo(width / 2 - 12, height / 2);
   g.moveTo(width / 2 + 12, height / 2); g.lineTo(width / 2 + 40, height / 2);
   g.stroke();
+  g.fillStyle = "rgba(0,0,0,.55)";
+  g.fillRect(width / 2 - 42, 0, 84, 20);
   g.fillStyle = "#fff";
   g.font = "bold 13px sans-serif";
   g.textAlign = "center";
