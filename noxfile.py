@@ -6,9 +6,12 @@ tests. They use the Python that runs nox. `nox --list` names the others.
 
 from __future__ import annotations
 
+import concurrent.futures
 import re
+import subprocess
 import tarfile
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import nox
@@ -65,13 +68,43 @@ def docs(session: nox.Session) -> None:
 def examples(session: nox.Session) -> None:
     """Every example program flies, against a virtual aircraft."""
     session.install(PACKAGE)
-    for example in sorted(Path("examples").glob("*.py")):
-        session.run("python", "-W", "error", str(example))
+    programs = sorted(Path("examples").glob("*.py"))
+    # They fly in real time and mostly wait: side by side they take as long as the longest.
+    with concurrent.futures.ThreadPoolExecutor(len(programs)) as pool:
+        ends = list(pool.map(partial(fly, f"{session.bin}/python"), programs))
+    for program, (status, output) in zip(programs, ends, strict=True):
+        session.log(f"{program}: exit status {status}\n{output}")
+    if any(status for status, _ in ends):
+        session.error("an example failed")
+
+
+def fly(python: str, program: Path) -> tuple[int, str]:
+    """Exit status of an example program, and the end of what it printed."""
+    ended = subprocess.run(
+        [python, "-W", "error", str(program)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=180,
+        check=False,
+    )
+    return ended.returncode, "\n".join(ended.stdout.splitlines()[-4:])
 
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """The test suite on the installed package, with branch coverage."""
+    """The test suite on the installed package.
+
+    What runs on virtual time runs in parallel; what keeps real time over a pseudo-terminal runs
+    alone, so that no neighbour makes it late.
+    """
+    run_tests(session, "-n", "2", "--dist", "worksteal", "-m", "not pty")
+    run_tests(session, "-m", "pty")
+
+
+@nox.session(default=False)
+def coverage(session: nox.Session) -> None:
+    """The test suite with branch coverage, which takes twice as long."""
     run_tests(session, "--cov", "--cov-report=term")
 
 
@@ -94,7 +127,8 @@ def run_tests(session: nox.Session, *options: str, constrained_to: list[str] | N
     session.install(PACKAGE, *group("test"), *(constrained_to or []))
     # Appending the tree to the path instead of prepending it leaves `import m100link` to the
     # installed package.
-    session.run("pytest", "--import-mode=append", *options, *session.posargs)
+    own_sessions = ("--ignore=tests/interop", "--ignore=tests/browser")
+    session.run("pytest", "--import-mode=append", *own_sessions, *options, *session.posargs)
 
 
 @nox.session
