@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-import signal
-import threading
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from types import TracebackType
@@ -38,6 +36,7 @@ from m100link.protocol.setpoint import Setpoint
 from m100link.protocol.telemetry import FlightPhase
 from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
 from m100link.state import AircraftState
+from m100link.stopping import SigtermWatch, finish
 from m100link.tasks import Commander, TaskProgress, run_task, task_name
 
 __all__ = ["Control", "Hold", "PauseAction", "StopAction"]
@@ -52,7 +51,6 @@ PauseAction = Literal["raise", "wait"]
 
 _STOP_LANDING_DEADLINE = 60.0
 _LANDING_RETRY = 0.5
-_STOP_ATTEMPTS = 3
 
 SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 """Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""
@@ -101,13 +99,12 @@ class Control(ClosedLoops):
         self._stop_action: StopAction = stop
         self._on_pause: PauseAction = on_pause
         self._guards = GuardKeeper(guards or Guards(), commander.state)
-        self._handles_sigterm = handle_sigterm
         self._claim = claim
         self._scope = anyio.CancelScope()
+        self._sigterm = SigtermWatch(self._scope.cancel) if handle_sigterm else None
         self._failure: M100Error | None = None
         self._is_entered = self._is_over = False
         self._is_paused = False
-        self._is_terminated = False
         self._is_stopping = False
         self._running_task: Task | None = None
         self._setpoints = SetpointLoop(self._transmit)
@@ -121,7 +118,8 @@ class Control(ClosedLoops):
         if self._claim is not None:
             self._claim(self)
         self._is_entered = True
-        self._catch_sigterm()
+        if self._sigterm is not None:
+            self._sigterm.begin()
         try:
             await obtain_authority(self._commander)
         except BaseException:
@@ -147,12 +145,13 @@ class Control(ClosedLoops):
 
     async def _end(self, how: Callable[[], Awaitable[None]]) -> None:
         try:
-            await _finish(how)
+            await finish(how)
         finally:
             self._is_over = True
             if self._watchdog is not None:
                 self._watchdog.cancel()
-            self._let_sigterm_go()
+            if self._sigterm is not None:
+                self._sigterm.end()
 
     @property
     def is_active(self) -> bool:
@@ -220,37 +219,6 @@ class Control(ClosedLoops):
     def _is_airborne(self) -> bool:
         status = self._commander.state.flight_status
         return status is not None and status.status != FlightPhase.STANDBY
-
-    # -- SIGTERM ---------------------------------------------------------------------------------
-
-    def _catch_sigterm(self) -> None:
-        """While the block runs SIGTERM takes the stop path, unless the program handles it itself.
-
-        (SIGINT needs nothing: asyncio.run cancels the main task on Ctrl-C.)
-        """
-        is_main = threading.current_thread() is threading.main_thread()
-        if not self._handles_sigterm or not is_main:
-            self._handles_sigterm = False
-            return
-        if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-            self._handles_sigterm = False
-            return
-        try:
-            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._on_sigterm)
-        except NotImplementedError:
-            self._handles_sigterm = False  # event loops of Windows have no signal handlers
-
-    def _on_sigterm(self) -> None:
-        self._is_terminated = True
-        _logger.warning("SIGTERM: stopping the aircraft")
-        self._scope.cancel()
-
-    def _let_sigterm_go(self) -> None:
-        if self._handles_sigterm:
-            self._handles_sigterm = False
-            asyncio.get_running_loop().remove_signal_handler(signal.SIGTERM)
-            if self._is_terminated:
-                signal.raise_signal(signal.SIGTERM)  # now that it is safe, as it was meant
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -534,28 +502,3 @@ class Control(ClosedLoops):
             await run_task(self._commander, task, timeout=timeout, progress=progress)
         finally:
             self._running_task = None
-
-
-async def _finish(how: Callable[[], Awaitable[None]]) -> None:
-    """Await work to its end whatever cancels the caller meanwhile, then let the cancellation on.
-
-    A shielded scope alone holds off cancellation by scopes; a second ``Task.cancel()`` would still
-    cut the stop path short, and asyncio.run cancels every task there is after a second Ctrl-C: then
-    the work is begun again. Every wait in it is bounded, so this is too.
-    """
-    cancelled: asyncio.CancelledError | None = None
-    with anyio.CancelScope(shield=True):
-        for _ in range(_STOP_ATTEMPTS):
-            task = asyncio.ensure_future(how())
-            while not task.done():
-                try:
-                    await asyncio.wait([task])
-                except asyncio.CancelledError as error:
-                    cancelled = error
-            if not task.cancelled():
-                task.result()
-                break
-        else:
-            _logger.error("the stop path was cancelled %d times and given up", _STOP_ATTEMPTS)
-    if cancelled is not None:
-        raise cancelled

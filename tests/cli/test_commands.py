@@ -28,7 +28,7 @@ pytestmark = pytest.mark.pty
 @pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
 def test_demo_flies_and_comes_back_within_a_metre(firmware: str) -> None:
     outcome = process("demo", "--speed", "20", "--json", "--firmware", firmware)
-    # At this speed a busy machine may be late with a setpoint and say so; it has to fly all the same.
+    # At this speed a busy machine may be late with a setpoint and say so; it flies all the same.
     assert outcome.status == 0, outcome.err
     [summary] = outcome.objects
     assert summary["flown"] is True
