@@ -55,7 +55,7 @@ nitpick_ignore_regex = [
     # Type variables.
     (r"py:class", r"m100link\.[\w.]+\.[RT]"),
     # A default factory makes a signature that Sphinx cannot parse; it guesses at the pieces.
-    (r"py:class", r"dict\[str"),
+    (r"py:class", r"(dict\[str|tuple\[(int|str))"),
 ]
 
 doctest_global_setup = "import m100link"
