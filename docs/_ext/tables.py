@@ -276,17 +276,26 @@ class CliHelp(SphinxDirective):
     """The help text of every verb, as the terminal shows it."""
 
     def run(self) -> list[nodes.Node]:
-        """One section per verb, in alphabetical order."""
-        return [self._section(verb) for verb in sorted(cli) if not verb.startswith("-")]
+        """One section per verb and subcommand, in alphabetical order."""
+        verbs = [verb for verb in sorted(cli) if not verb.startswith("-")]
+        return [self._section(*words) for verb in verbs for words in self._with_subcommands(verb)]
 
     @staticmethod
-    def _section(verb: str) -> nodes.section:
+    def _with_subcommands(verb: str) -> Iterable[tuple[str, ...]]:
+        yield (verb,)
+        for name in sorted(cli[verb]):
+            if not name.startswith("-"):
+                yield verb, name
+
+    @staticmethod
+    def _section(*words: str) -> nodes.section:
         text = io.StringIO()
         console = Console(file=text, width=92, force_terminal=False, color_system=None)
-        cli.help_print([verb], console=console)
+        cli.help_print(list(words), console=console)
         lines = [line.rstrip() for line in text.getvalue().strip().splitlines()]
-        section = nodes.section(ids=[f"verb-{verb}"], names=[f"verb-{verb}"])
-        section += nodes.title(text=verb)
+        name = f"verb-{'-'.join(words)}"
+        section = nodes.section(ids=[name], names=[name])
+        section += nodes.title(text=" ".join(words))
         section += nodes.literal_block(text="\n".join(lines), language="text")
         return section
 
