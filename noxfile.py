@@ -25,6 +25,7 @@ PYPROJECT = nox.project.load_toml("pyproject.toml")
 EXTRAS = PYPROJECT["project"].get("optional-dependencies", {})
 PACKAGE = f".[{','.join(EXTRAS)}]"
 DOCS_OUTPUT = "docs/_build"
+PARALLEL = ("-n", "2", "--dist", "worksteal")
 
 
 def group(*names: str) -> list[str]:
@@ -95,11 +96,11 @@ def fly(python: str, program: Path) -> tuple[int, str]:
 def tests(session: nox.Session) -> None:
     """The test suite on the installed package.
 
-    What runs on virtual time runs in parallel; what keeps real time over a pseudo-terminal runs
-    alone, so that no neighbour makes it late.
+    What keeps real time over a pseudo-terminal mostly waits, what runs on virtual time never does:
+    each kind has the processors to itself.
     """
-    run_tests(session, "-n", "2", "--dist", "worksteal", "-m", "not pty")
-    run_tests(session, "-m", "pty")
+    run_tests(session, *PARALLEL, "-m", "pty")
+    run_tests(session, *PARALLEL, "-m", "not pty")
 
 
 @nox.session(default=False)
@@ -142,15 +143,15 @@ def interop(session: nox.Session) -> None:
 def browser(session: nox.Session) -> None:
     """The console in Chromium; skipped with a reason where there is none."""
     session.install(PACKAGE, *group("test", "browser"))
-    session.run("pytest", "--import-mode=append", "tests/browser", *session.posargs)
+    session.run("pytest", "--import-mode=append", *PARALLEL, "tests/browser", *session.posargs)
 
 
 @nox.session(default=False)
 def bench(session: nox.Session) -> None:
     """The benchmarks, beside their rivals on the same machine."""
     session.install("-e", PACKAGE, *group("bench"))
-    for name in ("run", "consumer", "ticks"):
-        session.run("python", "-m", f"benchmarks.{name}", *session.posargs)
+    for name in ("run", "consumer", "ticks", "virtual_aircraft", "station"):
+        session.run("python", "-m", f"benchmarks.{name}")
 
 
 @nox.session(default=False)

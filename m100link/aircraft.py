@@ -366,7 +366,7 @@ class Aircraft:
         stop: StopAction = "hover",
         on_pause: PauseAction = "raise",
         guards: Guards | None = None,
-        handle_sigterm: bool = True,
+        handle_signals: bool = True,
     ) -> Control:
         """Control authority for a block: ``async with aircraft.control() as control``.
 
@@ -375,7 +375,8 @@ class Aircraft:
             on_pause: When the pilot takes the aircraft: ``"raise"`` ends the block with
                 :class:`AuthorityLost`; ``"wait"`` keeps it, see :meth:`Control.wait_resumable`.
             guards: Safety guards; all on by default.
-            handle_sigterm: Let SIGTERM take the stop path before it ends the program.
+            handle_signals: Let SIGTERM and SIGHUP (a closed terminal) take the stop path before
+                they end the program.
 
         Raises (on entering):
             UsageError: Another control block of this program is running.
@@ -387,7 +388,7 @@ class Aircraft:
             stop=stop,
             on_pause=on_pause,
             guards=guards,
-            handle_sigterm=handle_sigterm,
+            handle_signals=handle_signals,
             claim=self._claim,
         )
 

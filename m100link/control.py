@@ -36,7 +36,7 @@ from m100link.protocol.setpoint import Setpoint
 from m100link.protocol.telemetry import FlightPhase
 from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
 from m100link.state import AircraftState
-from m100link.stopping import SigtermWatch, finish
+from m100link.stopping import SignalWatch, finish
 from m100link.tasks import Commander, TaskProgress, run_task, task_name
 
 __all__ = ["Control", "Hold", "PauseAction", "StopAction"]
@@ -88,7 +88,7 @@ class Control(ClosedLoops):
         stop: StopAction = "hover",
         on_pause: PauseAction = "raise",
         guards: Guards | None = None,
-        handle_sigterm: bool = True,
+        handle_signals: bool = True,
         claim: Callable[[Control], None] | None = None,
     ) -> None:
         if stop not in ("hover", "land"):
@@ -101,7 +101,7 @@ class Control(ClosedLoops):
         self._guards = GuardKeeper(guards or Guards(), commander.state)
         self._claim = claim
         self._scope = anyio.CancelScope()
-        self._sigterm = SigtermWatch(self._scope.cancel) if handle_sigterm else None
+        self._signals = SignalWatch(self._scope.cancel) if handle_signals else None
         self._failure: M100Error | None = None
         self._is_entered = self._is_over = False
         self._is_paused = False
@@ -118,8 +118,8 @@ class Control(ClosedLoops):
         if self._claim is not None:
             self._claim(self)
         self._is_entered = True
-        if self._sigterm is not None:
-            self._sigterm.begin()
+        if self._signals is not None:
+            self._signals.begin()
         try:
             await obtain_authority(self._commander)
         except BaseException:
@@ -150,8 +150,8 @@ class Control(ClosedLoops):
             self._is_over = True
             if self._watchdog is not None:
                 self._watchdog.cancel()
-            if self._sigterm is not None:
-                self._sigterm.end()
+            if self._signals is not None:
+                self._signals.end()
 
     @property
     def is_active(self) -> bool:

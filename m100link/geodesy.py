@@ -63,7 +63,7 @@ class LocalFrame:
     >>> frame = LocalFrame(22.54, 113.95)
     >>> latitude, longitude = frame.to_geodetic(1000.0, 0.0)
     >>> round(latitude, 7), longitude
-    (22.549031, 113.95)
+    (22.5490303, 113.95)
     """
 
     __slots__ = (

@@ -1,4 +1,4 @@
-"""Ending well: SIGTERM takes the stop path, and nothing cuts the stop path short."""
+"""Ending well: signals take the stop path, and nothing cuts the stop path short."""
 
 from __future__ import annotations
 
@@ -10,19 +10,22 @@ from collections.abc import Awaitable, Callable
 
 import anyio
 
-__all__ = ["SigtermWatch", "finish"]
+__all__ = ["SignalWatch", "finish"]
 
 _logger = logging.getLogger("m100link.control")
 
 _STOP_ATTEMPTS = 3
 
 
-class SigtermWatch:
-    """While it runs, SIGTERM calls ``stop`` instead of ending the process; at the end it does.
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
-    Nothing happens where the program handles SIGTERM itself, outside the main thread, and on event
-    loops without signal handlers. (SIGINT needs nothing: asyncio.run cancels the main task on
-    Ctrl-C.)
+
+class SignalWatch:
+    """While it runs, SIGTERM and SIGHUP call ``stop``; afterwards they do what they would have.
+
+    (SIGHUP is what a closed terminal sends. SIGINT needs nothing: asyncio.run cancels the main
+    task on Ctrl-C.) Nothing happens where the program handles the signal itself, outside the main
+    thread, and on event loops without signal handlers.
 
     Args:
         stop: Begins the stop path.
@@ -30,33 +33,34 @@ class SigtermWatch:
 
     def __init__(self, stop: Callable[[], object]) -> None:
         self._stop = stop
-        self._is_watching = False
-        self._is_terminated = False
+        self._watched: list[signal.Signals] = []
+        self._received: signal.Signals | None = None
 
     def begin(self) -> None:
-        """Take SIGTERM."""
+        """Take the signals."""
         if threading.current_thread() is not threading.main_thread():
             return
-        if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-            return
-        try:
-            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._on_sigterm)
-        except NotImplementedError:
-            return  # event loops of Windows
-        self._is_watching = True
+        for number in _SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_DFL:
+                continue
+            try:
+                asyncio.get_running_loop().add_signal_handler(number, self._on_signal, number)
+            except NotImplementedError:
+                return  # event loops of Windows
+            self._watched.append(number)
 
-    def _on_sigterm(self) -> None:
-        self._is_terminated = True
-        _logger.warning("SIGTERM: stopping the aircraft")
+    def _on_signal(self, number: signal.Signals) -> None:
+        self._received = number
+        _logger.warning("%s: stopping the aircraft", number.name)
         self._stop()
 
     def end(self) -> None:
-        """Let SIGTERM go; one that came meanwhile ends the process now that it is safe."""
-        if self._is_watching:
-            self._is_watching = False
-            asyncio.get_running_loop().remove_signal_handler(signal.SIGTERM)
-            if self._is_terminated:
-                signal.raise_signal(signal.SIGTERM)
+        """Let the signals go; one that came meanwhile ends the process now that it is safe."""
+        for number in self._watched:
+            asyncio.get_running_loop().remove_signal_handler(number)
+        self._watched.clear()
+        if self._received is not None:
+            signal.raise_signal(self._received)
 
 
 async def finish(how: Callable[[], Awaitable[None]]) -> None:

@@ -648,7 +648,7 @@ async def test_sigterm_is_taken_only_for_the_block_and_only_if_nobody_else_has_i
 ) -> None:
     async with rig() as flown:
         before = signal.getsignal(signal.SIGTERM)
-        async with flown.aircraft.control(handle_sigterm=handle):
+        async with flown.aircraft.control(handle_signals=handle):
             during = signal.getsignal(signal.SIGTERM)
         assert (during is not before) is handle
         assert signal.getsignal(signal.SIGTERM) is before is signal.SIG_DFL

@@ -127,11 +127,16 @@ async def test_a_second_sigint_does_not_break_the_stop_path() -> None:
         await flown.assert_hovers()
 
 
-@pytest.mark.parametrize("firmware", ["1.0", "3.1"])
-async def test_sigterm_stops_releases_and_then_ends_by_sigterm(firmware: str) -> None:
+@pytest.mark.parametrize(
+    ("firmware", "number"),
+    [("1.0", signal.SIGTERM), ("3.1", signal.SIGTERM), ("2.3", signal.SIGHUP)],
+)
+async def test_a_signal_stops_releases_and_then_ends_as_it_was_meant(
+    firmware: str, number: signal.Signals
+) -> None:
     async with flight(firmware=firmware) as flown:
-        status = await flown.end(signal.SIGTERM)
-        assert status == -signal.SIGTERM
+        status = await flown.end(number)
+        assert status == -number
         assert set(flown.last_values) == {(0.0, 0.0, 0.0, 0.0)}
         assert flown.virtual.autopilot.authority.device is Device.RC
         await flown.assert_hovers()
