@@ -9,21 +9,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.telemetry import (
-    RECORDS,
-    Acceleration,
-    AngularVelocity,
-    Attitude,
-    Battery,
-    ControlDevice,
-    FlightStatus,
-    Gimbal,
-    Magnetometer,
-    Position,
-    RemoteControl,
-    Time,
-    Velocity,
-)
+from m100link.protocol.telemetry import RECORDS, RecordViews
 from m100link.subscription import Sample
 
 __all__ = ["AircraftState", "ItemStatistics"]
@@ -53,7 +39,7 @@ class ItemStatistics:
     longest_gap_s: float
 
 
-class AircraftState:
+class AircraftState(RecordViews):
     """The newest value of every telemetry item.
 
     An item that never arrived is None, never zero. Every value knows its age.
@@ -121,66 +107,6 @@ class AircraftState:
             jitter_s=sum(abs(gap - mean) for gap in gaps) / len(gaps) if len(gaps) > 1 else None,
             longest_gap_s=self._longest_gaps[index],
         )
-
-    @property
-    def time(self) -> Time | None:
-        """Clock of the aircraft."""
-        return self.get(Time)
-
-    @property
-    def attitude(self) -> Attitude | None:
-        """Attitude."""
-        return self.get(Attitude)
-
-    @property
-    def acceleration(self) -> Acceleration | None:
-        """Linear acceleration."""
-        return self.get(Acceleration)
-
-    @property
-    def velocity(self) -> Velocity | None:
-        """Linear velocity."""
-        return self.get(Velocity)
-
-    @property
-    def angular_velocity(self) -> AngularVelocity | None:
-        """Angular velocity."""
-        return self.get(AngularVelocity)
-
-    @property
-    def position(self) -> Position | None:
-        """Position, altitude, height and GPS health."""
-        return self.get(Position)
-
-    @property
-    def magnetometer(self) -> Magnetometer | None:
-        """Magnetometer."""
-        return self.get(Magnetometer)
-
-    @property
-    def remote_control(self) -> RemoteControl | None:
-        """Channels of the remote controller."""
-        return self.get(RemoteControl)
-
-    @property
-    def gimbal(self) -> Gimbal | None:
-        """Gimbal attitude."""
-        return self.get(Gimbal)
-
-    @property
-    def flight_status(self) -> FlightStatus | None:
-        """Flight status."""
-        return self.get(FlightStatus)
-
-    @property
-    def battery(self) -> Battery | None:
-        """Battery charge."""
-        return self.get(Battery)
-
-    @property
-    def control_device(self) -> ControlDevice | None:
-        """Who controls the aircraft."""
-        return self.get(ControlDevice)
 
     def situation(self) -> dict[str, object]:
         """What explains a refusal, for errors: status, battery, GPS health, mode switch, holder."""

@@ -11,6 +11,7 @@ north-east-down; errata, vertical sign). Body frame: forward, right, down.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum, IntFlag
 from functools import lru_cache
@@ -38,6 +39,7 @@ __all__ = [
     "Position",
     "RcMode",
     "Record",
+    "RecordViews",
     "RemoteControl",
     "TelemetryPacket",
     "Time",
@@ -503,7 +505,77 @@ def fitting_profiles(value: bytes) -> list[str]:
     return [p.name for p in PROFILES.values() if telemetry_size(flags, p) == len(value)]
 
 
-class TelemetryPacket:
+class RecordViews(ABC):
+    """A property per record, for whatever can look one up by its class."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def get(self, record: type[R]) -> R | None:
+        """The record of that class, None when there is none."""
+
+    @property
+    def time(self) -> Time | None:
+        """Clock of the aircraft."""
+        return self.get(Time)
+
+    @property
+    def attitude(self) -> Attitude | None:
+        """Attitude quaternion."""
+        return self.get(Attitude)
+
+    @property
+    def acceleration(self) -> Acceleration | None:
+        """Linear acceleration."""
+        return self.get(Acceleration)
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """Linear velocity."""
+        return self.get(Velocity)
+
+    @property
+    def angular_velocity(self) -> AngularVelocity | None:
+        """Angular velocity."""
+        return self.get(AngularVelocity)
+
+    @property
+    def position(self) -> Position | None:
+        """Position, altitude, height and GPS health."""
+        return self.get(Position)
+
+    @property
+    def magnetometer(self) -> Magnetometer | None:
+        """Magnetometer."""
+        return self.get(Magnetometer)
+
+    @property
+    def remote_control(self) -> RemoteControl | None:
+        """Channels of the remote controller."""
+        return self.get(RemoteControl)
+
+    @property
+    def gimbal(self) -> Gimbal | None:
+        """Gimbal attitude."""
+        return self.get(Gimbal)
+
+    @property
+    def flight_status(self) -> FlightStatus | None:
+        """Flight status."""
+        return self.get(FlightStatus)
+
+    @property
+    def battery(self) -> Battery | None:
+        """Battery charge."""
+        return self.get(Battery)
+
+    @property
+    def control_device(self) -> ControlDevice | None:
+        """Who controls the aircraft."""
+        return self.get(ControlDevice)
+
+
+class TelemetryPacket(RecordViews):
     """One telemetry package. Items are read from the bytes when they are asked for.
 
     Args:
@@ -576,66 +648,6 @@ class TelemetryPacket:
             )
             for index, (offset, unpack, _) in self._plan.items.items()
         }
-
-    @property
-    def time(self) -> Time | None:
-        """Clock of the aircraft."""
-        return self.get(Time)
-
-    @property
-    def attitude(self) -> Attitude | None:
-        """Attitude quaternion."""
-        return self.get(Attitude)
-
-    @property
-    def acceleration(self) -> Acceleration | None:
-        """Linear acceleration."""
-        return self.get(Acceleration)
-
-    @property
-    def velocity(self) -> Velocity | None:
-        """Linear velocity."""
-        return self.get(Velocity)
-
-    @property
-    def angular_velocity(self) -> AngularVelocity | None:
-        """Angular velocity."""
-        return self.get(AngularVelocity)
-
-    @property
-    def position(self) -> Position | None:
-        """Position, altitude, height and GPS health."""
-        return self.get(Position)
-
-    @property
-    def magnetometer(self) -> Magnetometer | None:
-        """Magnetometer."""
-        return self.get(Magnetometer)
-
-    @property
-    def remote_control(self) -> RemoteControl | None:
-        """Channels of the remote controller."""
-        return self.get(RemoteControl)
-
-    @property
-    def gimbal(self) -> Gimbal | None:
-        """Gimbal attitude."""
-        return self.get(Gimbal)
-
-    @property
-    def flight_status(self) -> FlightStatus | None:
-        """Flight status."""
-        return self.get(FlightStatus)
-
-    @property
-    def battery(self) -> Battery | None:
-        """Battery charge."""
-        return self.get(Battery)
-
-    @property
-    def control_device(self) -> ControlDevice | None:
-        """Who controls the aircraft."""
-        return self.get(ControlDevice)
 
     def __repr__(self) -> str:
         return f"TelemetryPacket({', '.join(map(repr, self.records()))})"
