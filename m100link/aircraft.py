@@ -29,7 +29,7 @@ from m100link.protocol.codes import AckCode, ActivationCode
 from m100link.protocol.command import Command, encode_code
 from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfile, profile
 from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
-from m100link.protocol.telemetry import RECORDS
+from m100link.protocol.records import RECORDS
 from m100link.refusals import key_rejected, no_aircraft, system_error
 from m100link.state import AircraftState
 from m100link.subscription import (

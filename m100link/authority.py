@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Callable
 from enum import Enum
 
-from m100link.protocol.telemetry import ControlDevice, Device, RcMode, RemoteControl
+from m100link.protocol.records import ControlDevice, Device, RcMode, RemoteControl
 
 __all__ = ["TRANSITIONS", "Authority", "AuthorityInput", "AuthorityState"]
 

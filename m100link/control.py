@@ -32,8 +32,8 @@ from m100link.handshake import (
 )
 from m100link.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
 from m100link.protocol.control import Move, Task
+from m100link.protocol.records import FlightPhase
 from m100link.protocol.setpoint import Setpoint
-from m100link.protocol.telemetry import FlightPhase
 from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
 from m100link.state import AircraftState
 from m100link.stopping import SignalWatch, finish

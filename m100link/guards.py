@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from m100link.errors import GuardRefused, UsageError
 from m100link.geodesy import LocalFrame
+from m100link.protocol.records import Attitude, Battery, Position
 from m100link.protocol.setpoint import Frame, Horizontal, Setpoint, Vertical
-from m100link.protocol.telemetry import Attitude, Battery, Position
 from m100link.state import AircraftState
 
 __all__ = ["Envelope", "Guards"]

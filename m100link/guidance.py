@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
 from m100link.geodesy import LocalFrame, normalize_degrees
 from m100link.pacing import MAX_RATE_HZ, Ticker
+from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
-from m100link.protocol.telemetry import Attitude, Position, Velocity
 
 if TYPE_CHECKING:
     from m100link.state import AircraftState

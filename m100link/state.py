@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.telemetry import RECORDS, RecordViews
+from m100link.protocol.records import RECORDS, RecordViews
 from m100link.subscription import Sample
 
 __all__ = ["AircraftState", "ItemStatistics"]

@@ -17,7 +17,7 @@ from m100link.errors import (
 )
 from m100link.protocol.codes import TaskResultCode, TaskStartCode
 from m100link.protocol.control import QueryTask, StartTask, Task
-from m100link.protocol.telemetry import FlightPhase
+from m100link.protocol.records import FlightPhase
 
 if TYPE_CHECKING:
     from m100link.authority import Authority

@@ -37,8 +37,9 @@ from m100link.authority import TRANSITIONS
 from m100link.cli.app import app as cli
 from m100link.link.url import EXAMPLES
 from m100link.protocol import codes, firmware, setpoint
+from m100link.protocol.records import RECORDS
 from m100link.protocol.registry import COMMANDS
-from m100link.protocol.telemetry import RECORDS, telemetry_size
+from m100link.protocol.telemetry import telemetry_size
 from m100link.wire import Discard
 
 PROFILES = tuple(firmware.PROFILES.values())

@@ -12,7 +12,7 @@ from rich.table import Table
 from m100link.aircraft import ActivationProgress, Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, print_json, run_async
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.telemetry import RECORDS
+from m100link.protocol.records import RECORDS
 
 __all__ = ["activate", "info"]
 

@@ -25,8 +25,8 @@ from m100link.control import Control
 from m100link.errors import M100Error, NotObserved
 from m100link.geodesy import LocalFrame
 from m100link.link import LinkStatistics
+from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
-from m100link.protocol.telemetry import Position
 from m100link.sim import Driver, PtyPort, VirtualAircraft, loop_factory
 
 __all__ = ["demo"]

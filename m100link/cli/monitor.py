@@ -13,7 +13,7 @@ from rich.table import Table
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import LinkOptions, Url, out, print_json, run_async
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.telemetry import (
+from m100link.protocol.records import (
     RECORDS,
     Acceleration,
     AngularVelocity,

@@ -20,7 +20,7 @@ from m100link.cli.common import ExitCode, LinkOptions, Url, complain, out, print
 from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.telemetry import RECORDS
+from m100link.protocol.records import RECORDS
 from m100link.subscription import Lossless, Sample
 
 __all__ = ["echo", "hz", "plot"]

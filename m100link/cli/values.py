@@ -8,7 +8,7 @@ from typing import Any
 
 from m100link.errors import UsageError
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.telemetry import (
+from m100link.protocol.records import (
     RECORDS,
     AngularVelocity,
     Attitude,

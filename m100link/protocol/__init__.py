@@ -24,9 +24,7 @@ from m100link.protocol.command import Address, Command, Unrecognised, encode_cod
 from m100link.protocol.control import Arm, Move, QueryTask, RequestAuthority, StartTask, Task
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
-from m100link.protocol.registry import parse_command
-from m100link.protocol.setpoint import ControlMode, Frame, Horizontal, Setpoint, Vertical, Yaw
-from m100link.protocol.telemetry import (
+from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
     Attitude,
@@ -40,11 +38,12 @@ from m100link.protocol.telemetry import (
     Position,
     RcMode,
     RemoteControl,
-    TelemetryPacket,
     Time,
     Velocity,
-    encode_telemetry,
 )
+from m100link.protocol.registry import parse_command
+from m100link.protocol.setpoint import ControlMode, Frame, Horizontal, Setpoint, Vertical, Yaw
+from m100link.protocol.telemetry import TelemetryPacket, encode_telemetry
 
 __all__ = [
     "PROFILES",

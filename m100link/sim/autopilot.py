@@ -24,7 +24,7 @@ from m100link.protocol.command import encode_code
 from m100link.protocol.control import Move
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.protocol.monitor import AuthorityChanged, FromMobile
-from m100link.protocol.telemetry import Device, RcMode
+from m100link.protocol.records import Device, RcMode
 from m100link.session import Endpoint, Received
 from m100link.sim.activation import Activation
 from m100link.sim.authority import Authority

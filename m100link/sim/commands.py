@@ -23,8 +23,8 @@ from m100link.protocol.codes import (
 )
 from m100link.protocol.command import Address, Command, encode_code
 from m100link.protocol.control import Arm, Move, QueryTask, RequestAuthority, StartTask
+from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
-from m100link.protocol.telemetry import Device
 from m100link.wire.frame import Frame
 
 if TYPE_CHECKING:

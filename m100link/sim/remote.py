@@ -9,7 +9,7 @@ from __future__ import annotations
 from struct import Struct
 from typing import NamedTuple
 
-from m100link.protocol.telemetry import RcMode
+from m100link.protocol.records import RcMode
 
 __all__ = ["GEAR_DOWN", "GEAR_UP", "RemoteControl", "Sticks", "VirtualRemote"]
 

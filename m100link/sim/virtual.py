@@ -12,7 +12,7 @@ from random import Random
 from typing import TYPE_CHECKING, Any
 
 from m100link.protocol.activation import Credentials
-from m100link.protocol.telemetry import RcMode
+from m100link.protocol.records import RcMode
 from m100link.sim.autopilot import Autopilot
 from m100link.sim.faults import NO_FAULTS, Line, LineFaults
 from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY, ActivationServer, MobileApp

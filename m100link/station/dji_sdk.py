@@ -19,8 +19,8 @@ from m100link.aircraft import Aircraft
 from m100link.errors import BadSetpoint, CommandRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.control import Task
+from m100link.protocol.records import Position
 from m100link.protocol.setpoint import ControlMode, Frame, Horizontal, Setpoint, Vertical, Yaw
-from m100link.protocol.telemetry import Position
 from m100link.station.clients import Clients
 from m100link.station.graph import Call, Graph, Topic
 from m100link.station.messages import Message

@@ -39,7 +39,7 @@ from m100link.errors import (
 )
 from m100link.protocol.codes import ActivationCode, AuthorityCode
 from m100link.protocol.control import Task
-from m100link.protocol.telemetry import Battery, FlightStatus
+from m100link.protocol.records import Battery, FlightStatus
 from m100link.station.clients import Clients
 from m100link.station.graph import Graph, Publication
 from m100link.station.lease import LeaseHeld

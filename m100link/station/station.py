@@ -27,8 +27,8 @@ from m100link.errors import (
 from m100link.protocol.activation import Credentials, Version
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.control import Task
+from m100link.protocol.records import RemoteControl
 from m100link.protocol.setpoint import Setpoint
-from m100link.protocol.telemetry import RemoteControl
 from m100link.station.connection import Connect, Connected, Connection
 from m100link.station.lease import Lease, LeaseChange, LeaseDesk
 from m100link.subscription import Newest

@@ -10,7 +10,7 @@ from typing import Any
 
 from m100link import Aircraft, Control, FlightPhase, Setpoint
 from m100link.protocol.control import Move
-from m100link.protocol.telemetry import Device
+from m100link.protocol.records import Device
 from m100link.testing import ConnectableAircraft
 
 FIRMWARES = ("1.0", "2.3", "3.1")

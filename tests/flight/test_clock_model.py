@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from m100link.clock_model import DeviceClock
-from m100link.protocol.telemetry import Time
+from m100link.protocol.records import Time
 from tests.flight.rig import FIRMWARES, rig
 
 TICK_HZ = 600

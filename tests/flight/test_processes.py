@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from m100link import FlightPhase
-from m100link.protocol.telemetry import Device
+from m100link.protocol.records import Device
 from m100link.sim import Driver, PtyPort, VirtualAircraft
 from m100link.sim.mobile import Grant
 from tests.flight.rig import TimedMoves

@@ -15,7 +15,7 @@ from m100link.protocol import (
     Task,
     TelemetryPacket,
 )
-from m100link.protocol.telemetry import Device, FlightPhase
+from m100link.protocol.records import Device, FlightPhase
 from m100link.sim import AircraftSettings, AssistantSettings, VirtualAircraft
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.aircraft import Aircraft
-from m100link.protocol.telemetry import (
+from m100link.protocol.records import (
     AngularVelocity,
     Attitude,
     Battery,

@@ -12,7 +12,7 @@ from nicegui import ui
 
 from m100link.errors import M100Error
 from m100link.protocol.control import Task
-from m100link.protocol.telemetry import Attitude
+from m100link.protocol.records import Attitude
 from m100link.station.console.fields import FIELDS, read
 from m100link.station.console.simpanel import sim_panel
 from m100link.station.console.tab import Tab

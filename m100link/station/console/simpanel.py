@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from m100link.protocol.telemetry import RcMode
+from m100link.protocol.records import RcMode
 from m100link.sim.faults import NO_FAULTS, LineFaults
 
 if TYPE_CHECKING:

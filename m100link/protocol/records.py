@@ -1,0 +1,480 @@
+"""Telemetry records: what each item says, in SI units, degrees and named axes (document 2.2.3.1).
+
+A record's fields are the raw wire values under names that say unit, axis and frame; properties give
+the other views. Ground frame: north, east, up (up is positive although the document's frame is
+north-east-down; errata, vertical sign). Body frame: forward, right, down.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from enum import IntEnum, IntFlag
+from typing import Any, NamedTuple, TypeVar
+
+from m100link.protocol.firmware import ITEM_NAMES
+
+__all__ = [
+    "ALL_ITEMS",
+    "RECORDS",
+    "RECORD_NAMES",
+    "Acceleration",
+    "AngularVelocity",
+    "Attitude",
+    "Battery",
+    "ControlDevice",
+    "Device",
+    "FlightPhase",
+    "FlightStatus",
+    "Gimbal",
+    "ItemFlag",
+    "Magnetometer",
+    "Position",
+    "RcMode",
+    "Record",
+    "RecordViews",
+    "RemoteControl",
+    "Time",
+    "Velocity",
+]
+
+R = TypeVar("R", bound=tuple[Any, ...])
+
+
+class ItemFlag(IntFlag):
+    """Presence bits of the flag word."""
+
+    TIME = 1 << 0
+    QUATERNION = 1 << 1
+    ACCELERATION = 1 << 2
+    VELOCITY = 1 << 3
+    ANGULAR_VELOCITY = 1 << 4
+    POSITION = 1 << 5
+    MAGNETOMETER = 1 << 6
+    RC = 1 << 7
+    GIMBAL = 1 << 8
+    FLIGHT_STATUS = 1 << 9
+    BATTERY = 1 << 10
+    CONTROL_DEVICE = 1 << 11
+
+
+ALL_ITEMS = (1 << len(ITEM_NAMES)) - 1
+
+
+class Time(NamedTuple):
+    """Clock of the aircraft.
+
+    Attributes:
+        tick: Counter since power-on, wraps at 2³².
+        nanoseconds: Nanosecond field of firmware 3.1; its relation to the tick is undocumented.
+        sync: Sync flag of firmware 3.1; the Matrice 100 has no sync output.
+        tick_hz: Ticks per second, 600 or 400 by firmware.
+    """
+
+    tick: int
+    nanoseconds: int | None
+    sync: int | None
+    tick_hz: int
+
+    @property
+    def seconds(self) -> float:
+        """The tick in seconds since power-on (modulo the wrap, 82 or 124 days)."""
+        return self.tick / self.tick_hz
+
+
+class Attitude(NamedTuple):
+    """Attitude as a unit quaternion from ground (north-east-down) to body (forward-right-down).
+
+    Attributes:
+        q0: Scalar part. Level and facing north is (1, 0, 0, 0).
+        q1: Forward axis.
+        q2: Right axis.
+        q3: Down axis.
+    """
+
+    q0: float
+    q1: float
+    q2: float
+    q3: float
+
+    @property
+    def roll_deg(self) -> float:
+        """Roll, positive right side down, −180 to 180."""
+        q0, q1, q2, q3 = self
+        return math.degrees(math.atan2(2 * (q0 * q1 + q2 * q3), 1 - 2 * (q1 * q1 + q2 * q2)))
+
+    @property
+    def pitch_deg(self) -> float:
+        """Pitch, positive nose up, −90 to 90."""
+        q0, q1, q2, q3 = self
+        return math.degrees(math.asin(max(-1.0, min(1.0, 2 * (q0 * q2 - q1 * q3)))))
+
+    @property
+    def yaw_deg(self) -> float:
+        """Heading, 0 north, 90 east, −180 to 180."""
+        q0, q1, q2, q3 = self
+        return math.degrees(math.atan2(2 * (q0 * q3 + q1 * q2), 1 - 2 * (q2 * q2 + q3 * q3)))
+
+    @property
+    def wxyz(self) -> tuple[float, float, float, float]:
+        """Scalar first, as on the wire."""
+        return tuple(self)  # type: ignore[return-value]  # a NamedTuple of four floats
+
+    @property
+    def xyzw(self) -> tuple[float, float, float, float]:
+        """Scalar last, the order of ROS and scipy; same rotation, same frames."""
+        return (self.q1, self.q2, self.q3, self.q0)
+
+    @property
+    def enu_flu_xyzw(self) -> tuple[float, float, float, float]:
+        """The attitude for ROS (REP 103): from body forward-left-up to ground east-north-up."""
+        q0, q1, q2, q3 = self
+        h = math.sqrt(0.5)
+        return ((q1 + q2) * h, (q1 - q2) * h, (q0 - q3) * h, (q0 + q3) * h)
+
+
+class _GroundVector:
+    """Other views of a ground-frame vector whose first three fields are north, east, up."""
+
+    __slots__ = ()
+
+    @property
+    def ned(self) -> tuple[float, float, float]:
+        """North, east, down."""
+        north, east, up = self[:3]  # type: ignore[index]  # mixed into NamedTuples only
+        return (north, east, -up)
+
+    @property
+    def enu(self) -> tuple[float, float, float]:
+        """East, north, up."""
+        north, east, up = self[:3]  # type: ignore[index]  # mixed into NamedTuples only
+        return (east, north, up)
+
+
+class _AccelerationFields(NamedTuple):
+    north_m_s2: float
+    east_m_s2: float
+    up_m_s2: float
+
+
+class Acceleration(_AccelerationFields, _GroundVector):
+    """Linear acceleration, ground frame, m/s² (the assistant can switch it to raw, errata 44)."""
+
+    __slots__ = ()
+
+
+class _VelocityFields(NamedTuple):
+    north_m_s: float
+    east_m_s: float
+    up_m_s: float
+    status: int | None
+
+
+class Velocity(_VelocityFields, _GroundVector):
+    """Linear velocity, ground frame, m/s.
+
+    ``status`` is the status byte of firmware 2.3 and 3.1, None before.
+    """
+
+    __slots__ = ()
+
+    @property
+    def is_valid(self) -> bool | None:
+        """Whether the aircraft trusts the value; None where the firmware does not say."""
+        return None if self.status is None else bool(self.status & 1)
+
+    @property
+    def sensor(self) -> int | None:
+        """Source of the value in firmware 2.3: 3 GPS, 4 monocular, 5 stereo."""
+        return None if self.status is None else self.status >> 1 & 0x0F
+
+    @property
+    def ground_speed_m_s(self) -> float:
+        """Horizontal speed."""
+        return math.hypot(self.north_m_s, self.east_m_s)
+
+
+class AngularVelocity(NamedTuple):
+    """Angular velocity about the body axes, rad/s (errata 43), right-handed."""
+
+    forward_rad_s: float
+    right_rad_s: float
+    down_rad_s: float
+
+    @property
+    def roll_rate_deg_s(self) -> float:
+        """About the forward axis, positive right side down."""
+        return math.degrees(self.forward_rad_s)
+
+    @property
+    def pitch_rate_deg_s(self) -> float:
+        """About the right axis, positive nose up."""
+        return math.degrees(self.right_rad_s)
+
+    @property
+    def yaw_rate_deg_s(self) -> float:
+        """About the down axis, positive clockwise from above."""
+        return math.degrees(self.down_rad_s)
+
+
+class Position(NamedTuple):
+    """Position by GPS and barometer.
+
+    Attributes:
+        latitude_rad: WGS 84 latitude, as on the wire.
+        longitude_rad: WGS 84 longitude, as on the wire.
+        altitude_m: Barometric altitude.
+        height_m: Height above the take-off point; meaningless before the first take-off.
+        gps_health: 0 to 5; from 3 on good enough for position control. None under
+            ``1.0-document``, whose table has no such byte.
+    """
+
+    latitude_rad: float
+    longitude_rad: float
+    altitude_m: float
+    height_m: float
+    gps_health: int | None
+
+    @property
+    def latitude_deg(self) -> float:
+        """Latitude in degrees, north positive."""
+        return math.degrees(self.latitude_rad)
+
+    @property
+    def longitude_deg(self) -> float:
+        """Longitude in degrees, east positive."""
+        return math.degrees(self.longitude_rad)
+
+
+class Magnetometer(NamedTuple):
+    """Magnetometer, raw numbers; a magnitude of 1000 to 2000 is normal."""
+
+    x: float
+    y: float
+    z: float
+
+
+class RcMode(IntEnum):
+    """Mode switch of the remote controller, by its telemetry value."""
+
+    P = -8000
+    A = 0
+    F = 8000
+
+
+class RemoteControl(NamedTuple):
+    """Channels of the remote controller, raw.
+
+    Sticks run from −10000 (left, down) to 10000 (right, up). ``gear`` is −10000 up, −4545 down;
+    None under ``1.0-document``.
+    """
+
+    roll: int
+    pitch: int
+    yaw: int
+    throttle: int
+    mode: int
+    gear: int | None
+
+    @property
+    def mode_switch(self) -> RcMode:
+        """The nearest position of the mode switch."""
+        if self.mode > RcMode.F // 2:
+            return RcMode.F
+        return RcMode.A if self.mode >= RcMode.P // 2 else RcMode.P
+
+    @property
+    def is_in_f(self) -> bool:
+        """Whether the mode switch stands in F, the position that allows API control."""
+        return self.mode_switch is RcMode.F
+
+
+class Gimbal(NamedTuple):
+    """Gimbal attitude, ground frame; roll and yaw are unreliable near pitch −90.
+
+    ``limits`` (firmware 3.1): bit 0 pitch, 1 roll, 2 yaw at its stop.
+    """
+
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+    limits: int | None
+
+
+class FlightPhase(IntEnum):
+    """Values of the flight status item; the document has the item but not its values."""
+
+    STANDBY = 1
+    TAKING_OFF = 2
+    IN_AIR = 3
+    LANDING = 4
+    FINISHING_LANDING = 5
+
+
+class FlightStatus(NamedTuple):
+    """Flight status, raw; ``phase`` gives it a name."""
+
+    status: int
+
+    @property
+    def phase(self) -> FlightPhase | None:
+        """The phase, None for a number that no source lists."""
+        try:
+            return FlightPhase(self.status)
+        except ValueError:
+            return None
+
+    @property
+    def is_airborne(self) -> bool:
+        """Off the ground: in the air or landing."""
+        return self.status in (FlightPhase.IN_AIR, FlightPhase.LANDING)
+
+
+class Battery(NamedTuple):
+    """Battery charge."""
+
+    percent: int
+
+
+class Device(IntEnum):
+    """Who controls the aircraft."""
+
+    RC = 0
+    APP = 1
+    ONBOARD = 2
+
+
+class ControlDevice(NamedTuple):
+    """Who controls the aircraft (CTRL_DEVICE).
+
+    Attributes:
+        control: Raw byte: a number in firmware 1.0, bit fields later (errata 47).
+        mode: Present control mode of firmware 3.1 (0 none, 1 to 14 as the setpoints), else None.
+    """
+
+    control: int
+    mode: int | None
+
+    @property
+    def device(self) -> Device | None:
+        """The device, None for a number that no source lists."""
+        try:
+            return Device(self.control & 0x07)
+        except ValueError:
+            return None
+
+    @property
+    def is_requested(self) -> bool:
+        """Whether the onboard device has asked for control (firmware 2.3 and 3.1)."""
+        return bool(self.control & 0x08)
+
+    @property
+    def is_virtual_rc(self) -> bool:
+        """Whether the virtual remote controller is on (firmware 3.1)."""
+        return bool(self.control & 0x10)
+
+
+Record = (
+    Time
+    | Attitude
+    | Acceleration
+    | Velocity
+    | AngularVelocity
+    | Position
+    | Magnetometer
+    | RemoteControl
+    | Gimbal
+    | FlightStatus
+    | Battery
+    | ControlDevice
+)
+"""Any telemetry record."""
+
+RECORDS: tuple[type[Any], ...] = (
+    Time,
+    Attitude,
+    Acceleration,
+    Velocity,
+    AngularVelocity,
+    Position,
+    Magnetometer,
+    RemoteControl,
+    Gimbal,
+    FlightStatus,
+    Battery,
+    ControlDevice,
+)
+"""Record class per item, in the order of the flag bits."""
+
+RECORD_NAMES: dict[type[Any], str] = dict(zip(RECORDS, ITEM_NAMES, strict=True))
+"""Item name per record class."""
+
+
+class RecordViews(ABC):
+    """A property per record, for whatever can look one up by its class."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def get(self, record: type[R]) -> R | None:
+        """The record of that class, None when there is none."""
+
+    @property
+    def time(self) -> Time | None:
+        """Clock of the aircraft."""
+        return self.get(Time)
+
+    @property
+    def attitude(self) -> Attitude | None:
+        """Attitude quaternion."""
+        return self.get(Attitude)
+
+    @property
+    def acceleration(self) -> Acceleration | None:
+        """Linear acceleration."""
+        return self.get(Acceleration)
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """Linear velocity."""
+        return self.get(Velocity)
+
+    @property
+    def angular_velocity(self) -> AngularVelocity | None:
+        """Angular velocity."""
+        return self.get(AngularVelocity)
+
+    @property
+    def position(self) -> Position | None:
+        """Position, altitude, height and GPS health."""
+        return self.get(Position)
+
+    @property
+    def magnetometer(self) -> Magnetometer | None:
+        """Magnetometer."""
+        return self.get(Magnetometer)
+
+    @property
+    def remote_control(self) -> RemoteControl | None:
+        """Channels of the remote controller."""
+        return self.get(RemoteControl)
+
+    @property
+    def gimbal(self) -> Gimbal | None:
+        """Gimbal attitude."""
+        return self.get(Gimbal)
+
+    @property
+    def flight_status(self) -> FlightStatus | None:
+        """Flight status."""
+        return self.get(FlightStatus)
+
+    @property
+    def battery(self) -> Battery | None:
+        """Battery charge."""
+        return self.get(Battery)
+
+    @property
+    def control_device(self) -> ControlDevice | None:
+        """Who controls the aircraft."""
+        return self.get(ControlDevice)
