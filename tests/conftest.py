@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
 
 from hypothesis import HealthCheck, settings
 
 pytest_plugins = ["m100link.testing"]  # what users load, the suite loads, too
+
+# What starts the suite in the background may have it ignore signals, and programs that tests start
+# would inherit that. These are the dispositions of a program that a person starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for _number in (signal.SIGTERM, signal.SIGHUP):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, signal.SIG_DFL)
 
 # Time limits per example say more about the machine than about the code.
 _COMMON = settings(

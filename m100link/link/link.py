@@ -268,7 +268,8 @@ class Link(asyncio.Protocol):
         self.last_received_at = now
         self._endpoint.receive_data(data, now)
         self._dispatch(now)
-        self._flush()
+        if self._endpoint.has_output:  # rarely: most of what arrives is telemetry
+            self._flush()
 
     def pause_writing(self) -> None:
         """The other end does not drain."""

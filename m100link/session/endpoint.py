@@ -94,6 +94,11 @@ class Endpoint:
         while (expired := self.sender.next_event()) is not None:
             yield expired
 
+    @property
+    def has_output(self) -> bool:
+        """Whether :meth:`output` has frames."""
+        return bool(self._pushed) or self.sender.has_output or self.receiver.has_output
+
     def output(self) -> Iterator[bytes]:
         """Take the frames to write: acks first, then requests, then pushes."""
         for source in (self.receiver.next_output, self.sender.next_output):

@@ -112,6 +112,11 @@ class Receiver:
         """Lose all memory, as at power-on."""
         self._memories.clear()
 
+    @property
+    def has_output(self) -> bool:
+        """Whether there are bytes to write."""
+        return bool(self._output)
+
     def next_output(self) -> bytes | None:
         """The next bytes to write, oldest first."""
         return self._output.popleft() if self._output else None

@@ -196,6 +196,11 @@ class Sender:
         return self._output.popleft() if self._output else None
 
     @property
+    def has_output(self) -> bool:
+        """Whether there are bytes to write."""
+        return bool(self._output)
+
+    @property
     def busy_sessions(self) -> int:
         """How many of the sessions 2 to 31 are taken."""
         return len(RELIABLE_SESSIONS) - len(self._free)

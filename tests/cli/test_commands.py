@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import math
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -62,19 +64,34 @@ def test_demo_shows_a_summary_and_pictures_to_people() -> None:
 
 
 def test_demo_that_is_interrupted_ends_with_130() -> None:
+    master, slave = pty.openpty()
     running = subprocess.Popen(
-        [sys.executable, "-m", "m100link", "demo"],
-        stdout=subprocess.PIPE,
+        [sys.executable, "-m", "m100link", "demo", "--speed", "4"],
+        stdout=slave,
         stderr=subprocess.PIPE,
-        text=True,
+        env=os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"},
         cwd=ROOT,
     )
-    time.sleep(2.5)
+    os.close(slave)
+    shown = b""
+    while "✓  take off".encode() not in _plain(shown):
+        shown += os.read(master, 65_536)
     running.send_signal(signal.SIGINT)
-    _, err = running.communicate(timeout=20)
-    assert running.returncode == 130
+    with contextlib.suppress(OSError):  # what a terminal says when its program has ended
+        while os.read(master, 65_536):
+            pass
+    os.close(master)
+    assert running.wait(timeout=30) == 130
+    assert running.stderr is not None
+    err = running.stderr.read().decode()
+    running.stderr.close()
     assert "interrupted" in err
     assert "Traceback" not in err
+
+
+def _plain(shown: bytes) -> bytes:
+    """Output of a terminal without its escape sequences."""
+    return re.sub(rb"\x1b\[[0-9;?]*[A-Za-z]", b"", shown)
 
 
 def test_demo_on_a_terminal_shows_live_progress() -> None:
