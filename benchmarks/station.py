@@ -190,13 +190,13 @@ async def both(
 async def take_off(client: ClientConnection, line: Line) -> None:
     flight = line.aircraft.autopilot
     await publish(client, "/sdk_request_activation", "std_msgs/Float32", data=1)
-    while flight.activation.active is None:  # noqa: ASYNC110
+    while flight.activation.active is None:  # noqa: ASYNC110 - the virtual aircraft has no events
         await asyncio.sleep(0.05)
     await asyncio.sleep(0.5)
     await publish(client, "/nav_open_close_request", "std_msgs/Float32", data=1)
     await asyncio.sleep(1.0)
     await publish(client, "/sdk_request_cmd", "std_msgs/Float32", data=4)
-    while line.aircraft.height < 1.0:  # noqa: ASYNC110
+    while line.aircraft.height < 1.0:  # noqa: ASYNC110 - nor here
         await asyncio.sleep(0.05)
     await asyncio.sleep(3.0)
     await publish(client, "/sdk_request_ctrl", "geometry_msgs/Quaternion", x=0.0)

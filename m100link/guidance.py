@@ -163,7 +163,11 @@ def _target(
         frame = LocalFrame(here.latitude_deg, here.longitude_deg)
         return (*frame.to_geodetic(north, east), here.height_m + up)
     if None not in absolute and relative == (None, None, None):
-        return absolute  # type: ignore[return-value]  # none of the three is None
+        latitude_deg, longitude_deg, height = absolute
+        assert latitude_deg is not None
+        assert longitude_deg is not None
+        assert height is not None
+        return latitude_deg, longitude_deg, height
     raise UsageError(
         "the target is given neither as an offset nor as a place",
         remedy="give north, east and up, or latitude_deg, longitude_deg and height",

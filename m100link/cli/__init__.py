@@ -10,8 +10,8 @@ __all__ = ["main"]
 def main() -> None:
     """Entry point of the ``m100link`` command."""
     try:
-        import cyclopts  # noqa: F401
-        import rich  # noqa: F401
+        import cyclopts  # noqa: F401 - only whether it is there
+        import rich  # noqa: F401 - only whether it is there
     except ModuleNotFoundError as error:
         sys.stderr.write(
             f"m100link's command line needs {error.name}, which is not installed.\n"

@@ -98,9 +98,8 @@ def _table(aircraft: Aircraft) -> Table:
         f"{aircraft.telemetry_mismatches} packages refused",
         box=None,
     )
-    for title, justify in (("item", "left"), ("value", "left"), ("age", "right"), ("Hz", "right")):
-        table.add_column(title, justify=justify)  # type: ignore[arg-type]  # two of its literals
-    table.add_column("jitter", justify="right")
+    for title in ("item", "value", "age", "Hz", "jitter"):
+        table.add_column(title, justify="left" if title in ("item", "value") else "right")
     table.columns[1].min_width = 56
     for name, record in zip(ITEM_NAMES, RECORDS, strict=True):
         value, age = aircraft.state.get(record), aircraft.state.age(record)

@@ -12,7 +12,7 @@ import termios
 import tty
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import cyclopts
 from cyclopts import Parameter
@@ -43,7 +43,7 @@ app = cyclopts.App(
 )
 
 Firmware = Literal["1.0", "2.3", "3.1", "1.0-document"]
-assert set(Firmware.__args__) == set(PROFILES)  # type: ignore[attr-defined]
+assert set(get_args(Firmware)) == set(PROFILES)
 
 
 @Parameter(name="*", group="Line faults")

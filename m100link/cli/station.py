@@ -139,10 +139,10 @@ def _run(
     if options.show_config:
         return _show(settings)
     try:
-        import cbor2  # noqa: F401
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-        import websockets  # noqa: F401
+        import cbor2  # noqa: F401 - only whether it is there
+        import starlette  # noqa: F401 - only whether it is there
+        import uvicorn  # noqa: F401 - only whether it is there
+        import websockets  # noqa: F401 - only whether it is there
     except ModuleNotFoundError as error:
         raise UsageError(
             f"the ground station needs {error.name}, which is not installed",

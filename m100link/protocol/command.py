@@ -99,7 +99,8 @@ class Unrecognised:
 def field_names(command: Command) -> list[str]:
     """Names of the fields of a command, which is a dataclass."""
     # ``__dataclass_fields__`` would name the class variables, too.
-    return [field.name for field in dataclasses.fields(command)]  # type: ignore[arg-type]
+    fields = dataclasses.fields(command)  # type: ignore[arg-type]  # the subclasses are dataclasses
+    return [field.name for field in fields]
 
 
 def plain(value: Any) -> Any:

@@ -332,9 +332,9 @@ class Session:
     def status(self, level: str, text: str, identity: object = None) -> None:
         """Tell the client something, if it wants to hear of this level."""
         if _LEVELS.index(level) <= self._level:
-            message = {"op": "status", "level": level, "msg": text}
+            message: dict[str, object] = {"op": "status", "level": level, "msg": text}
             if identity is not None:
-                message["id"] = identity  # type: ignore[assignment]  # a string or a number
+                message["id"] = identity
             self._answer(json.dumps(message))
 
     def respond(self, call: Call, values: str, result: bool) -> None:

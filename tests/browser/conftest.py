@@ -15,7 +15,7 @@ import pytest
 
 playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
 pytest.importorskip("nicegui", reason="the extra `station` is not installed")
-from websockets.asyncio.client import ClientConnection, connect  # noqa: E402
+from websockets.asyncio.client import ClientConnection, connect  # noqa: E402 - after the skips
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
 ARGUMENTS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
