@@ -24,11 +24,17 @@ from m100link.errors import (
 )
 from m100link.guards import Guards
 from m100link.link import Link, LinkStatistics, open_link
-from m100link.protocol.activation import Activate, Credentials, GetVersion, SendToMobile, Version
 from m100link.protocol.codes import AckCode, ActivationCode
 from m100link.protocol.command import Command, encode_code
+from m100link.protocol.commands.activation import (
+    Activate,
+    Credentials,
+    GetVersion,
+    SendToMobile,
+    Version,
+)
+from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
 from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfile, profile
-from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
 from m100link.protocol.records import RECORDS
 from m100link.refusals import key_rejected, no_aircraft, system_error
 from m100link.state import AircraftState

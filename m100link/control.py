@@ -31,7 +31,7 @@ from m100link.handshake import (
     release_authority,
 )
 from m100link.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
-from m100link.protocol.control import Move, Task
+from m100link.protocol.commands.control import Move, Task
 from m100link.protocol.records import FlightPhase
 from m100link.protocol.setpoint import Setpoint
 from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from m100link.authority import AuthorityInput, AuthorityState
 from m100link.errors import AckTimeout, AuthorityLost, AuthorityRefused, M100Error
 from m100link.protocol.codes import AuthorityCode
-from m100link.protocol.control import RequestAuthority
+from m100link.protocol.commands.control import RequestAuthority
 
 if TYPE_CHECKING:
     from m100link.tasks import Commander

@@ -15,7 +15,7 @@ from typing import Any, Generic, Self, TypeVar
 
 from m100link.errors import M100Error, TelemetryOverflow, UsageError
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.telemetry import TelemetryPacket
+from m100link.protocol.packet import TelemetryPacket
 
 __all__ = [
     "Latest",

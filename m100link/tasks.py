@@ -16,7 +16,7 @@ from m100link.errors import (
     TaskRefused,
 )
 from m100link.protocol.codes import TaskResultCode, TaskStartCode
-from m100link.protocol.control import QueryTask, StartTask, Task
+from m100link.protocol.commands.control import QueryTask, StartTask, Task
 from m100link.protocol.records import FlightPhase
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 Each directive takes its rows from one object of the package::
 
     ```{ack-codes} ActivationCode         an enum in m100link.protocol.codes
-    ```{command-table}                    m100link.protocol.registry.COMMANDS
+    ```{command-table}                    m100link.protocol.commands.registry.COMMANDS
     ```{profile-table}                    m100link.protocol.firmware.PROFILES
     ```{item-table}                       sizes of the telemetry items per profile
     ```{item-fields} 3.1                  fields of the telemetry items under one profile
@@ -37,9 +37,9 @@ from m100link.authority import TRANSITIONS
 from m100link.cli.app import app as cli
 from m100link.link.url import EXAMPLES
 from m100link.protocol import codes, firmware, setpoint
+from m100link.protocol.commands.registry import COMMANDS
+from m100link.protocol.packet import telemetry_size
 from m100link.protocol.records import RECORDS
-from m100link.protocol.registry import COMMANDS
-from m100link.protocol.telemetry import telemetry_size
 from m100link.wire import Discard
 
 PROFILES = tuple(firmware.PROFILES.values())

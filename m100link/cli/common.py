@@ -18,7 +18,7 @@ from rich.console import Console
 
 from m100link import errors
 from m100link.errors import UsageError
-from m100link.protocol.activation import Credentials
+from m100link.protocol.commands.activation import Credentials
 from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
 
 __all__ = [

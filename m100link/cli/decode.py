@@ -12,11 +12,11 @@ from rich.table import Table
 
 from m100link.cli.common import ExitCode, complain, out, print_json
 from m100link.errors import BadAck, M100Error, UsageError
-from m100link.protocol.activation import Version
 from m100link.protocol.command import Command, Unrecognised, plain
+from m100link.protocol.commands.activation import Version
+from m100link.protocol.commands.registry import COMMANDS, parse_command
 from m100link.protocol.firmware import FirmwareProfile, profile
-from m100link.protocol.registry import COMMANDS, parse_command
-from m100link.protocol.telemetry import fitting_profiles
+from m100link.protocol.packet import fitting_profiles
 from m100link.wire import Cipher, Frame, FrameDecoder
 
 __all__ = ["decode", "decode_stream"]

@@ -16,7 +16,7 @@ from m100link.errors import UsageError
 from m100link.guards import Envelope, Guards
 from m100link.guidance import GuidanceProgress
 from m100link.handshake import release_authority
-from m100link.protocol.activation import Credentials
+from m100link.protocol.commands.activation import Credentials
 from m100link.tasks import TaskProgress, describe_situation
 
 __all__ = ["fly", "home", "land", "release", "takeoff"]

@@ -1,13 +1,5 @@
 """What the data bytes mean: command sets, setpoints, telemetry, firmware profiles."""
 
-from m100link.protocol.activation import (
-    Activate,
-    Credentials,
-    GetVersion,
-    SendToMobile,
-    SetTelemetryRates,
-    Version,
-)
 from m100link.protocol.codes import (
     AckCode,
     ActivationCode,
@@ -21,9 +13,26 @@ from m100link.protocol.codes import (
     VersionCode,
 )
 from m100link.protocol.command import Address, Command, Unrecognised, encode_code
-from m100link.protocol.control import Arm, Move, QueryTask, RequestAuthority, StartTask, Task
+from m100link.protocol.commands.activation import (
+    Activate,
+    Credentials,
+    GetVersion,
+    SendToMobile,
+    SetTelemetryRates,
+    Version,
+)
+from m100link.protocol.commands.control import (
+    Arm,
+    Move,
+    QueryTask,
+    RequestAuthority,
+    StartTask,
+    Task,
+)
+from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
+from m100link.protocol.commands.registry import parse_command
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
-from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
+from m100link.protocol.packet import TelemetryPacket, encode_telemetry
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -41,9 +50,7 @@ from m100link.protocol.records import (
     Time,
     Velocity,
 )
-from m100link.protocol.registry import parse_command
 from m100link.protocol.setpoint import ControlMode, Frame, Horizontal, Setpoint, Vertical, Yaw
-from m100link.protocol.telemetry import TelemetryPacket, encode_telemetry
 
 __all__ = [
     "PROFILES",

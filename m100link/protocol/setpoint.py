@@ -24,7 +24,7 @@ from enum import Enum, IntEnum
 from typing import ClassVar, NamedTuple, Self
 
 from m100link.errors import BadSetpoint
-from m100link.protocol.control import Move
+from m100link.protocol.commands.control import Move
 from m100link.protocol.firmware import FirmwareProfile, FlagBit0
 
 __all__ = ["LIMITS", "ControlMode", "Frame", "Horizontal", "Setpoint", "Vertical", "Yaw"]

@@ -18,12 +18,12 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from m100link.protocol.activation import Activate, Version
 from m100link.protocol.codes import ActivationCode, AuthorityCode, SystemCode, VersionCode
 from m100link.protocol.command import encode_code
-from m100link.protocol.control import Move
+from m100link.protocol.commands.activation import Activate, Version
+from m100link.protocol.commands.control import Move
+from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile, profile
-from m100link.protocol.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.records import Device, RcMode
 from m100link.session import Endpoint, Received
 from m100link.sim.activation import Activation

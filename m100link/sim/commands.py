@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from m100link.errors import BadSetpoint
-from m100link.protocol.activation import Activate, GetVersion, SendToMobile, SetTelemetryRates
 from m100link.protocol.codes import (
     ActivationCode,
     ArmCode,
@@ -22,7 +21,13 @@ from m100link.protocol.codes import (
     VersionCode,
 )
 from m100link.protocol.command import Address, Command, encode_code
-from m100link.protocol.control import Arm, Move, QueryTask, RequestAuthority, StartTask
+from m100link.protocol.commands.activation import (
+    Activate,
+    GetVersion,
+    SendToMobile,
+    SetTelemetryRates,
+)
+from m100link.protocol.commands.control import Arm, Move, QueryTask, RequestAuthority, StartTask
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
 from m100link.wire.frame import Frame

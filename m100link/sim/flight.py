@@ -13,7 +13,7 @@ from math import radians
 
 from m100link.protocol import setpoint as wire
 from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
-from m100link.protocol.control import Task
+from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Device, FlightPhase, RcMode
 from m100link.sim.dynamics import STEP_S, Dynamics, Guidance, Horizontal, Vertical, Yaw
 from m100link.sim.remote import RemoteControl, Sticks

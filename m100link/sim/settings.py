@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
-from m100link.protocol.activation import RATES_HZ
+from m100link.protocol.commands.activation import RATES_HZ
 from m100link.protocol.firmware import ITEM_NAMES
 from m100link.sim.dynamics import Airframe
 

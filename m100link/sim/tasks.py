@@ -15,7 +15,7 @@ from __future__ import annotations
 from enum import Enum
 
 from m100link.protocol.codes import TaskResultCode, TaskStartCode
-from m100link.protocol.control import Task
+from m100link.protocol.commands.control import Task
 
 __all__ = ["TaskMachine", "TaskState"]
 

@@ -17,8 +17,8 @@ from struct import Struct
 from typing import ClassVar, Protocol
 
 from m100link.geodesy import LocalFrame
+from m100link.protocol.commands.monitor import PushTelemetry
 from m100link.protocol.firmware import ITEM_NAMES, FirmwareProfile, ItemLayout
-from m100link.protocol.monitor import PushTelemetry
 from m100link.protocol.records import Device
 from m100link.sim.authority import Authority
 from m100link.sim.flight import GOOD_GPS, FlightController

@@ -11,7 +11,7 @@ from dataclasses import replace
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-from m100link.protocol.activation import Credentials
+from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.records import RcMode
 from m100link.sim.autopilot import Autopilot
 from m100link.sim.faults import NO_FAULTS, Line, LineFaults

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link.errors import UsageError
-from m100link.protocol.activation import Credentials
+from m100link.protocol.commands.activation import Credentials
 from m100link.station.gate import is_loopback
 from m100link.station.launch import read_launch
 

@@ -8,7 +8,7 @@ from enum import Enum
 
 from m100link.aircraft import Aircraft
 from m100link.errors import LinkError, M100Error
-from m100link.protocol.activation import Credentials
+from m100link.protocol.commands.activation import Credentials
 from m100link.station.journal import Journal
 
 __all__ = ["Connect", "Connected", "Connection"]

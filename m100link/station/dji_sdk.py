@@ -18,7 +18,7 @@ from typing import Any
 from m100link.aircraft import Aircraft
 from m100link.errors import BadSetpoint, CommandRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.protocol.control import Task
+from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import ControlMode, Frame, Horizontal, Setpoint, Vertical, Yaw
 from m100link.station.clients import Clients

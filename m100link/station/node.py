@@ -38,7 +38,7 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.protocol.codes import ActivationCode, AuthorityCode
-from m100link.protocol.control import Task
+from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Battery, FlightStatus
 from m100link.station.clients import Clients
 from m100link.station.graph import Graph, Publication

@@ -9,7 +9,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 
 from m100link.errors import UsageError
-from m100link.protocol.activation import Credentials
+from m100link.protocol.commands.activation import Credentials
 from m100link.sim.serve import Driver
 from m100link.sim.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft

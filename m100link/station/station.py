@@ -24,9 +24,9 @@ from m100link.errors import (
     TaskRefused,
     UsageError,
 )
-from m100link.protocol.activation import Credentials, Version
 from m100link.protocol.codes import ActivationCode
-from m100link.protocol.control import Task
+from m100link.protocol.commands.activation import Credentials, Version
+from m100link.protocol.commands.control import Task
 from m100link.protocol.records import RemoteControl
 from m100link.protocol.setpoint import Setpoint
 from m100link.station.connection import Connect, Connected, Connection

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from m100link import Aircraft, Control, FlightPhase, Setpoint
-from m100link.protocol.control import Move
+from m100link.protocol.commands.control import Move
 from m100link.protocol.records import Device
 from m100link.testing import ConnectableAircraft
 

@@ -33,9 +33,9 @@ from m100link import (
 )
 from m100link.errors import M100Error
 from m100link.link import Link, connect_in_memory
-from m100link.protocol.activation import Activate, GetVersion
 from m100link.protocol.command import encode_code
-from m100link.protocol.control import Arm, RequestAuthority
+from m100link.protocol.commands.activation import Activate, GetVersion
+from m100link.protocol.commands.control import Arm, RequestAuthority
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim import AircraftSettings, LineFaults
 from m100link.sim.settings import Undecodable

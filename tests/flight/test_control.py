@@ -18,7 +18,7 @@ from m100link import (
     Tick,
     UsageError,
 )
-from m100link.protocol.control import Move
+from m100link.protocol.commands.control import Move
 from m100link.sim import VirtualClockEventLoop
 from tests.flight.rig import NORTH, STILL, Rig, rig
 

@@ -35,8 +35,8 @@ from m100link.protocol import (
     parse_command,
     profile,
 )
+from m100link.protocol.commands.registry import COMMANDS, address_of
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.registry import COMMANDS, address_of
 
 FIRMWARE = profile("3.1")
 FIRMWARES = st.sampled_from(list(PROFILES.values()))

@@ -13,7 +13,7 @@ from geographiclib.geodesic import Geodesic
 
 from m100link.protocol import PROFILES, Setpoint, SetTelemetryRates, TelemetryPacket
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.telemetry import encode_telemetry
+from m100link.protocol.packet import encode_telemetry
 from m100link.sim import DEFAULT_RATES_HZ, AssistantSettings, VirtualAircraft
 from m100link.sim.autopilot import Autopilot
 from m100link.sim.telemetry import is_telemetry

@@ -7,7 +7,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.protocol.control import StartTask
+from m100link.protocol.commands.control import StartTask
 from m100link.sim.mobile import MobileApp
 from m100link.station.node import PRESS_LIFETIME, REPEAT_LIFETIME
 from m100link.station.station import Connection

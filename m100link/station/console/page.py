@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from nicegui import ui
 
 from m100link.errors import M100Error
-from m100link.protocol.control import Task
+from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude
 from m100link.station.console.fields import FIELDS, read
 from m100link.station.console.simpanel import sim_panel

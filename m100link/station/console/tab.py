@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from m100link.errors import M100Error
-from m100link.protocol.control import Task
+from m100link.protocol.commands.control import Task
 from m100link.station.lease import Lease, TakeOver
 from m100link.station.patterns import pattern
 from m100link.station.station import Station

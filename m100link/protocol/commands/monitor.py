@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from m100link.protocol.activation import MOBILE_DATA_LIMIT, check_mobile_data
 from m100link.protocol.command import Address, Command
+from m100link.protocol.commands.activation import MOBILE_DATA_LIMIT, check_mobile_data
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.telemetry import TelemetryPacket
+from m100link.protocol.packet import TelemetryPacket
 
 __all__ = ["AUTHORITY_LOST", "AuthorityChanged", "FromMobile", "PushTelemetry"]
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from m100link.protocol.activation import Activate, GetVersion, SendToMobile, SetTelemetryRates
 from m100link.protocol.command import Address, Command, Unrecognised
-from m100link.protocol.control import Arm, Move, QueryTask, RequestAuthority, StartTask
+from m100link.protocol.commands.activation import (
+    Activate,
+    GetVersion,
+    SendToMobile,
+    SetTelemetryRates,
+)
+from m100link.protocol.commands.control import Arm, Move, QueryTask, RequestAuthority, StartTask
+from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.monitor import AuthorityChanged, FromMobile, PushTelemetry
 
 __all__ = ["COMMANDS", "address_of", "parse_command"]
 

@@ -34,8 +34,8 @@ from m100link.protocol import (
     profile,
 )
 from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.packet import fitting_profiles, telemetry_size
 from m100link.protocol.records import RECORDS, ItemFlag
-from m100link.protocol.telemetry import fitting_profiles, telemetry_size
 from tests.support import load_vectors
 
 VECTORS = load_vectors("telemetry")

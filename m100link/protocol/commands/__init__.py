@@ -1,0 +1,1 @@
+"""The command sets of the document, a module each."""
