@@ -15,7 +15,6 @@ import logging
 from m100link import errors
 from m100link.aircraft import ActivationProgress, Aircraft, connect
 from m100link.authority import Authority, AuthorityState
-from m100link.clock_model import DeviceClock, HostTime
 from m100link.control import Control, Hold
 from m100link.errors import (
     AckTimeout,
@@ -91,16 +90,11 @@ from m100link.protocol import (
     Version,
 )
 from m100link.session import SessionMode
-from m100link.state import AircraftState, ItemStatistics
-from m100link.subscription import (
-    Latest,
-    Lossless,
-    Newest,
-    Policy,
-    Sample,
-    Subscription,
-)
 from m100link.tasks import TaskProgress
+from m100link.telemetry.device_clock import DeviceClock, HostTime
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState, ItemStatistics
+from m100link.telemetry.subscription import Latest, Lossless, Newest, Policy, Subscription
 from m100link.wire import Key
 
 __version__ = "0.1.0"

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.authority import Authority, AuthorityInput, AuthorityState
-from m100link.clock_model import DeviceClock
 from m100link.control import Control, PauseAction, StopAction
 from m100link.errors import (
     AckTimeout,
@@ -37,15 +36,10 @@ from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, Pus
 from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfile, profile
 from m100link.protocol.records import RECORDS
 from m100link.refusals import key_rejected, no_aircraft, system_error
-from m100link.state import AircraftState
-from m100link.subscription import (
-    Hub,
-    Latest,
-    Newest,
-    Policy,
-    Sample,
-    Subscription,
-)
+from m100link.telemetry.device_clock import DeviceClock
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
+from m100link.telemetry.subscription import Hub, Latest, Newest, Policy, Subscription
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 

@@ -35,9 +35,9 @@ from m100link.protocol.commands.control import Move, Task
 from m100link.protocol.records import FlightPhase
 from m100link.protocol.setpoint import Setpoint
 from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
-from m100link.state import AircraftState
 from m100link.stopping import SignalWatch, finish
 from m100link.tasks import Commander, TaskProgress, run_task, task_name
+from m100link.telemetry.state import AircraftState
 
 __all__ = ["Control", "Hold", "PauseAction", "StopAction"]
 

@@ -14,7 +14,7 @@ from m100link.errors import GuardRefused, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Battery, Position
 from m100link.protocol.setpoint import Frame, Horizontal, Setpoint, Vertical
-from m100link.state import AircraftState
+from m100link.telemetry.state import AircraftState
 
 __all__ = ["Envelope", "Guards"]
 

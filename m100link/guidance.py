@@ -20,7 +20,7 @@ from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 
 if TYPE_CHECKING:
-    from m100link.state import AircraftState
+    from m100link.telemetry.state import AircraftState
 
 __all__ = ["Arrival", "ClosedLoops", "GuidanceProgress"]
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from m100link.authority import Authority
     from m100link.protocol.command import Command
     from m100link.protocol.firmware import FirmwareProfile
-    from m100link.state import AircraftState
+    from m100link.telemetry.state import AircraftState
 
 __all__ = ["Commander", "TaskProgress", "run_task"]
 

@@ -21,7 +21,8 @@ from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
 from m100link.protocol.firmware import ITEM_NAMES
 from m100link.protocol.records import RECORDS
-from m100link.subscription import Lossless, Sample
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Lossless
 
 __all__ = ["echo", "hz", "plot"]
 

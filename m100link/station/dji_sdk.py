@@ -26,7 +26,8 @@ from m100link.station.graph import Call, Graph, Topic
 from m100link.station.messages import Message
 from m100link.station.rosbridge import Session
 from m100link.station.station import Station
-from m100link.subscription import Newest, Sample
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Newest
 
 __all__ = ["DjiSdk", "joy_setpoint"]
 

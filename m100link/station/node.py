@@ -48,7 +48,7 @@ from m100link.station.patterns import pattern
 from m100link.station.rosbridge import Session
 from m100link.station.station import Station
 from m100link.station.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
-from m100link.subscription import Newest
+from m100link.telemetry.subscription import Newest
 
 __all__ = ["PRESS_LIFETIME", "REPEAT_LIFETIME", "Node"]
 

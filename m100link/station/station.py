@@ -31,7 +31,7 @@ from m100link.protocol.records import RemoteControl
 from m100link.protocol.setpoint import Setpoint
 from m100link.station.connection import Connect, Connected, Connection
 from m100link.station.lease import Lease, LeaseChange, LeaseDesk
-from m100link.subscription import Newest
+from m100link.telemetry.subscription import Newest
 
 __all__ = ["Connect", "Connection", "Pattern", "Station"]
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from m100link.protocol.firmware import ITEM_NAMES
 from m100link.protocol.records import RECORDS, RecordViews
-from m100link.subscription import Sample
+from m100link.telemetry.sample import Sample
 
 __all__ = ["AircraftState", "ItemStatistics"]
 

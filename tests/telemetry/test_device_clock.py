@@ -6,8 +6,8 @@ from random import Random
 
 import pytest
 
-from m100link.clock_model import DeviceClock
 from m100link.protocol.records import Time
+from m100link.telemetry.device_clock import DeviceClock
 from tests.flight.rig import FIRMWARES, rig
 
 TICK_HZ = 600

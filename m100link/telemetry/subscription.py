@@ -11,25 +11,21 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Generic, Self, TypeVar
 
 from m100link.errors import M100Error, TelemetryOverflow, UsageError
-from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.packet import TelemetryPacket
 
 __all__ = [
     "Latest",
     "Lossless",
     "Newest",
     "Policy",
-    "Sample",
     "Subscription",
 ]
 
 _TOLERANCE_S = 1e-6  # a value exactly one interval after the last is not early
 
 T = TypeVar("T")
-R = TypeVar("R", bound=tuple[Any, ...])
 
 
 def _check_count(count: int) -> None:
@@ -68,34 +64,6 @@ class Latest(Newest):
 
 Policy = Newest | Lossless
 """What happens when a consumer is slower than the aircraft."""
-
-
-class Sample(TelemetryPacket):
-    """One telemetry package and when it arrived.
-
-    Items are read when asked for: ``sample.attitude`` is None when the package has none,
-    ``sample[Attitude]`` raises instead.
-
-    Attributes:
-        received_at: Time of arrival on the event loop's clock, s.
-    """
-
-    __slots__ = ("received_at",)
-
-    def __init__(self, value: bytes, profile: FirmwareProfile, received_at: float) -> None:
-        super().__init__(value, profile)
-        self.received_at = received_at
-
-    def __getitem__(self, record: type[R]) -> R:
-        """The record of that class.
-
-        Raises:
-            KeyError: The package does not carry it.
-        """
-        found = self.get(record)
-        if found is None:
-            raise KeyError(record.__name__)
-        return found
 
 
 class Subscription(Generic[T]):

@@ -1,0 +1,1 @@
+"""What the aircraft pushes, as users get it: samples, subscriptions, newest values, its clock."""

@@ -1,0 +1,40 @@
+"""One telemetry package with its time of arrival: what subscriptions hand out."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.packet import TelemetryPacket
+
+__all__ = ["Sample"]
+
+R = TypeVar("R", bound=tuple[Any, ...])
+
+
+class Sample(TelemetryPacket):
+    """One telemetry package and when it arrived.
+
+    Items are read when asked for: ``sample.attitude`` is None when the package has none,
+    ``sample[Attitude]`` raises instead.
+
+    Attributes:
+        received_at: Time of arrival on the event loop's clock, s.
+    """
+
+    __slots__ = ("received_at",)
+
+    def __init__(self, value: bytes, profile: FirmwareProfile, received_at: float) -> None:
+        super().__init__(value, profile)
+        self.received_at = received_at
+
+    def __getitem__(self, record: type[R]) -> R:
+        """The record of that class.
+
+        Raises:
+            KeyError: The package does not carry it.
+        """
+        found = self.get(record)
+        if found is None:
+            raise KeyError(record.__name__)
+        return found
