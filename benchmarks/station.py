@@ -27,7 +27,7 @@ from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 
-from m100link.pacing import Ticker
+from m100link.flight.pacing import Ticker
 from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.serve import Driver, serve_tcp
 from m100link.sim.virtual import VirtualAircraft

@@ -18,7 +18,7 @@ import sys
 from typing import Any
 
 import m100link
-from m100link.pacing import Ticker
+from m100link.flight.pacing import Ticker
 
 PERIOD = 0.02
 

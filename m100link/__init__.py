@@ -14,8 +14,6 @@ import logging
 
 from m100link import errors
 from m100link.aircraft import ActivationProgress, Aircraft, connect
-from m100link.authority import Authority, AuthorityState
-from m100link.control import Control, Hold
 from m100link.errors import (
     AckTimeout,
     ActivationRefused,
@@ -56,10 +54,13 @@ from m100link.errors import (
     TelemetryStalled,
     UsageError,
 )
-from m100link.guards import Envelope, Guards
-from m100link.guidance import Arrival, GuidanceProgress
+from m100link.flight.authority import Authority, AuthorityState
+from m100link.flight.control import Control, Hold
+from m100link.flight.guards import Envelope, Guards
+from m100link.flight.guidance import Arrival, GuidanceProgress
+from m100link.flight.pacing import Tick, Ticker
+from m100link.flight.tasks import TaskProgress
 from m100link.link import LinkStatistics
-from m100link.pacing import Tick, Ticker
 from m100link.protocol import (
     PROFILES,
     Acceleration,
@@ -90,7 +91,6 @@ from m100link.protocol import (
     Version,
 )
 from m100link.session import SessionMode
-from m100link.tasks import TaskProgress
 from m100link.telemetry.device_clock import DeviceClock, HostTime
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState, ItemStatistics

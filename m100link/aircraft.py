@@ -10,8 +10,6 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.authority import Authority, AuthorityInput, AuthorityState
-from m100link.control import Control, PauseAction, StopAction
 from m100link.errors import (
     AckTimeout,
     ActivationRefused,
@@ -21,7 +19,9 @@ from m100link.errors import (
     TelemetryStalled,
     UsageError,
 )
-from m100link.guards import Guards
+from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
+from m100link.flight.control import Control, PauseAction, StopAction
+from m100link.flight.guards import Guards
 from m100link.link import Link, LinkStatistics, open_link
 from m100link.protocol.codes import AckCode, ActivationCode
 from m100link.protocol.command import Command, encode_code

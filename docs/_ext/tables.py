@@ -33,8 +33,8 @@ from rich.console import Console
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from m100link.authority import TRANSITIONS
 from m100link.cli.app import app as cli
+from m100link.flight.authority import TRANSITIONS
 from m100link.link.url import EXAMPLES
 from m100link.protocol import codes, firmware, setpoint
 from m100link.protocol.commands.registry import COMMANDS

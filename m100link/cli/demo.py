@@ -21,8 +21,8 @@ from rich.text import Text
 from m100link.aircraft import ActivationProgress, Aircraft, connect
 from m100link.cli.canvas import line_plot, track_plot
 from m100link.cli.common import ExitCode, complain, err, out, print_json
-from m100link.control import Control
 from m100link.errors import M100Error, NotObserved
+from m100link.flight.control import Control
 from m100link.geodesy import LocalFrame
 from m100link.link import LinkStatistics
 from m100link.protocol.records import Position

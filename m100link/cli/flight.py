@@ -11,13 +11,13 @@ from rich.prompt import Confirm
 
 from m100link.aircraft import ActivationProgress, Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
-from m100link.control import Control
 from m100link.errors import UsageError
-from m100link.guards import Envelope, Guards
-from m100link.guidance import GuidanceProgress
-from m100link.handshake import release_authority
+from m100link.flight.control import Control
+from m100link.flight.guards import Envelope, Guards
+from m100link.flight.guidance import GuidanceProgress
+from m100link.flight.handover import release_authority
+from m100link.flight.tasks import TaskProgress, describe_situation
 from m100link.protocol.commands.activation import Credentials
-from m100link.tasks import TaskProgress, describe_situation
 
 __all__ = ["fly", "home", "land", "release", "takeoff"]
 

@@ -18,8 +18,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from m100link.control import Control
 from m100link.errors import UsageError
+from m100link.flight.control import Control
 from m100link.protocol.setpoint import Setpoint
 from m100link.station.station import Pattern
 from m100link.station.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of

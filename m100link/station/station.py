@@ -14,7 +14,6 @@ from types import TracebackType
 from typing import Any, Self
 
 from m100link.aircraft import ActivationProgress, Aircraft
-from m100link.control import Control
 from m100link.errors import (
     AuthorityLost,
     AuthorityRefused,
@@ -24,6 +23,7 @@ from m100link.errors import (
     TaskRefused,
     UsageError,
 )
+from m100link.flight.control import Control
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.commands.control import Task

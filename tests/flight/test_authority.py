@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from m100link.authority import TRANSITIONS, Authority, AuthorityInput, AuthorityState
+from m100link.flight.authority import TRANSITIONS, Authority, AuthorityInput, AuthorityState
 from m100link.protocol.records import ControlDevice, RcMode, RemoteControl
 
 S, I = AuthorityState, AuthorityInput  # noqa: E741

@@ -20,7 +20,7 @@ from m100link import (
 )
 from m100link.protocol.commands.control import Move
 from m100link.sim import VirtualClockEventLoop
-from tests.flight.rig import NORTH, STILL, Rig, rig
+from tests.rig import NORTH, STILL, Rig, rig
 
 pytestmark = pytest.mark.anyio
 

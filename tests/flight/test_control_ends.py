@@ -28,7 +28,7 @@ from m100link import (
     UsageError,
 )
 from m100link.sim import LineFaults, VirtualClockEventLoop
-from tests.flight.rig import FIRMWARES, NORTH, Rig, rig
+from tests.rig import FIRMWARES, NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
 

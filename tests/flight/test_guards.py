@@ -20,7 +20,7 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
-from tests.flight.rig import NORTH, Rig, rig
+from tests.rig import NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
 

@@ -22,10 +22,10 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
+from m100link.flight.guidance import GuidanceProgress
 from m100link.geodesy import LocalFrame
-from m100link.guidance import GuidanceProgress
 from m100link.sim import AircraftSettings
-from tests.flight.rig import FIRMWARES, Rig, rig
+from tests.rig import FIRMWARES, Rig, rig
 
 pytestmark = pytest.mark.anyio
 

@@ -16,7 +16,7 @@ import pytest
 from m100link import BadSetpoint, Frame, Guards, Setpoint
 from m100link.protocol.setpoint import ControlMode, Horizontal, Vertical, Yaw
 from m100link.sim import AircraftSettings
-from tests.flight.rig import FIRMWARES, rig
+from tests.rig import FIRMWARES, rig
 
 pytestmark = pytest.mark.anyio
 

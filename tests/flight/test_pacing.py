@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from m100link.errors import UsageError
-from m100link.pacing import MAX_RATE_HZ, Alarm, Tick, Ticker
+from m100link.flight.pacing import MAX_RATE_HZ, Alarm, Tick, Ticker
 from m100link.sim import VirtualClockEventLoop
 
 pytestmark = pytest.mark.anyio

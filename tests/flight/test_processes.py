@@ -18,7 +18,7 @@ from m100link import FlightPhase
 from m100link.protocol.records import Device
 from m100link.sim import Driver, PtyPort, VirtualAircraft
 from m100link.sim.mobile import Grant
-from tests.flight.rig import TimedMoves
+from tests.rig import TimedMoves
 
 pytestmark = [pytest.mark.pty, pytest.mark.anyio]
 

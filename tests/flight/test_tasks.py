@@ -24,7 +24,7 @@ from m100link.protocol.command import encode_code
 from m100link.protocol.commands.control import QueryTask, StartTask, Task
 from m100link.sim import LineFaults
 from m100link.sim.commands import Reply
-from tests.flight.rig import FIRMWARES, Rig, rig
+from tests.rig import FIRMWARES, Rig, rig
 
 pytestmark = pytest.mark.anyio
 

@@ -8,7 +8,7 @@ import pytest
 
 from m100link.protocol.records import Time
 from m100link.telemetry.device_clock import DeviceClock
-from tests.flight.rig import FIRMWARES, rig
+from tests.rig import FIRMWARES, rig
 
 TICK_HZ = 600
 

@@ -35,7 +35,7 @@ from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.protocol.records import RECORDS
 from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.subscription import Hub, Policy, Subscription
-from tests.flight.rig import FIRMWARES, rig
+from tests.rig import FIRMWARES, rig
 from tests.support import load_vectors
 
 pytestmark = pytest.mark.anyio

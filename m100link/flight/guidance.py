@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
+from m100link.flight.pacing import MAX_RATE_HZ, Ticker
 from m100link.geodesy import LocalFrame, normalize_degrees
-from m100link.pacing import MAX_RATE_HZ, Ticker
 from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 

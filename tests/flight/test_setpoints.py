@@ -9,8 +9,8 @@ from itertools import pairwise
 
 import pytest
 
+from m100link.flight.setpoints import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
 from m100link.protocol.setpoint import Frame, Setpoint
-from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
 from m100link.sim import VirtualClockEventLoop
 
 pytestmark = pytest.mark.anyio

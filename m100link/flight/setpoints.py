@@ -6,7 +6,7 @@ import asyncio
 import logging
 from collections.abc import Callable
 
-from m100link.pacing import MAX_RATE_HZ, Alarm
+from m100link.flight.pacing import MAX_RATE_HZ, Alarm
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["NEUTRAL_TIME", "SETPOINT_LIFETIME", "SetpointLoop"]

@@ -37,12 +37,12 @@ from m100link.protocol.command import encode_code
 from m100link.protocol.commands.activation import Activate, GetVersion
 from m100link.protocol.commands.control import Arm, RequestAuthority
 from m100link.protocol.firmware import FIRMWARE_1_0
-from m100link.sim import AircraftSettings, LineFaults
+from m100link.sim import AircraftSettings, LineFaults, VirtualClockEventLoop
 from m100link.sim.settings import Undecodable
 from m100link.testing import ConnectableAircraft
 from m100link.wire import encode_frame
 from m100link.wire.frame import FrameDecoder
-from tests.flight.rig import FIRMWARES, rig
+from tests.rig import FIRMWARES, rig
 
 pytestmark = pytest.mark.anyio
 
@@ -50,6 +50,11 @@ each_firmware = pytest.mark.parametrize("firmware", FIRMWARES)
 
 
 # -- connect --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def anyio_backend() -> object:
+    return "asyncio", {"loop_factory": VirtualClockEventLoop}
 
 
 class Peer(asyncio.Protocol):
@@ -553,14 +558,13 @@ async def test_every_error_of_the_package_is_caught_by_one_except() -> None:
 
 @each_firmware
 async def test_data_go_to_the_mobile_device_and_come_from_it(firmware: str) -> None:
-    async with rig(firmware=firmware) as flown:
-        async with flown.aircraft.from_mobile() as messages:
-            await flown.aircraft.send_to_mobile(b"hello")
-            assert flown.virtual.app.received[-1] == b"hello"
-            flown.virtual.send_from_mobile(bytes(range(250)))
-            received = [await anext(messages) for _ in range(3)]
-            assert b"".join(received) == bytes(range(250))
-            assert [len(message) for message in received] == [100, 100, 50]
+    async with rig(firmware=firmware) as flown, flown.aircraft.from_mobile() as messages:
+        await flown.aircraft.send_to_mobile(b"hello")
+        assert flown.virtual.app.received[-1] == b"hello"
+        flown.virtual.send_from_mobile(bytes(range(250)))
+        received = [await anext(messages) for _ in range(3)]
+        assert b"".join(received) == bytes(range(250))
+        assert [len(message) for message in received] == [100, 100, 50]
 
 
 @pytest.mark.parametrize("size", [0, 101, 1008])

@@ -12,7 +12,6 @@ from typing import Literal, Self
 
 import anyio
 
-from m100link.authority import AuthorityState
 from m100link.errors import (
     AuthorityLost,
     LinkError,
@@ -22,21 +21,22 @@ from m100link.errors import (
     TelemetryStalled,
     UsageError,
 )
-from m100link.guards import GuardKeeper, Guards
-from m100link.guidance import ClosedLoops
-from m100link.handshake import (
+from m100link.flight.authority import AuthorityState
+from m100link.flight.guards import GuardKeeper, Guards
+from m100link.flight.guidance import ClosedLoops
+from m100link.flight.handover import (
     authority_lost,
     explained_loss,
     obtain_authority,
     release_authority,
 )
-from m100link.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
+from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
+from m100link.flight.setpoints import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
+from m100link.flight.signals import SignalWatch, finish
+from m100link.flight.tasks import Commander, TaskProgress, run_task, task_name
 from m100link.protocol.commands.control import Move, Task
 from m100link.protocol.records import FlightPhase
 from m100link.protocol.setpoint import Setpoint
-from m100link.sending import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
-from m100link.stopping import SignalWatch, finish
-from m100link.tasks import Commander, TaskProgress, run_task, task_name
 from m100link.telemetry.state import AircraftState
 
 __all__ = ["Control", "Hold", "PauseAction", "StopAction"]

@@ -6,13 +6,13 @@ import asyncio
 import logging
 from typing import TYPE_CHECKING
 
-from m100link.authority import AuthorityInput, AuthorityState
 from m100link.errors import AckTimeout, AuthorityLost, AuthorityRefused, M100Error
+from m100link.flight.authority import AuthorityInput, AuthorityState
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
 
 if TYPE_CHECKING:
-    from m100link.tasks import Commander
+    from m100link.flight.tasks import Commander
 
 __all__ = ["authority_lost", "explained_loss", "obtain_authority", "release_authority"]
 

@@ -20,7 +20,7 @@ from m100link.protocol.commands.control import QueryTask, StartTask, Task
 from m100link.protocol.records import FlightPhase
 
 if TYPE_CHECKING:
-    from m100link.authority import Authority
+    from m100link.flight.authority import Authority
     from m100link.protocol.command import Command
     from m100link.protocol.firmware import FirmwareProfile
     from m100link.telemetry.state import AircraftState

@@ -1,0 +1,1 @@
+"""Flying: control authority, setpoints, guards, tasks, closed loops, and how it all ends."""
