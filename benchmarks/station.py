@@ -28,8 +28,9 @@ from typing import Any
 from websockets.asyncio.client import ClientConnection, connect
 
 from m100link.flight.pacing import Ticker
-from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
-from m100link.sim.serve import Driver, serve_tcp
+from m100link.sim.ports.driver import Driver
+from m100link.sim.ports.tcp import serve_tcp
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
 from m100link.station.run import running

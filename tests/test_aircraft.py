@@ -38,7 +38,7 @@ from m100link.protocol.commands.activation import Activate, GetVersion
 from m100link.protocol.commands.control import Arm, RequestAuthority
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim import AircraftSettings, LineFaults, VirtualClockEventLoop
-from m100link.sim.settings import Undecodable
+from m100link.sim.vehicle.settings import Undecodable
 from m100link.testing import ConnectableAircraft
 from m100link.wire import encode_frame
 from m100link.wire.frame import FrameDecoder

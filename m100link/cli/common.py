@@ -19,7 +19,7 @@ from rich.console import Console
 from m100link import errors
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
-from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 
 __all__ = [
     "AppOptions",

@@ -22,15 +22,16 @@ from m100link.cli.common import out, print_json
 from m100link.cli.sim_live import LiveView, read_keys
 from m100link.errors import UsageError
 from m100link.protocol.firmware import PROFILES
-from m100link.sim.actions import ACTIONS
 from m100link.sim.clock import loop_factory
-from m100link.sim.ctl import CtlServer, send_order
-from m100link.sim.faults import LineFaults
-from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
-from m100link.sim.pty import PtyPort
-from m100link.sim.scenario import Scenario
-from m100link.sim.serve import Driver, TcpServer, serve_tcp
-from m100link.sim.settings import AircraftSettings, AssistantSettings
+from m100link.sim.line import LineFaults
+from m100link.sim.orders.actions import ACTIONS
+from m100link.sim.orders.ctl import CtlServer, send_order
+from m100link.sim.orders.scenario import Scenario
+from m100link.sim.ports.driver import Driver
+from m100link.sim.ports.pty import PtyPort
+from m100link.sim.ports.tcp import TcpServer, serve_tcp
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.wire import Key
 

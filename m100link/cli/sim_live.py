@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.errors import UsageError
-from m100link.sim.actions import perform, status
+from m100link.sim.orders.actions import perform, status
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

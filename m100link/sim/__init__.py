@@ -8,19 +8,20 @@ to test suites.
 from m100link.sim.autopilot import Autopilot, Counters, LogEntry
 from m100link.sim.clock import ScaledEventLoop, VirtualClockEventLoop, loop_factory
 from m100link.sim.commands import LastCommand
-from m100link.sim.dynamics import Airframe, Dynamics
-from m100link.sim.faults import NO_FAULTS, Line, LineFaults
-from m100link.sim.mobile import (
+from m100link.sim.line import NO_FAULTS, Line, LineFaults
+from m100link.sim.ports.driver import Driver, open_sim
+from m100link.sim.ports.pty import PtyPort
+from m100link.sim.ports.tcp import TcpServer, serve_tcp
+from m100link.sim.vehicle.dynamics import Airframe, Dynamics
+from m100link.sim.vehicle.mobile import (
     DEMO_APP_ID,
     DEMO_KEY,
     ActivationServer,
     MobileApp,
     RegisteredApp,
 )
-from m100link.sim.pty import PtyPort
-from m100link.sim.remote import RemoteControl
-from m100link.sim.serve import Driver, TcpServer, open_sim, serve_tcp
-from m100link.sim.settings import (
+from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.settings import (
     DEFAULT_RATES_HZ,
     AircraftSettings,
     AssistantSettings,

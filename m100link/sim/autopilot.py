@@ -26,16 +26,16 @@ from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.protocol.records import Device, RcMode
 from m100link.session import Endpoint, Received
-from m100link.sim.activation import Activation
-from m100link.sim.authority import Authority
 from m100link.sim.commands import Commands, LastCommand
-from m100link.sim.dynamics import STEP_S
-from m100link.sim.flight import FlightController
-from m100link.sim.gimbal import Camera, Gimbal
-from m100link.sim.mobile import ActivationServer, MobileApp
-from m100link.sim.remote import RemoteControl
-from m100link.sim.settings import AircraftSettings, AssistantSettings, Undecodable
 from m100link.sim.telemetry import Sensors, TelemetryPusher
+from m100link.sim.vehicle.activation import Activation
+from m100link.sim.vehicle.authority import Authority
+from m100link.sim.vehicle.dynamics import STEP_S
+from m100link.sim.vehicle.flight import FlightController
+from m100link.sim.vehicle.gimbal import Camera, Gimbal
+from m100link.sim.vehicle.mobile import ActivationServer, MobileApp
+from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings, Undecodable
 from m100link.wire.cipher import Cipher
 from m100link.wire.crc import frame_crc32
 from m100link.wire.frame import Frame, encode_frame

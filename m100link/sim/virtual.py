@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.records import RcMode
 from m100link.sim.autopilot import Autopilot
-from m100link.sim.faults import NO_FAULTS, Line, LineFaults
-from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY, ActivationServer, MobileApp
-from m100link.sim.remote import RemoteControl
-from m100link.sim.settings import AircraftSettings, AssistantSettings
+from m100link.sim.line import NO_FAULTS, Line, LineFaults
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY, ActivationServer, MobileApp
+from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 
 if TYPE_CHECKING:
     from m100link.protocol.firmware import FirmwareProfile

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
-from m100link.sim.serve import Driver
-from m100link.sim.settings import AircraftSettings
+from m100link.sim.ports.driver import Driver
+from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
 from m100link.station.connect import by_driver, by_url

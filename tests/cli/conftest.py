@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from m100link.cli.app import run
-from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 
 ROOT = Path(__file__).parent.parent.parent
 

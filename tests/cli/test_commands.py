@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.sim.mobile import DEMO_APP_ID
+from m100link.sim.vehicle.mobile import DEMO_APP_ID
 from tests.cli.conftest import ROOT, Simulator, process
 
 pytestmark = pytest.mark.pty

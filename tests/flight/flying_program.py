@@ -10,7 +10,7 @@ import asyncio
 import sys
 
 import m100link
-from m100link.sim.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 
 
 async def main(port: str, stop: str) -> None:

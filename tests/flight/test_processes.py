@@ -17,7 +17,7 @@ import pytest
 from m100link import FlightPhase
 from m100link.protocol.records import Device
 from m100link.sim import Driver, PtyPort, VirtualAircraft
-from m100link.sim.mobile import Grant
+from m100link.sim.vehicle.mobile import Grant
 from tests.rig import TimedMoves
 
 pytestmark = [pytest.mark.pty, pytest.mark.anyio]

@@ -22,7 +22,7 @@ from m100link.protocol import (
     Yaw,
 )
 from m100link.sim import Airframe
-from m100link.sim.dynamics import GRAVITY
+from m100link.sim.vehicle.dynamics import GRAVITY
 
 from .host import Host, aircraft
 

@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 from m100link.sim.clock import virtual_clock_loop
-from m100link.sim.serve import Driver
+from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.clients import Clients
 from m100link.station.connect import by_driver

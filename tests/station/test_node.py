@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from m100link.protocol.commands.control import StartTask
-from m100link.sim.mobile import MobileApp
+from m100link.sim.vehicle.mobile import MobileApp
 from m100link.station.node import PRESS_LIFETIME, REPEAT_LIFETIME
 from m100link.station.station import Connection
 from tests.station.conftest import Rig

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from nicegui import ui
 
 from m100link.protocol.records import RcMode
-from m100link.sim.faults import NO_FAULTS, LineFaults
+from m100link.sim.line import NO_FAULTS, LineFaults
 
 if TYPE_CHECKING:
     from m100link.sim.virtual import VirtualAircraft

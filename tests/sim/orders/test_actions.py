@@ -15,11 +15,10 @@ from m100link.cli.sim_live import KEYS, LiveView, read_keys
 from m100link.errors import UsageError
 from m100link.protocol import Setpoint
 from m100link.sim import LineFaults, VirtualAircraft
-from m100link.sim.actions import ACTIONS, perform, status
-from m100link.sim.ctl import CtlServer, NoSimulator, find_sockets, send_order
-from m100link.sim.scenario import Scenario
-
-from .host import Host
+from m100link.sim.orders.actions import ACTIONS, perform, status
+from m100link.sim.orders.ctl import CtlServer, NoSimulator, find_sockets, send_order
+from m100link.sim.orders.scenario import Scenario
+from tests.sim.host import Host
 
 
 def done(order: str) -> VirtualAircraft:

@@ -11,9 +11,9 @@ from enum import Enum
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device, RcMode
-from m100link.sim.mobile import MobileApp
-from m100link.sim.remote import RemoteControl
-from m100link.sim.settings import AircraftSettings, AssistantSettings
+from m100link.sim.vehicle.mobile import MobileApp
+from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 
 __all__ = ["Authority", "Obstacle"]
 

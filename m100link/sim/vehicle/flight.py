@@ -15,10 +15,10 @@ from m100link.protocol import setpoint as wire
 from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Device, FlightPhase, RcMode
-from m100link.sim.dynamics import STEP_S, Dynamics, Guidance, Horizontal, Vertical, Yaw
-from m100link.sim.remote import RemoteControl, Sticks
-from m100link.sim.settings import AircraftSettings
-from m100link.sim.tasks import TaskMachine
+from m100link.sim.vehicle.dynamics import STEP_S, Dynamics, Guidance, Horizontal, Vertical, Yaw
+from m100link.sim.vehicle.remote import RemoteControl, Sticks
+from m100link.sim.vehicle.settings import AircraftSettings
+from m100link.sim.vehicle.tasks import TaskMachine
 
 __all__ = ["FlightController", "Maneuver"]
 

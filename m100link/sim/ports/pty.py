@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from m100link.errors import PortBusy, PortFailed
-from m100link.sim.serve import Backlog
+from m100link.sim.ports.driver import Backlog
 
 if TYPE_CHECKING:
-    from m100link.sim.serve import Driver
+    from m100link.sim.ports.driver import Driver
 
 __all__ = ["PtyPort"]
 

@@ -12,8 +12,8 @@ import m100link
 from m100link.link import Link, parse_url
 from m100link.protocol import GetVersion, TelemetryPacket
 from m100link.sim import Driver, LineFaults, VirtualAircraft, open_sim, serve_tcp
-from m100link.sim.scenario import Scenario, Step
-from m100link.sim.serve import Backlog, StreamPort
+from m100link.sim.orders.scenario import Scenario, Step
+from m100link.sim.ports.driver import Backlog, StreamPort
 from m100link.sim.telemetry import is_telemetry
 from m100link.testing import ConnectableAircraft, VirtualClock
 from m100link.wire import FrameDecoder, encode_frame

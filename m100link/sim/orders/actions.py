@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.errors import UsageError
-from m100link.sim.faults import LineFaults
+from m100link.sim.line import LineFaults
 from m100link.sim.virtual import VirtualAircraft
 
 __all__ = ["ACTIONS", "Action", "perform", "status"]

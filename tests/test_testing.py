@@ -15,7 +15,7 @@ from m100link.protocol import Setpoint
 from m100link.sim import VirtualClockEventLoop
 from m100link.testing import ConnectableAircraft, VirtualClock, VirtualPort, VirtualSerialPair
 
-EXAMPLE = Path(__file__).parent.parent.parent / "examples" / "pytest_project"
+EXAMPLE = Path(__file__).parent.parent / "examples" / "pytest_project"
 
 
 @pytest.mark.anyio

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link.errors import UsageError
-from m100link.sim.actions import ACTIONS, perform
+from m100link.sim.orders.actions import ACTIONS, perform
 from m100link.sim.virtual import VirtualAircraft
 
 __all__ = ["Scenario", "Step"]
@@ -32,7 +32,7 @@ class Step:
 
     Attributes:
         at: Seconds since power-on.
-        order: A line for :func:`~m100link.sim.actions.perform`.
+        order: A line for :func:`~m100link.sim.orders.actions.perform`.
     """
 
     at: float

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from m100link.sim import NO_FAULTS, Line, LineFaults
-from m100link.sim.faults import Direction, split_frames
+from m100link.sim.line import Direction, split_frames
 from m100link.wire import FrameDecoder, encode_frame
 
 SEED = 20151121

@@ -13,7 +13,7 @@ from enum import Enum
 
 from m100link.protocol.commands.activation import RATES_HZ
 from m100link.protocol.firmware import ITEM_NAMES
-from m100link.sim.dynamics import Airframe
+from m100link.sim.vehicle.dynamics import Airframe
 
 __all__ = ["DEFAULT_RATES_HZ", "AircraftSettings", "AssistantSettings", "Undecodable"]
 

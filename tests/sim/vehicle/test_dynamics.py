@@ -7,7 +7,7 @@ import math
 import pytest
 
 from m100link.protocol import Attitude
-from m100link.sim.dynamics import (
+from m100link.sim.vehicle.dynamics import (
     GRAVITY,
     STEP_S,
     Airframe,

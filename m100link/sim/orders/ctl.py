@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from m100link.errors import M100Error, UsageError
-from m100link.sim.actions import perform, status
-from m100link.sim.serve import stop_listening
+from m100link.sim.orders.actions import perform, status
+from m100link.sim.ports.tcp import stop_listening
 
 if TYPE_CHECKING:
     from m100link.sim.virtual import VirtualAircraft

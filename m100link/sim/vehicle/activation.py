@@ -5,7 +5,7 @@ from __future__ import annotations
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.activation import Activate
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.sim.mobile import ActivationServer, Grant, MobileApp, Refusal
+from m100link.sim.vehicle.mobile import ActivationServer, Grant, MobileApp, Refusal
 
 __all__ = ["Activation"]
 

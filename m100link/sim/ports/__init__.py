@@ -1,0 +1,1 @@
+"""Where programs reach a virtual aircraft: memory, pseudo-terminals, TCP."""
