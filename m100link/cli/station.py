@@ -14,11 +14,11 @@ from cyclopts import Parameter
 
 from m100link.cli.common import ExitCode, err, out, print_json, run_async
 from m100link.errors import UsageError
-from m100link.station.gate import is_loopback
+from m100link.station.web.gate import is_loopback
 
 if TYPE_CHECKING:
+    from m100link.agent.journal import Event
     from m100link.station.config import Settings
-    from m100link.station.journal import Event
     from m100link.station.run import Running
 
 __all__ = ["console", "serve"]

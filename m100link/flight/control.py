@@ -41,7 +41,7 @@ from m100link.telemetry.state import AircraftState
 
 __all__ = ["Control", "Hold", "PauseAction", "StopAction"]
 
-_logger = logging.getLogger("m100link.control")
+_logger = logging.getLogger("m100link.flight")
 
 StopAction = Literal["hover", "land"]
 """What the stop path does after the neutral setpoint."""

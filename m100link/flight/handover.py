@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["authority_lost", "explained_loss", "obtain_authority", "release_authority"]
 
-_logger = logging.getLogger("m100link.authority")
+_logger = logging.getLogger("m100link.flight")
 
 _PAUSE_S = 0.05  # between requests; DJI's C library waits as long
 _MAX_REQUESTS = 10

@@ -11,7 +11,7 @@ from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["NEUTRAL_TIME", "SETPOINT_LIFETIME", "SetpointLoop"]
 
-_logger = logging.getLogger("m100link.control")
+_logger = logging.getLogger("m100link.flight")
 
 SETPOINT_LIFETIME = 0.2
 """Seconds that a setpoint is repeated when the program does not renew it."""

@@ -12,7 +12,7 @@ import anyio
 
 __all__ = ["SignalWatch", "finish"]
 
-_logger = logging.getLogger("m100link.control")
+_logger = logging.getLogger("m100link.flight")
 
 _STOP_ATTEMPTS = 3
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Commander", "TaskProgress", "run_task"]
 
-_logger = logging.getLogger("m100link.control")
+_logger = logging.getLogger("m100link.flight")
 
 _POLL_S = 0.25
 _QUERY_INTERVAL_S = 1.0

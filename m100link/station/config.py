@@ -12,8 +12,8 @@ from typing import Any
 
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
-from m100link.station.gate import is_loopback
 from m100link.station.launch import read_launch
+from m100link.station.web.gate import is_loopback
 
 __all__ = ["ENVIRONMENT", "Settings", "resolve"]
 

@@ -8,15 +8,15 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 
+from m100link.agent.agent import Connect, Station
+from m100link.agent.connect import by_driver, by_url
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
 from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
-from m100link.station.connect import by_driver, by_url
-from m100link.station.server import Bridge, Server, listen
-from m100link.station.station import Connect, Station
+from m100link.station.web.server import Bridge, Server, listen
 
 __all__ = ["Running", "running"]
 

@@ -10,16 +10,16 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.agent.agent import Connection, Station
+from m100link.agent.connect import by_driver
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
-from m100link.station.clients import Clients
-from m100link.station.connect import by_driver
-from m100link.station.dji_sdk import DjiSdk
-from m100link.station.graph import Graph
-from m100link.station.node import Node
-from m100link.station.rosbridge import Session
-from m100link.station.station import Connection, Station
+from m100link.station.ros.client import Session
+from m100link.station.ros.dji_sdk import DjiSdk
+from m100link.station.ros.graph import Graph
+from m100link.station.ros.leases import Clients
+from m100link.station.ros.node_2015 import Node
 
 
 @pytest.fixture

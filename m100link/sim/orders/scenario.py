@@ -1,6 +1,6 @@
 """Scenario files: what happens to an aircraft, and when.
 
-TOML, one table per step, in any order; the words are those of :mod:`m100link.sim.actions`::
+TOML, one table per step, in any order; the words are those of :mod:`m100link.sim.orders.actions`::
 
     [[step]]
     at = 12.0                # seconds since power-on

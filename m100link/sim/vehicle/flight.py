@@ -1,8 +1,8 @@
 """What the flight controller makes of orders: take-off, landing, go-home, hovering, setpoints.
 
-It owns the motion (:mod:`m100link.sim.dynamics`), the battery and the flight status, and decides
+It owns the motion (:mod:`m100link.sim.vehicle.dynamics`), the battery and the flight status, and decides
 each step which guidance the aircraft follows. Who may give orders is not its business
-(:mod:`m100link.sim.authority`).
+(:mod:`m100link.sim.vehicle.authority`).
 """
 
 from __future__ import annotations

@@ -21,12 +21,12 @@ from m100link.errors import UsageError
 from m100link.station.console.fields import live
 from m100link.station.console.page import Page
 from m100link.station.console.tab import Tab
-from m100link.station.gate import App, Gate
+from m100link.station.web.gate import App, Gate
 
 if TYPE_CHECKING:
+    from m100link.agent.agent import Station
     from m100link.sim.virtual import VirtualAircraft
     from m100link.station.config import Settings
-    from m100link.station.station import Station
 
 __all__ = ["console_app"]
 

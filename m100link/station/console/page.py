@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from m100link.agent.agent import Connection, Station
+from m100link.agent.lease import LeaseHeld
 from m100link.errors import M100Error
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude
 from m100link.station.console.fields import FIELDS, read
 from m100link.station.console.simpanel import sim_panel
 from m100link.station.console.tab import Tab
-from m100link.station.lease import LeaseHeld
-from m100link.station.station import Connection, Station
 
 if TYPE_CHECKING:
     from m100link.sim.virtual import VirtualAircraft

@@ -13,12 +13,12 @@ import math
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from m100link.agent.agent import Station
+from m100link.agent.lease import Lease, TakeOver
+from m100link.agent.steering import setpoint_of
 from m100link.errors import M100Error
 from m100link.protocol.commands.control import Task
-from m100link.station.lease import Lease, TakeOver
-from m100link.station.patterns import pattern
-from m100link.station.station import Station
-from m100link.station.steering import setpoint_of
+from m100link.station.ros.patterns import pattern
 
 __all__ = ["BEAT_LIFETIME", "Tab"]
 

@@ -7,10 +7,10 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.agent.agent import Connection
 from m100link.protocol.commands.control import StartTask
 from m100link.sim.vehicle.mobile import MobileApp
-from m100link.station.node import PRESS_LIFETIME, REPEAT_LIFETIME
-from m100link.station.station import Connection
+from m100link.station.ros.node_2015 import PRESS_LIFETIME, REPEAT_LIFETIME
 from tests.station.conftest import Rig
 
 pytestmark = pytest.mark.anyio

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.station.encoding import Reassembly, fragments, to_png
-from m100link.station.messages import (
+from m100link.station.ros.encoding import Reassembly, fragments, to_png
+from m100link.station.ros.messages import (
     MESSAGES,
     SERVICES,
     BadMessage,

@@ -18,11 +18,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
+from m100link.agent.agent import Pattern
+from m100link.agent.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.errors import UsageError
 from m100link.flight.control import Control
 from m100link.protocol.setpoint import Setpoint
-from m100link.station.station import Pattern
-from m100link.station.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 
 __all__ = ["LEG_TIME", "pattern"]
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from m100link.station.lease import Lease, LeaseChange, LeaseDesk, LeaseHeld, LeaseRefused
+from m100link.agent.lease import Lease, LeaseChange, LeaseDesk, LeaseHeld, LeaseRefused
 
 
 def test_the_first_who_asks_gets_it_and_the_second_learns_who_has_it() -> None:

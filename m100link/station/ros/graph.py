@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from m100link.station.encoding import to_cbor, to_png
-from m100link.station.messages import MESSAGES, SERVICES, Message, MessageType, ServiceType
+from m100link.station.ros.encoding import to_cbor, to_png
+from m100link.station.ros.messages import MESSAGES, SERVICES, Message, MessageType, ServiceType
 
 if TYPE_CHECKING:
-    from m100link.station.rosbridge import Session
+    from m100link.station.ros.client import Session
 
 __all__ = ["Call", "Graph", "Publication", "Service", "Topic", "canonical_name"]
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.station.graph import Call, Graph
-from m100link.station.messages import Message
-from m100link.station.rosbridge import Limits, Session
-from tests.station.test_messages import unpack_png
+from m100link.station.ros.client import Limits, Session
+from m100link.station.ros.graph import Call, Graph
+from m100link.station.ros.messages import Message
+from tests.station.ros.test_messages import unpack_png
 
 
 class Bench:

@@ -11,11 +11,11 @@ import asyncio
 from collections.abc import Coroutine
 from typing import Any
 
+from m100link.agent.agent import Station
+from m100link.agent.lease import Lease, LeaseRefused
 from m100link.errors import M100Error, NoAuthority
-from m100link.station.graph import Call, Graph
-from m100link.station.lease import Lease, LeaseRefused
-from m100link.station.rosbridge import Session
-from m100link.station.station import Station
+from m100link.station.ros.client import Session
+from m100link.station.ros.graph import Call, Graph
 
 __all__ = ["Clients"]
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from m100link.agent.lease import LeaseHeld, LeaseRefused
 from m100link.protocol.commands.control import Task
 from m100link.station.console.fields import FIELDS, live, read
 from m100link.station.console.tab import BEAT_LIFETIME, Tab, _read
-from m100link.station.lease import LeaseHeld, LeaseRefused
 from tests.station.conftest import Rig
 
 pytestmark = pytest.mark.anyio

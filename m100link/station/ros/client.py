@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.station.encoding import Reassembly, fragments
-from m100link.station.graph import Call, Graph, Publication, Topic, canonical_name
-from m100link.station.messages import BadMessage, canonical_type
+from m100link.station.ros.encoding import Reassembly, fragments
+from m100link.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
+from m100link.station.ros.messages import BadMessage, canonical_type
 
 __all__ = ["Limits", "Session"]
 

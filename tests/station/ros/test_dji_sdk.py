@@ -10,7 +10,7 @@ import pytest
 
 from m100link.errors import BadSetpoint
 from m100link.protocol.setpoint import Frame
-from m100link.station.dji_sdk import joy_setpoint
+from m100link.station.ros.dji_sdk import joy_setpoint
 from tests.station.conftest import Client, Rig
 
 pytestmark = pytest.mark.anyio

@@ -13,6 +13,8 @@ from collections.abc import Callable, Coroutine
 from types import TracebackType
 from typing import Any, Self
 
+from m100link.agent.connection import Connect, Connected, Connection
+from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
 from m100link.aircraft import ActivationProgress, Aircraft
 from m100link.errors import (
     AuthorityLost,
@@ -29,8 +31,6 @@ from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import RemoteControl
 from m100link.protocol.setpoint import Setpoint
-from m100link.station.connection import Connect, Connected, Connection
-from m100link.station.lease import Lease, LeaseChange, LeaseDesk
 from m100link.telemetry.subscription import Newest
 
 __all__ = ["Connect", "Connection", "Pattern", "Station"]

@@ -15,17 +15,17 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+from m100link.agent.agent import Station
 from m100link.aircraft import Aircraft
 from m100link.errors import BadSetpoint, CommandRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import ControlMode, Frame, Horizontal, Setpoint, Vertical, Yaw
-from m100link.station.clients import Clients
-from m100link.station.graph import Call, Graph, Topic
-from m100link.station.messages import Message
-from m100link.station.rosbridge import Session
-from m100link.station.station import Station
+from m100link.station.ros.client import Session
+from m100link.station.ros.graph import Call, Graph, Topic
+from m100link.station.ros.leases import Clients
+from m100link.station.ros.messages import Message
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 

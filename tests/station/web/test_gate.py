@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from m100link.station.gate import COOKIE, Gate, host_of, is_loopback
+from m100link.station.web.gate import COOKIE, Gate, host_of, is_loopback
 
 pytestmark = pytest.mark.anyio
 

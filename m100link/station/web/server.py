@@ -1,4 +1,4 @@
-"""rosbridge on a WebSocket: the sessions of :mod:`m100link.station.rosbridge` on uvicorn.
+"""rosbridge on a WebSocket: the sessions of :mod:`m100link.station.ros.client` on uvicorn.
 
 Needs the extra ``station``.
 """
@@ -22,14 +22,14 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from m100link.agent.agent import Station
 from m100link.errors import PortBusy, PortFailed, UsageError
-from m100link.station.clients import Clients
-from m100link.station.dji_sdk import DjiSdk
-from m100link.station.gate import App, Gate
-from m100link.station.graph import Graph
-from m100link.station.node import Node
-from m100link.station.rosbridge import Limits, Session
-from m100link.station.station import Station
+from m100link.station.ros.client import Limits, Session
+from m100link.station.ros.dji_sdk import DjiSdk
+from m100link.station.ros.graph import Graph
+from m100link.station.ros.leases import Clients
+from m100link.station.ros.node_2015 import Node
+from m100link.station.web.gate import App, Gate
 
 if TYPE_CHECKING:
     from starlette.requests import Request

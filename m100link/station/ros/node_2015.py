@@ -24,6 +24,9 @@ from __future__ import annotations
 import asyncio
 import math
 
+from m100link.agent.agent import Station
+from m100link.agent.lease import LeaseHeld
+from m100link.agent.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.aircraft import Aircraft
 from m100link.errors import (
     ActivationRefused,
@@ -40,14 +43,11 @@ from m100link.errors import (
 from m100link.protocol.codes import ActivationCode, AuthorityCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Battery, FlightStatus
-from m100link.station.clients import Clients
-from m100link.station.graph import Graph, Publication
-from m100link.station.lease import LeaseHeld
-from m100link.station.messages import Message
-from m100link.station.patterns import pattern
-from m100link.station.rosbridge import Session
-from m100link.station.station import Station
-from m100link.station.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
+from m100link.station.ros.client import Session
+from m100link.station.ros.graph import Graph, Publication
+from m100link.station.ros.leases import Clients
+from m100link.station.ros.messages import Message
+from m100link.station.ros.patterns import pattern
 from m100link.telemetry.subscription import Newest
 
 __all__ = ["PRESS_LIFETIME", "REPEAT_LIFETIME", "Node"]

@@ -10,8 +10,8 @@ from m100link.link import Link
 from m100link.protocol.firmware import profile
 
 if TYPE_CHECKING:
+    from m100link.agent.agent import Connect
     from m100link.sim.ports.driver import Driver
-    from m100link.station.station import Connect
 
 __all__ = ["by_driver", "by_url"]
 

@@ -6,10 +6,10 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from enum import Enum
 
+from m100link.agent.journal import Journal
 from m100link.aircraft import Aircraft
 from m100link.errors import LinkError, M100Error
 from m100link.protocol.commands.activation import Credentials
-from m100link.station.journal import Journal
 
 __all__ = ["Connect", "Connected", "Connection"]
 

@@ -1,0 +1,1 @@
+"""rosbridge clients: the protocol, the graph of topics and services, and the nodes on it."""

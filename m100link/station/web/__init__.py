@@ -1,0 +1,1 @@
+"""HTTP and WebSockets: who is let in, and the server."""
