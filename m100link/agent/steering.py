@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from m100link.errors import UsageError
-from m100link.protocol.setpoint import Frame, Setpoint
+from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 
 __all__ = ["ANGLE_MODE", "VELOCITY_MODE", "setpoint_of"]
 
@@ -32,7 +32,9 @@ def setpoint_of(mode: int, x: float, y: float, z: float, w: float) -> Setpoint:
         BadSetpoint: A value outside its range.
     """
     if mode == ANGLE_MODE:
-        return Setpoint.tilt(roll_deg=y, pitch_deg=x, up=w, yaw_rate_deg_s=z, frame=Frame.BODY)
+        return Setpoint.tilt(
+            roll_deg=y, pitch_deg=x, up=w, yaw_rate_deg_s=z, frame=ReferenceFrame.BODY
+        )
     if mode == VELOCITY_MODE:
         return Setpoint.velocity(north=y, east=x, up=w, yaw_rate_deg_s=z)
     raise UsageError(f"there is no control mode {mode}", remedy="1 is angles, 2 is velocities")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from m100link.errors import GuardRefused, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Battery, Position
-from m100link.protocol.setpoint import Frame, Horizontal, Setpoint, Vertical
+from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical
 from m100link.telemetry.state import AircraftState
 
 __all__ = ["Envelope", "Guards"]
@@ -208,7 +208,7 @@ class GuardKeeper:
         forward, right = setpoint.x, setpoint.y
         if setpoint.mode.horizontal is Horizontal.TILT:
             forward, right = -setpoint.y, setpoint.x  # negative pitch flies forward
-        if setpoint.frame is Frame.GROUND:
+        if setpoint.frame is ReferenceFrame.GROUND:
             return forward, right
         attitude = self._state.get(Attitude)
         yaw = 0.0 if attitude is None else math.radians(attitude.yaw_deg)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
 from m100link.link.transport import open_transport
-from m100link.link.url import Address, parse_url
+from m100link.link.url import ConnectionString, parse_url
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Expired, Received, SessionMode
 from m100link.wire.cipher import Cipher
@@ -419,7 +419,7 @@ def _excerpt(data: bytes) -> str:
 
 
 async def open_link(
-    url: str | Address,
+    url: str | ConnectionString,
     *,
     baud_rate: int | None = None,
     on_received: Callable[[Frame, float], None] = _ignore,
@@ -438,7 +438,7 @@ async def open_link(
     Raises:
         BadURL, PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
     """
-    address = url if isinstance(url, Address) else parse_url(url, baud_rate=baud_rate)
+    address = url if isinstance(url, ConnectionString) else parse_url(url, baud_rate=baud_rate)
     link = Link(on_received=on_received, on_lost=on_lost, first_sequence=first_sequence)
     link.name = str(address)
     transport = await open_transport(address, link)

@@ -27,7 +27,7 @@ from m100link.errors import (
     PortNotFound,
     PortPermissionDenied,
 )
-from m100link.link.url import EXAMPLES, Address
+from m100link.link.url import EXAMPLES, ConnectionString
 
 __all__ = ["Opener", "open_transport", "port_owners", "serial_ports"]
 
@@ -39,7 +39,7 @@ if importlib.util.find_spec("termios") is not None:  # not on Windows
 
     _PORT_GONE += (termios.error,)  # which is none, although it carries an errno
 
-Opener = Callable[[Address, asyncio.Protocol], Awaitable[asyncio.Transport]]
+Opener = Callable[[ConnectionString, asyncio.Protocol], Awaitable[asyncio.Transport]]
 """What a plug-in transport provides, by an entry point in the group ``m100link.transports``."""
 
 CONNECT_TIMEOUT = 5.0
@@ -74,7 +74,9 @@ class _SerialTransport(serial_asyncio.SerialTransport):
         super()._call_connection_lost(exc)
 
 
-async def open_transport(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+async def open_transport(
+    address: ConnectionString, protocol: asyncio.Protocol
+) -> asyncio.Transport:
     """Open the line and attach a protocol to it.
 
     Raises:
@@ -94,7 +96,7 @@ async def open_transport(address: Address, protocol: asyncio.Protocol) -> asynci
     )
 
 
-async def _open_serial(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:
     loop = asyncio.get_running_loop()
     device = _expanded(address.target)
     open_port = functools.partial(
@@ -114,7 +116,7 @@ def _expanded(path: str) -> str:
     return str(Path(path).expanduser())
 
 
-def _translate(device: str, address: Address, error: Exception) -> LinkError:
+def _translate(device: str, address: ConnectionString, error: Exception) -> LinkError:
     number = _errno_of(error)
     if number == errno.ENOENT:
         ports = serial_ports()
@@ -178,7 +180,7 @@ def serial_ports() -> list[str]:
     return sorted(port.device for port in comports())
 
 
-async def _open_tcp(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+async def _open_tcp(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:
     loop = asyncio.get_running_loop()
     try:
         async with asyncio.timeout(CONNECT_TIMEOUT):

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 from m100link.errors import BadURL
 
-__all__ = ["DEFAULT_BAUD_RATE", "EXAMPLES", "Address", "parse_url"]
+__all__ = ["DEFAULT_BAUD_RATE", "EXAMPLES", "ConnectionString", "parse_url"]
 
 DEFAULT_BAUD_RATE = 230_400
 """Rate of the document's launch file; the PC assistant can change it (errata 50)."""
@@ -22,7 +22,7 @@ EXAMPLES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Address:
+class ConnectionString:
     """A parsed connection string.
 
     Attributes:
@@ -47,7 +47,7 @@ def _bad(url: str, why: str) -> BadURL:
     return BadURL(f"{url!r} {why}", remedy=f"write it like one of these:{examples}")
 
 
-def parse_url(url: str, *, baud_rate: int | None = None) -> Address:
+def parse_url(url: str, *, baud_rate: int | None = None) -> ConnectionString:
     """Read a connection string.
 
     Accepted: ``serial:///dev/ttyUSB0:230400``, a bare device path or ``COM3`` with an optional
@@ -72,24 +72,24 @@ def parse_url(url: str, *, baud_rate: int | None = None) -> Address:
         return _tcp(url, text)
     if not re.fullmatch(r"[a-z][a-z0-9+.-]*", scheme):
         raise _bad(url, "has no readable scheme before ://")
-    return Address(scheme, rest)
+    return ConnectionString(scheme, rest)
 
 
-def _serial(url: str, rest: str, baud_rate: int) -> Address:
+def _serial(url: str, rest: str, baud_rate: int) -> ConnectionString:
     match = re.fullmatch(r"(?P<device>[^:,].*?)(?:[:,](?P<baud>[^:,/]*))?", rest)
     if match is None:
         raise _bad(url, "has no device")
     device, baud = match["device"], match["baud"]
     if baud is not None and device.startswith("/dev/serial/") and not baud.isdecimal():
-        return Address("serial", rest, baud_rate)  # names by path have colons of their own
+        return ConnectionString("serial", rest, baud_rate)  # names by path have colons of their own
     if baud is not None:
         if not baud.isdecimal() or int(baud) == 0:
             raise _bad(url, f"has the baud rate {baud!r}, which is no number")
         baud_rate = int(baud)
-    return Address("serial", device, baud_rate)
+    return ConnectionString("serial", device, baud_rate)
 
 
-def _tcp(url: str, text: str) -> Address:
+def _tcp(url: str, text: str) -> ConnectionString:
     try:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port
@@ -97,4 +97,4 @@ def _tcp(url: str, text: str) -> Address:
         host = port = None
     if not host or port is None:
         raise _bad(url, "has no host or no port number")
-    return Address("tcp", host, port)
+    return ConnectionString("tcp", host, port)

@@ -50,7 +50,14 @@ from m100link.protocol.records import (
     Time,
     Velocity,
 )
-from m100link.protocol.setpoint import ControlMode, Frame, Horizontal, Setpoint, Vertical, Yaw
+from m100link.protocol.setpoint import (
+    ControlMode,
+    Horizontal,
+    ReferenceFrame,
+    Setpoint,
+    Vertical,
+    Yaw,
+)
 
 __all__ = [
     "PROFILES",
@@ -74,7 +81,6 @@ __all__ = [
     "FirmwareProfile",
     "FlightPhase",
     "FlightStatus",
-    "Frame",
     "FromMobile",
     "GetVersion",
     "Gimbal",
@@ -87,6 +93,7 @@ __all__ = [
     "QueryTask",
     "RatesCode",
     "RcMode",
+    "ReferenceFrame",
     "RemoteControl",
     "RequestAuthority",
     "SendToMobile",

@@ -27,7 +27,7 @@ from m100link.errors import BadSetpoint
 from m100link.protocol.commands.control import Move
 from m100link.protocol.firmware import FirmwareProfile, FlagBit0
 
-__all__ = ["LIMITS", "ControlMode", "Frame", "Horizontal", "Setpoint", "Vertical", "Yaw"]
+__all__ = ["LIMITS", "ControlMode", "Horizontal", "ReferenceFrame", "Setpoint", "Vertical", "Yaw"]
 
 
 class Horizontal(IntEnum):
@@ -53,7 +53,7 @@ class Yaw(IntEnum):
     RATE = 1
 
 
-class Frame(IntEnum):
+class ReferenceFrame(IntEnum):
     """Bit 1 of the control flag: the frame of the horizontal values."""
 
     GROUND = 0
@@ -152,7 +152,7 @@ class Setpoint:
     y: float
     z: float
     yaw: float
-    frame: Frame = Frame.GROUND
+    frame: ReferenceFrame = ReferenceFrame.GROUND
     stable: bool = False
 
     def __post_init__(self) -> None:
@@ -180,7 +180,7 @@ class Setpoint:
         thrust_percent: float | None = None,
         yaw_deg: float | None = None,
         yaw_rate_deg_s: float | None = None,
-        frame: Frame = Frame.BODY,
+        frame: ReferenceFrame = ReferenceFrame.BODY,
         stable: bool = False,
     ) -> Self:
         """Modes 1, 2, 7, 8, 13 and 14: tilt the aircraft.
@@ -295,7 +295,9 @@ class Setpoint:
                     remedy="leave stable=False",
                 )
             flag |= 1
-        is_ground_tilt = self.mode.horizontal is Horizontal.TILT and self.frame is Frame.GROUND
+        is_ground_tilt = (
+            self.mode.horizontal is Horizontal.TILT and self.frame is ReferenceFrame.GROUND
+        )
         if is_ground_tilt and not profile.tilt_frame_selectable:
             raise BadSetpoint(
                 f"firmware {profile} takes tilt angles in the body frame only",
@@ -331,9 +333,9 @@ class Setpoint:
             raise BadSetpoint(f"control flag 0x{flag:02X} names no control mode") from None
         if flag & 0x04:
             raise BadSetpoint(f"control flag 0x{flag:02X} has its reserved bit 2 set")
-        frame = Frame(flag >> 1 & 1)
+        frame = ReferenceFrame(flag >> 1 & 1)
         if mode.horizontal is Horizontal.TILT and not profile.tilt_frame_selectable:
-            frame = Frame.BODY
+            frame = ReferenceFrame.BODY
         values = (move.roll_or_x, move.pitch_or_y, move.throttle_or_z, move.yaw)
         if clamp and mode.is_legal and all(map(math.isfinite, values)):
             horizontal = LIMITS[mode.horizontal]
@@ -385,12 +387,12 @@ def _yaw(yaw_deg: float | None, yaw_rate_deg_s: float | None) -> tuple[Yaw, floa
 
 def _horizontal(
     north: float | None, east: float | None, forward: float | None, right: float | None
-) -> tuple[Frame, float, float]:
+) -> tuple[ReferenceFrame, float, float]:
     ground, body = (north, east), (forward, right)
     if None not in ground and body == (None, None):
-        frame, pair = Frame.GROUND, ground
+        frame, pair = ReferenceFrame.GROUND, ground
     elif None not in body and ground == (None, None):
-        frame, pair = Frame.BODY, body
+        frame, pair = ReferenceFrame.BODY, body
     else:
         raise BadSetpoint(
             "the horizontal values do not make one frame",

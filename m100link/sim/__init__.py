@@ -20,7 +20,7 @@ from m100link.sim.vehicle.mobile import (
     MobileApp,
     RegisteredApp,
 )
-from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import (
     DEFAULT_RATES_HZ,
     AircraftSettings,
@@ -47,9 +47,9 @@ __all__ = [
     "LineFaults",
     "LogEntry",
     "MobileApp",
+    "PilotRemote",
     "PtyPort",
     "RegisteredApp",
-    "RemoteControl",
     "ScaledEventLoop",
     "TcpServer",
     "Undecodable",

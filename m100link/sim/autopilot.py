@@ -29,12 +29,12 @@ from m100link.session import Endpoint, Received
 from m100link.sim.commands import Commands, LastCommand
 from m100link.sim.telemetry import Sensors, TelemetryPusher
 from m100link.sim.vehicle.activation import Activation
-from m100link.sim.vehicle.authority import Authority
+from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import STEP_S
 from m100link.sim.vehicle.flight import FlightController
-from m100link.sim.vehicle.gimbal import Camera, Gimbal
+from m100link.sim.vehicle.gimbal import Camera, GimbalMount
 from m100link.sim.vehicle.mobile import ActivationServer, MobileApp
-from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings, Undecodable
 from m100link.wire.cipher import Cipher
 from m100link.wire.crc import frame_crc32
@@ -121,7 +121,7 @@ class Autopilot:
         firmware: str | FirmwareProfile = "1.0",
         settings: AircraftSettings | None = None,
         assistant: AssistantSettings | None = None,
-        remote: RemoteControl | None = None,
+        remote: PilotRemote | None = None,
         app: MobileApp | None = None,
         server: ActivationServer | None = None,
         serial_number: str | None = None,
@@ -134,7 +134,7 @@ class Autopilot:
         self.server = server or ActivationServer()
         self.serial_number = serial_number or f"041D{random.randrange(16**6):06X}"
         self.flight = FlightController(self.settings)
-        self.gimbal = Gimbal()
+        self.gimbal = GimbalMount()
         self.camera = Camera()
         self.activation = Activation(
             self.profile,
@@ -143,7 +143,7 @@ class Autopilot:
             app=self.app,
             server_delay=self.settings.server_delay,
         )
-        self.authority = Authority(
+        self.authority = ControlArbiter(
             self.profile, self.settings, self.assistant, self.remote, self.app
         )
         self._sensors = self._make_sensors(random)
@@ -475,7 +475,7 @@ class Autopilot:
 _ACTIVATION_SIZE = 2 + 44
 
 
-def _remote_in_f() -> RemoteControl:
-    remote = RemoteControl()
+def _remote_in_f() -> PilotRemote:
+    remote = PilotRemote()
     remote.set_mode(RcMode.F)
     return remote

@@ -20,10 +20,10 @@ from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.monitor import PushTelemetry
 from m100link.protocol.firmware import ITEM_NAMES, FirmwareProfile, ItemLayout
 from m100link.protocol.records import Device
-from m100link.sim.vehicle.authority import Authority
+from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController
-from m100link.sim.vehicle.gimbal import Gimbal
-from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.gimbal import GimbalMount
+from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.wire.crc import frame_crc32, header_crc16_of_word, sequence_crc16
 from m100link.wire.frame import HEADER_SIZE, SOF
@@ -79,9 +79,9 @@ class Sensors:
         random: Random,
         *,
         flight: FlightController,
-        authority: Authority,
-        remote: RemoteControl,
-        gimbal: Gimbal,
+        authority: ControlArbiter,
+        remote: PilotRemote,
+        gimbal: GimbalMount,
     ) -> None:
         self.ticks = 0
         self._profile = profile

@@ -16,7 +16,7 @@ from m100link.protocol.records import RcMode
 from m100link.sim.autopilot import Autopilot
 from m100link.sim.line import NO_FAULTS, Line, LineFaults
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY, ActivationServer, MobileApp
-from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class VirtualAircraft:
         self.server = server or ActivationServer()
         self.server.register(app_id, key, level=level)
         self.credentials = Credentials(app_id, key, level=level)
-        self.remote = RemoteControl()
+        self.remote = PilotRemote()
         self.app = MobileApp(is_connected=not cold, has_internet=not cold)
         settings = settings or AircraftSettings()
         if assistant is None:
@@ -117,7 +117,7 @@ class VirtualAircraft:
         yaw: float | None = None,
         throttle: float | None = None,
     ) -> None:
-        """Deflect sticks, -1 to 1; see :meth:`RemoteControl.move_stick`."""
+        """Deflect sticks, -1 to 1; see :meth:`PilotRemote.move_stick`."""
         self.remote.move_stick(roll=roll, pitch=pitch, yaw=yaw, throttle=throttle)
 
     def release_sticks(self) -> None:

@@ -13,9 +13,9 @@ from m100link import (
     Control,
     Envelope,
     FlightPhase,
-    Frame,
     GuardRefused,
     Guards,
+    ReferenceFrame,
     Setpoint,
     TelemetryStalled,
     UsageError,
@@ -269,7 +269,9 @@ async def test_ground_frame_tilt_is_judged_in_the_ground_frame() -> None:
         refusal(
             flown,
             control,
-            Setpoint.tilt(roll_deg=0, pitch_deg=-5, up=0, yaw_rate_deg_s=0, frame=Frame.GROUND),
+            Setpoint.tilt(
+                roll_deg=0, pitch_deg=-5, up=0, yaw_rate_deg_s=0, frame=ReferenceFrame.GROUND
+            ),
         )
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from m100link import BadSetpoint, Frame, Guards, Setpoint
+from m100link import BadSetpoint, Guards, ReferenceFrame, Setpoint
 from m100link.protocol.setpoint import ControlMode, Horizontal, Vertical, Yaw
 from m100link.sim import AircraftSettings
 from tests.rig import FIRMWARES, rig
@@ -41,7 +41,7 @@ class Asked:
     east: float
 
 
-def asked(mode: ControlMode, frame: Frame) -> Asked:
+def asked(mode: ControlMode, frame: ReferenceFrame) -> Asked:
     """A setpoint with a north (or forward) part only, 1 m/s, 4 m or 5 degrees."""
     z = {Vertical.VELOCITY: 0.8, Vertical.HEIGHT: 4.0, Vertical.THRUST: 47.0}[mode.vertical]
     yaw = {Yaw.ANGLE: -150.0, Yaw.RATE: 15.0}[mode.yaw]
@@ -51,12 +51,16 @@ def asked(mode: ControlMode, frame: Frame) -> Asked:
     else:
         x, y = (4.0, 0.0) if mode.horizontal is Horizontal.POSITION_OFFSET else (1.0, 0.0)
     setpoint = Setpoint(mode, x, y, z, yaw, frame)
-    return Asked(setpoint, 1.0, 0.0) if frame is Frame.GROUND else Asked(setpoint, 0.0, 1.0)
+    return (
+        Asked(setpoint, 1.0, 0.0) if frame is ReferenceFrame.GROUND else Asked(setpoint, 0.0, 1.0)
+    )
 
 
-def is_selectable(mode: ControlMode, frame: Frame, firmware: str) -> bool:
+def is_selectable(mode: ControlMode, frame: ReferenceFrame, firmware: str) -> bool:
     """Firmware 1.0 takes tilt in the body frame only."""
-    return not (mode.horizontal is Horizontal.TILT and frame is Frame.GROUND and firmware == "1.0")
+    return not (
+        mode.horizontal is Horizontal.TILT and frame is ReferenceFrame.GROUND and firmware == "1.0"
+    )
 
 
 def test_there_are_fourteen_modes_and_both_frames_make_twenty_eight() -> None:
@@ -64,10 +68,10 @@ def test_there_are_fourteen_modes_and_both_frames_make_twenty_eight() -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-@pytest.mark.parametrize("frame", Frame, ids=lambda f: f.name.lower())
+@pytest.mark.parametrize("frame", ReferenceFrame, ids=lambda f: f.name.lower())
 @pytest.mark.parametrize("mode", MODES, ids=lambda m: f"mode{m.number}")
 async def test_each_mode_flies_where_it_says(
-    mode: ControlMode, frame: Frame, firmware: str
+    mode: ControlMode, frame: ReferenceFrame, firmware: str
 ) -> None:
     wanted = asked(mode, frame)
     settings = AircraftSettings(heading_deg=HEADING)
@@ -84,7 +88,7 @@ async def test_each_mode_flies_where_it_says(
             height = motion.height
             # A body frame that turns would make a circle: no turning while that is looked at.
             straight = wanted.setpoint
-            if frame is Frame.BODY:
+            if frame is ReferenceFrame.BODY:
                 still = HEADING if mode.yaw is Yaw.ANGLE else 0.0
                 straight = Setpoint(mode, straight.x, straight.y, straight.z, still, frame)
             async for tick in control.ticks():
@@ -92,7 +96,7 @@ async def test_each_mode_flies_where_it_says(
                     break
                 control.send(straight)
             north, east = flown.virtual.position
-            along, across = (north, east) if frame is Frame.GROUND else (east, -north)
+            along, across = (north, east) if frame is ReferenceFrame.GROUND else (east, -north)
             assert along > 0.5, "it does not fly along the axis that was asked for"
             # Tilt in the ground frame lags behind the turning nose a little.
             assert abs(across) < 0.25 * along, "it strays"
@@ -102,7 +106,7 @@ async def test_each_mode_flies_where_it_says(
                 assert motion.height == pytest.approx(4.0, abs=0.3)
             else:
                 assert motion.height > height + 0.3, "47 % is a little more than it needs to hover"
-            if frame is Frame.GROUND:
+            if frame is ReferenceFrame.GROUND:
                 await asyncio.sleep(0)
                 turned = math.degrees(motion.yaw) - HEADING
                 if mode.yaw is Yaw.RATE:

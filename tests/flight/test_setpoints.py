@@ -10,7 +10,7 @@ from itertools import pairwise
 import pytest
 
 from m100link.flight.setpoints import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
-from m100link.protocol.setpoint import Frame, Setpoint
+from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from m100link.sim import VirtualClockEventLoop
 
 pytestmark = pytest.mark.anyio
@@ -259,8 +259,12 @@ async def test_stop_ends_the_task_and_may_be_called_twice(rig: Rig) -> None:
             Setpoint.tilt(roll_deg=0, pitch_deg=0, up=0, yaw_rate_deg_s=0),
         ),
         (
-            Setpoint.tilt(roll_deg=5, pitch_deg=0, height=9, yaw_deg=10, frame=Frame.GROUND),
-            Setpoint.tilt(roll_deg=0, pitch_deg=0, up=0, yaw_rate_deg_s=0, frame=Frame.GROUND),
+            Setpoint.tilt(
+                roll_deg=5, pitch_deg=0, height=9, yaw_deg=10, frame=ReferenceFrame.GROUND
+            ),
+            Setpoint.tilt(
+                roll_deg=0, pitch_deg=0, up=0, yaw_rate_deg_s=0, frame=ReferenceFrame.GROUND
+            ),
         ),
         (
             Setpoint.velocity(forward=3, right=1, height=9, yaw_deg=10, stable=True),

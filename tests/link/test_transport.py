@@ -20,7 +20,7 @@ from m100link.errors import (
     PortPermissionDenied,
 )
 from m100link.link import Link, connect_in_memory, open_link, transport
-from m100link.link.url import Address, parse_url
+from m100link.link.url import ConnectionString, parse_url
 from tests.link.peer import Peer
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]
@@ -127,7 +127,7 @@ def plug_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Peer]]:
     """A transport called ``loop``, installed as other packages would install theirs."""
     peers: list[Peer] = []
 
-    async def opener(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+    async def opener(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:
         peers.append(Peer())
         return connect_in_memory(protocol, peers[-1].link)
 

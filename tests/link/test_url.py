@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.errors import BadURL
-from m100link.link.url import DEFAULT_BAUD_RATE, EXAMPLES, Address, parse_url
+from m100link.link.url import DEFAULT_BAUD_RATE, EXAMPLES, ConnectionString, parse_url
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ from m100link.link.url import DEFAULT_BAUD_RATE, EXAMPLES, Address, parse_url
     ],
 )
 def test_serial_ports(url: str, device: str, baud_rate: int) -> None:
-    assert parse_url(url) == Address("serial", device, baud_rate)
+    assert parse_url(url) == ConnectionString("serial", device, baud_rate)
 
 
 def test_the_default_rate_is_the_documents_and_can_be_given_apart() -> None:
@@ -50,11 +50,11 @@ def test_the_default_rate_is_the_documents_and_can_be_given_apart() -> None:
     [("tcp://192.168.1.5:7000", "192.168.1.5", 7000), ("tcp://[::1]:7000", "::1", 7000)],
 )
 def test_tcp(url: str, host: str, port: int) -> None:
-    assert parse_url(url) == Address("tcp", host, port)
+    assert parse_url(url) == ConnectionString("tcp", host, port)
 
 
 def test_any_other_scheme_is_left_to_its_transport() -> None:
-    assert parse_url("sim://?wind=3") == Address("sim", "?wind=3")
+    assert parse_url("sim://?wind=3") == ConnectionString("sim", "?wind=3")
 
 
 BAD = [

@@ -15,9 +15,9 @@ from m100link.protocol import (
     PROFILES,
     ControlMode,
     FirmwareProfile,
-    Frame,
     Horizontal,
     Move,
+    ReferenceFrame,
     Setpoint,
     Vertical,
     Yaw,
@@ -62,7 +62,7 @@ def build(
     z: float = 3.0,
     turn: float = 4.0,
     *,
-    frame: Frame = Frame.BODY,
+    frame: ReferenceFrame = ReferenceFrame.BODY,
 ) -> Setpoint:
     """A setpoint by the constructor that users would take."""
     words: dict[str, Any] = {
@@ -74,7 +74,7 @@ def build(
     make: Callable[..., Setpoint] = (
         Setpoint.velocity if horizontal is VELOCITY else Setpoint.position_offset
     )
-    names = ("forward", "right") if frame is Frame.BODY else ("north", "east")
+    names = ("forward", "right") if frame is ReferenceFrame.BODY else ("north", "east")
     return make(**words | dict(zip(names, (x, y), strict=True)))
 
 
@@ -97,7 +97,7 @@ def test_each_mode_has_its_number_and_its_flag(
 def test_the_ground_frame_has_bit_1_clear(
     number: int, horizontal: Horizontal, vertical: Vertical, yaw: Yaw, flag: int
 ) -> None:
-    setpoint = build(horizontal, vertical, yaw, frame=Frame.GROUND)
+    setpoint = build(horizontal, vertical, yaw, frame=ReferenceFrame.GROUND)
     for name in ("2.3", "3.1"):
         assert setpoint.to_move(profile(name)).control_flag == flag
         assert Setpoint.from_move(setpoint.to_move(profile(name)), profile(name)) == setpoint
@@ -198,7 +198,9 @@ SETPOINTS = st.one_of(
                     {Yaw.ANGLE: (-180, 180), Yaw.RATE: (-100, 100)}[yaw],
                 )
             ),
-            frame=st.sampled_from(Frame) if horizontal is not TILT else st.just(Frame.BODY),
+            frame=st.sampled_from(ReferenceFrame)
+            if horizontal is not TILT
+            else st.just(ReferenceFrame.BODY),
         )
         for _, horizontal, vertical, yaw, _ in MODES
         for limit in [{TILT: 30, VELOCITY: 10, OFFSET: 2.0**120}[horizontal]]
@@ -258,12 +260,12 @@ def test_exactly_one_vertical_and_one_yaw_value_are_needed() -> None:
 def test_the_flags_of_djis_own_samples_mean_what_they_flew() -> None:
     firmware = profile("3.1")
     flown = {
-        0x0A: (TILT, CLIMB, Yaw.RATE, Frame.BODY, False),
-        0x48: (VELOCITY, CLIMB, Yaw.RATE, Frame.GROUND, False),
-        0x40: (VELOCITY, CLIMB, Yaw.ANGLE, Frame.GROUND, False),
-        0x90: (OFFSET, HEIGHT, Yaw.ANGLE, Frame.GROUND, False),
-        0x91: (OFFSET, HEIGHT, Yaw.ANGLE, Frame.GROUND, True),
-        0x12: (TILT, HEIGHT, Yaw.ANGLE, Frame.BODY, False),
+        0x0A: (TILT, CLIMB, Yaw.RATE, ReferenceFrame.BODY, False),
+        0x48: (VELOCITY, CLIMB, Yaw.RATE, ReferenceFrame.GROUND, False),
+        0x40: (VELOCITY, CLIMB, Yaw.ANGLE, ReferenceFrame.GROUND, False),
+        0x90: (OFFSET, HEIGHT, Yaw.ANGLE, ReferenceFrame.GROUND, False),
+        0x91: (OFFSET, HEIGHT, Yaw.ANGLE, ReferenceFrame.GROUND, True),
+        0x12: (TILT, HEIGHT, Yaw.ANGLE, ReferenceFrame.BODY, False),
     }
     for flag, meaning in flown.items():
         setpoint = Setpoint.from_move(Move(flag, 0, 0, 0, 0), firmware)
@@ -282,11 +284,11 @@ def test_bit_0_is_stable_mode_from_3_1_on_and_the_yaw_frame_before() -> None:
 
 
 def test_firmware_1_0_knows_tilt_in_the_body_frame_only() -> None:
-    ground = build(TILT, CLIMB, Yaw.RATE, frame=Frame.GROUND)
+    ground = build(TILT, CLIMB, Yaw.RATE, frame=ReferenceFrame.GROUND)
     with pytest.raises(BadSetpoint, match="body frame only"):
         ground.to_move(profile("1.0"))
-    assert Setpoint.from_move(Move(0x08, 0, 0, 0, 0), profile("1.0")).frame is Frame.BODY
-    assert Setpoint.from_move(Move(0x08, 0, 0, 0, 0), profile("2.3")).frame is Frame.GROUND
+    assert Setpoint.from_move(Move(0x08, 0, 0, 0, 0), profile("1.0")).frame is ReferenceFrame.BODY
+    assert Setpoint.from_move(Move(0x08, 0, 0, 0, 0), profile("2.3")).frame is ReferenceFrame.GROUND
 
 
 @pytest.mark.parametrize("flag", range(256))

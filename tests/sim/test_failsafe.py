@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from m100link.protocol import Device, FlightPhase, RcMode, Setpoint, StartTask, Task
-from m100link.sim import RemoteControl
+from m100link.sim import PilotRemote
 
 from .host import Host
 
@@ -75,7 +75,7 @@ def test_rc_lost_on_the_ground_takes_control_and_moves_nothing() -> None:
 
 
 def test_a_lost_remote_reads_as_centred_sticks() -> None:
-    remote = RemoteControl(RcMode.P)
+    remote = PilotRemote(RcMode.P)
     remote.move_stick(roll=1.0, throttle=-0.5)
     assert remote.channels() == (10000, 0, 0, -5000, -8000, -4545)
     remote.is_switched_on = False
@@ -131,7 +131,7 @@ def test_sticks_fly_in_f_without_onboard_control() -> None:
 
 @pytest.mark.parametrize("value", [-1.01, 1.5])
 def test_a_stick_has_ends(value: float) -> None:
-    remote = RemoteControl()
+    remote = PilotRemote()
     with pytest.raises(ValueError, match="pitch stick"):
         remote.move_stick(pitch=value)
 

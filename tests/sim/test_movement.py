@@ -12,10 +12,10 @@ from m100link.geodesy import dji_offset
 from m100link.protocol import (
     ControlMode,
     Device,
-    Frame,
     Horizontal,
     Move,
     Position,
+    ReferenceFrame,
     RequestAuthority,
     Setpoint,
     Vertical,
@@ -51,11 +51,11 @@ def horizontal_values(mode: ControlMode) -> tuple[float, float]:
     return (4.0, -6.0) if mode.horizontal is not Horizontal.VELOCITY else (2.0, -1.5)
 
 
-@pytest.mark.parametrize("frame", Frame)
+@pytest.mark.parametrize("frame", ReferenceFrame)
 @pytest.mark.parametrize("heading", [0.0, 120.0])
 @pytest.mark.parametrize("mode", MODES, ids=lambda mode: f"mode{mode.number}")
 def test_each_mode_does_what_its_three_parts_say(
-    mode: ControlMode, heading: float, frame: Frame
+    mode: ControlMode, heading: float, frame: ReferenceFrame
 ) -> None:
     host = airborne(heading)
     x, y = horizontal_values(mode)
@@ -74,7 +74,7 @@ def test_each_mode_does_what_its_three_parts_say(
         for _ in range(300):
             host.send(data.encode(host.profile), session=0, cipher=host.cipher)
             host.wait(0.02)
-    check_horizontal(host, mode, (x, y), heading if frame is Frame.BODY else 0.0)
+    check_horizontal(host, mode, (x, y), heading if frame is ReferenceFrame.BODY else 0.0)
     if mode.vertical is Vertical.VELOCITY:
         assert host.motion.velocity_up == pytest.approx(1.0, abs=0.02)
     elif mode.vertical is Vertical.HEIGHT:

@@ -15,7 +15,7 @@ from m100link.agent.connect import by_driver
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
-from m100link.station.ros.client import Session
+from m100link.station.ros.client import Client
 from m100link.station.ros.dji_sdk import DjiSdk
 from m100link.station.ros.graph import Graph
 from m100link.station.ros.leases import Clients
@@ -27,12 +27,12 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
     return "asyncio", {"loop_factory": virtual_clock_loop}
 
 
-class Client:
+class FakeClient:
     """A rosbridge client without a socket."""
 
     def __init__(self, rig: Rig, name: str) -> None:
         self._rig = rig
-        self.session = Session(rig.graph, name)
+        self.session = Client(rig.graph, name)
         self.inbox: list[Any] = []
 
     def send(self, op: str, **fields: Any) -> None:
@@ -93,8 +93,8 @@ class Rig:
             yield self
         self.driver.stop()
 
-    def client(self, name: str = "page") -> Client:
-        return Client(self, name)
+    def client(self, name: str = "page") -> FakeClient:
+        return FakeClient(self, name)
 
     async def until(self, predicate: Callable[[], bool], within: float = 60.0) -> None:
         with anyio.fail_after(within):
@@ -104,7 +104,7 @@ class Rig:
     async def activated(self) -> None:
         await self.station.activate()
 
-    async def open(self, name: str = "page") -> Client:
+    async def open(self, name: str = "page") -> FakeClient:
         """A client that activated and opened control."""
         if not (self.station.aircraft and self.station.aircraft.is_activated):
             await self.activated()
@@ -114,7 +114,7 @@ class Rig:
         await self.until(lambda: self.station.has_authority)
         return client
 
-    async def airborne(self, name: str = "page") -> Client:
+    async def airborne(self, name: str = "page") -> FakeClient:
         client = await self.open(name)
         client.publish("/sdk_request_cmd", data=4)
         await self.until(lambda: self.station.task is not None)

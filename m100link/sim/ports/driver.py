@@ -20,7 +20,7 @@ from m100link.sim.virtual import VirtualAircraft
 
 if TYPE_CHECKING:
     from m100link.link import MemoryTransport
-    from m100link.link.url import Address
+    from m100link.link.url import ConnectionString
     from m100link.sim.orders.scenario import Scenario
 
 __all__ = ["Backlog", "Driver", "Port", "StreamPort", "open_sim"]
@@ -267,7 +267,7 @@ class StreamPort(asyncio.Protocol):
             self._transport.close()
 
 
-async def open_sim(address: Address, protocol: asyncio.Protocol) -> asyncio.Transport:
+async def open_sim(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:
     """Transport of ``sim://`` URLs: a new virtual aircraft that lives as long as the connection.
 
     ``sim://?firmware=2.3&seed=7`` sets the firmware profile and the seed.

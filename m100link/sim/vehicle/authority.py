@@ -12,10 +12,10 @@ from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device, RcMode
 from m100link.sim.vehicle.mobile import MobileApp
-from m100link.sim.vehicle.remote import RemoteControl
+from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 
-__all__ = ["Authority", "Obstacle"]
+__all__ = ["ControlArbiter", "Obstacle"]
 
 
 class Obstacle(Enum):
@@ -29,7 +29,7 @@ class Obstacle(Enum):
     APP_HOLDS = "the mobile app holds control"
 
 
-class Authority:
+class ControlArbiter:
     """The state of control authority; :meth:`update` after anything that may change it.
 
     Attributes:
@@ -58,7 +58,7 @@ class Authority:
         profile: FirmwareProfile,
         settings: AircraftSettings,
         assistant: AssistantSettings,
-        remote: RemoteControl,
+        remote: PilotRemote,
         app: MobileApp,
     ) -> None:
         self._profile = profile

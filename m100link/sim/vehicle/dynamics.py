@@ -23,14 +23,23 @@ from dataclasses import dataclass
 from enum import IntEnum
 from math import atan, cos, exp, pi, sin, sqrt, tan
 
-__all__ = ["GRAVITY", "STEP_S", "Airframe", "Dynamics", "Guidance", "Horizontal", "Vertical", "Yaw"]
+__all__ = [
+    "GRAVITY",
+    "STEP_S",
+    "Airframe",
+    "Dynamics",
+    "Guidance",
+    "ModelHorizontal",
+    "ModelVertical",
+    "ModelYaw",
+]
 
 GRAVITY = 9.80665
 STEP_S = 0.01
 """One step is one period of the fastest telemetry rate, 100 Hz."""
 
 
-class Horizontal(IntEnum):
+class ModelHorizontal(IntEnum):
     """What the two horizontal values of a :class:`Guidance` mean."""
 
     TILT = 0
@@ -43,7 +52,7 @@ class Horizontal(IntEnum):
     """Stop, then hold the place where it stopped."""
 
 
-class Vertical(IntEnum):
+class ModelVertical(IntEnum):
     """What the vertical value of a :class:`Guidance` means."""
 
     VELOCITY = 0
@@ -54,7 +63,7 @@ class Vertical(IntEnum):
     """Percent of full thrust."""
 
 
-class Yaw(IntEnum):
+class ModelYaw(IntEnum):
     """What the yaw value of a :class:`Guidance` means."""
 
     ANGLE = 0
@@ -119,14 +128,14 @@ class Guidance:
 
     def __init__(
         self,
-        horizontal: Horizontal = Horizontal.BRAKE,
+        horizontal: ModelHorizontal = ModelHorizontal.BRAKE,
         a: float = 0.0,
         b: float = 0.0,
         *,
         body: bool = False,
-        vertical: Vertical = Vertical.VELOCITY,
+        vertical: ModelVertical = ModelVertical.VELOCITY,
         up: float = 0.0,
-        yaw_mode: Yaw = Yaw.RATE,
+        yaw_mode: ModelYaw = ModelYaw.RATE,
         yaw: float = 0.0,
     ) -> None:
         self.horizontal = horizontal
@@ -256,7 +265,7 @@ class Dynamics:
                 return
             self.on_ground = False
         cos_yaw, sin_yaw = cos(self.yaw), sin(self.yaw)
-        if guidance.horizontal == Horizontal.TILT:
+        if guidance.horizontal == ModelHorizontal.TILT:
             roll, pitch = self._commanded_tilt(guidance, cos_yaw, sin_yaw)
         else:
             roll, pitch = self._tilt_for(guidance, lift, cos_yaw, sin_yaw)
@@ -269,7 +278,7 @@ class Dynamics:
         airframe = self.airframe
         limit = airframe.yaw_rate_deg * (pi / 180.0)
         wanted = guidance.yaw
-        if guidance.yaw_mode == Yaw.ANGLE:
+        if guidance.yaw_mode == ModelYaw.ANGLE:
             wanted = airframe.yaw_gain * _wrap(wanted - self.yaw)
         if wanted > limit:
             wanted = limit
@@ -290,13 +299,13 @@ class Dynamics:
         airframe = self.airframe
         level = cos(self.roll) * cos(self.pitch)
         vertical = guidance.vertical
-        if vertical == Vertical.THRUST:
+        if vertical == ModelVertical.THRUST:
             self.thrust = min(100.0, max(0.0, guidance.up))
             lift = GRAVITY * self.thrust / airframe.hover_thrust * level
             return lift - airframe.vertical_drag * self.velocity_up
         limit = airframe.vertical_speed
         wanted = guidance.up
-        if vertical == Vertical.HEIGHT:
+        if vertical == ModelVertical.HEIGHT:
             wanted = airframe.height_gain * (wanted - self.height)
         if wanted > limit:
             wanted = limit
@@ -353,13 +362,13 @@ class Dynamics:
     ) -> tuple[float, float]:
         airframe = self.airframe
         horizontal = guidance.horizontal
-        if horizontal == Horizontal.VELOCITY:
+        if horizontal == ModelHorizontal.VELOCITY:
             self._brake = False
             a, b = guidance.a, guidance.b
             if guidance.body:
                 return a * cos_yaw - b * sin_yaw, a * sin_yaw + b * cos_yaw
             return a, b
-        if horizontal == Horizontal.POSITION:
+        if horizontal == ModelHorizontal.POSITION:
             self._brake = False
             target_north, target_east = guidance.a, guidance.b
         else:

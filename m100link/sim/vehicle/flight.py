@@ -1,7 +1,7 @@
 """What the flight controller makes of orders: take-off, landing, go-home, hovering, setpoints.
 
-It owns the motion (:mod:`m100link.sim.vehicle.dynamics`), the battery and the flight status, and decides
-each step which guidance the aircraft follows. Who may give orders is not its business
+It owns the motion (:mod:`m100link.sim.vehicle.dynamics`), the battery and the flight status, and
+decides each step which guidance the aircraft follows. Who may give orders is not its business
 (:mod:`m100link.sim.vehicle.authority`).
 """
 
@@ -15,8 +15,15 @@ from m100link.protocol import setpoint as wire
 from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Device, FlightPhase, RcMode
-from m100link.sim.vehicle.dynamics import STEP_S, Dynamics, Guidance, Horizontal, Vertical, Yaw
-from m100link.sim.vehicle.remote import RemoteControl, Sticks
+from m100link.sim.vehicle.dynamics import (
+    STEP_S,
+    Dynamics,
+    Guidance,
+    ModelHorizontal,
+    ModelVertical,
+    ModelYaw,
+)
+from m100link.sim.vehicle.remote import PilotRemote, Sticks
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.vehicle.tasks import TaskMachine
 
@@ -94,7 +101,7 @@ class FlightController:
         self.timeouts = 0
         self.now = 0.0
         self._guidance = self._hover = Guidance()
-        self._level = Guidance(Horizontal.TILT)
+        self._level = Guidance(ModelHorizontal.TILT)
         self._setpoint_until = -math.inf
         self._maneuver_until = math.inf
         self._idle_since: float | None = None
@@ -116,7 +123,7 @@ class FlightController:
 
     def _guidance_for(self, setpoint: wire.Setpoint) -> Guidance:
         horizontal, vertical, yaw_mode = setpoint.mode
-        body = setpoint.frame is wire.Frame.BODY
+        body = setpoint.frame is wire.ReferenceFrame.BODY
         a, b, up = setpoint.x, setpoint.y, setpoint.z
         if horizontal is wire.Horizontal.TILT:
             a, b = radians(a), radians(b)
@@ -131,13 +138,13 @@ class FlightController:
         elif vertical is wire.Vertical.THRUST:
             up = max(up, self._settings.minimum_thrust)
         return Guidance(
-            Horizontal(horizontal.value),
+            ModelHorizontal(horizontal.value),
             a,
             b,
             body=body,
-            vertical=Vertical(vertical.value),
+            vertical=ModelVertical(vertical.value),
             up=up,
-            yaw_mode=Yaw(yaw_mode.value),
+            yaw_mode=ModelYaw(yaw_mode.value),
             yaw=radians(setpoint.yaw),
         )
 
@@ -286,7 +293,7 @@ class FlightController:
 
     # --- each step --------------------------------------------------------------------------
 
-    def step(self, now: float, device: Device, remote: RemoteControl) -> None:
+    def step(self, now: float, device: Device, remote: PilotRemote) -> None:
         """Move on by one step of the dynamics.
 
         Args:
@@ -304,7 +311,10 @@ class FlightController:
             guidance = self._orders(device, remote)
         else:
             guidance = self._own_guidance()
-        if motion.height > self._settings.height_limit and guidance.vertical != Vertical.HEIGHT:
+        if (
+            motion.height > self._settings.height_limit
+            and guidance.vertical != ModelVertical.HEIGHT
+        ):
             guidance = self._held_down(guidance)
         motion.step(guidance)
         if motion.on_ground:
@@ -334,7 +344,7 @@ class FlightController:
             rate *= 0.7 + 0.3 * motion.thrust / self._settings.airframe.hover_thrust
         self.battery_percent = max(0.0, self.battery_percent - rate * STEP_S)
 
-    def _orders(self, device: Device, remote: RemoteControl) -> Guidance:
+    def _orders(self, device: Device, remote: PilotRemote) -> Guidance:
         if device is Device.ONBOARD:
             if self.now <= self._setpoint_until:
                 return self._guidance
@@ -355,10 +365,15 @@ class FlightController:
         if sticks.mode is RcMode.A or self.gps_health < GOOD_GPS:
             tilt = radians(airframe.maximum_tilt_deg)
             return Guidance(
-                Horizontal.TILT, sticks.roll * tilt, -sticks.pitch * tilt, body=True, up=up, yaw=yaw
+                ModelHorizontal.TILT,
+                sticks.roll * tilt,
+                -sticks.pitch * tilt,
+                body=True,
+                up=up,
+                yaw=yaw,
             )
         return Guidance(
-            Horizontal.VELOCITY,
+            ModelHorizontal.VELOCITY,
             sticks.pitch * _PILOT_SPEED,
             sticks.roll * _PILOT_SPEED,
             body=True,
@@ -374,17 +389,17 @@ class FlightController:
             return self._homewards()
         if maneuver is Maneuver.DESCEND:
             up = -1.5 if self.dynamics.height > 3.0 else -0.6
-            return self._vertically(Vertical.VELOCITY, up)
+            return self._vertically(ModelVertical.VELOCITY, up)
         if maneuver is Maneuver.SPIN_UP and self.now >= self._maneuver_until:
             self._begin(Maneuver.TAKE_OFF)
         elif maneuver is Maneuver.FINISH and self.now >= self._maneuver_until:
             self.stop_motors()
             self.tasks.end(succeeded=True)
-        return self._vertically(Vertical.VELOCITY, 0.0)
+        return self._vertically(ModelVertical.VELOCITY, 0.0)
 
-    def _vertically(self, vertical: Vertical, up: float) -> Guidance:
+    def _vertically(self, vertical: ModelVertical, up: float) -> Guidance:
         blind = self.gps_health < GOOD_GPS
-        horizontal = Horizontal.TILT if blind else Horizontal.BRAKE
+        horizontal = ModelHorizontal.TILT if blind else ModelHorizontal.BRAKE
         return Guidance(horizontal, vertical=vertical, up=up)
 
     def _climb_to_take_off_height(self) -> Guidance:
@@ -392,7 +407,7 @@ class FlightController:
         if abs(motion.height - height) < 0.05 and abs(motion.velocity_up) < 0.1:
             self._begin(Maneuver.NONE)
             self.tasks.end(succeeded=True)
-        return self._vertically(Vertical.HEIGHT, height)
+        return self._vertically(ModelVertical.HEIGHT, height)
 
     def _homewards(self) -> Guidance:
         motion = self.dynamics
@@ -412,24 +427,24 @@ class FlightController:
         elif distance < 0.3 and motion.speed < 0.3:
             self.land()
         return Guidance(
-            Horizontal.VELOCITY,
+            ModelHorizontal.VELOCITY,
             speed * math.cos(bearing),
             speed * math.sin(bearing),
-            vertical=Vertical.HEIGHT,
+            vertical=ModelVertical.HEIGHT,
             up=height,
-            yaw_mode=Yaw.ANGLE if distance > 3.0 else Yaw.RATE,
+            yaw_mode=ModelYaw.ANGLE if distance > 3.0 else ModelYaw.RATE,
             yaw=bearing if distance > 3.0 else 0.0,
         )
 
     def _held_down(self, guidance: Guidance) -> Guidance:
-        if guidance.vertical == Vertical.VELOCITY and guidance.up <= 0.0:
+        if guidance.vertical == ModelVertical.VELOCITY and guidance.up <= 0.0:
             return guidance
         return Guidance(
             guidance.horizontal,
             guidance.a,
             guidance.b,
             body=guidance.body,
-            vertical=Vertical.HEIGHT,
+            vertical=ModelVertical.HEIGHT,
             up=self._settings.height_limit,
             yaw_mode=guidance.yaw_mode,
             yaw=guidance.yaw,

@@ -9,14 +9,14 @@ from struct import Struct
 
 from m100link.geodesy import normalize_degrees
 
-__all__ = ["Camera", "Gimbal"]
+__all__ = ["Camera", "GimbalMount"]
 
 _RATE = Struct("<3hB")
 _ANGLE = Struct("<3h2B")
 _LIMITS = ((-320.0, 320.0), (-35.0, 35.0), (-90.0, 30.0))  # yaw, roll, pitch
 
 
-class Gimbal:
+class GimbalMount:
     """Angles that follow commands at a limited rate.
 
     Attributes:

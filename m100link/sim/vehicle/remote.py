@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from m100link.protocol.records import RcMode
 
-__all__ = ["GEAR_DOWN", "GEAR_UP", "RemoteControl", "Sticks", "VirtualRemote"]
+__all__ = ["GEAR_DOWN", "GEAR_UP", "PilotRemote", "Sticks", "VirtualRemote"]
 
 GEAR_UP = -10_000
 GEAR_DOWN = -4_545
@@ -114,7 +114,7 @@ class VirtualRemote:
 _VIRTUAL_MODES = {1552: RcMode.P, 1024: RcMode.A, 496: RcMode.F}
 
 
-class RemoteControl:
+class PilotRemote:
     """Switches and sticks in the pilot's hands, and the virtual remote control beside them.
 
     Attributes:

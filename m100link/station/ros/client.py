@@ -1,7 +1,7 @@
 """rosbridge v2 with one client, without a transport and without a clock.
 
-Frames go in by :meth:`Session.receive` with the present time, frames come out of
-:meth:`Session.next_frame`; :meth:`Session.next_wakeup` says when to look again. Everything a client
+Frames go in by :meth:`Client.receive` with the present time, frames come out of
+:meth:`Client.next_frame`; :meth:`Client.next_wakeup` says when to look again. Everything a client
 can make grow has a limit, and a client that is slow, noisy or malicious costs itself messages, not
 others.
 """
@@ -18,7 +18,7 @@ from m100link.station.ros.encoding import Reassembly, fragments
 from m100link.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
 from m100link.station.ros.messages import BadMessage, canonical_type
 
-__all__ = ["Limits", "Session"]
+__all__ = ["Client", "Limits"]
 
 _LEVELS = ("none", "error", "warning", "info")
 _COMPRESSIONS = ("none", "png", "cbor")
@@ -91,7 +91,7 @@ class _Subscription:
         self.next_at = due + self.throttle - 1e-6
 
 
-class Session:
+class Client:
     """One client.
 
     Args:

@@ -21,8 +21,15 @@ from m100link.errors import BadSetpoint, CommandRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
-from m100link.protocol.setpoint import ControlMode, Frame, Horizontal, Setpoint, Vertical, Yaw
-from m100link.station.ros.client import Session
+from m100link.protocol.setpoint import (
+    ControlMode,
+    Horizontal,
+    ReferenceFrame,
+    Setpoint,
+    Vertical,
+    Yaw,
+)
+from m100link.station.ros.client import Client
 from m100link.station.ros.graph import Call, Graph, Topic
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
@@ -56,10 +63,10 @@ def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoin
         horizontal, vertical = Horizontal(flag >> 6 & 3), Vertical(flag >> 4 & 3)
     except ValueError:
         raise BadSetpoint(f"control flag 0x{flag:02X} names no control mode") from None
-    yaw_mode, frame = Yaw(flag >> 3 & 1), Frame(flag >> 1 & 1)
+    yaw_mode, frame = Yaw(flag >> 3 & 1), ReferenceFrame(flag >> 1 & 1)
     if horizontal is Horizontal.TILT:
-        first, second, frame = math.degrees(x), math.degrees(-y), Frame.BODY
-    elif frame is Frame.GROUND:
+        first, second, frame = math.degrees(x), math.degrees(-y), ReferenceFrame.BODY
+    elif frame is ReferenceFrame.GROUND:
         first, second = y, x
     else:
         first, second = x, -y
@@ -272,10 +279,8 @@ class DjiSdk:
                 self._setpoint_handler(flag),
             )
 
-    def _setpoint_handler(
-        self, fixed_flag: int | None
-    ) -> Callable[[Session, Message, float], None]:
-        def handle(session: Session, message: Message, now: float) -> None:
+    def _setpoint_handler(self, fixed_flag: int | None) -> Callable[[Client, Message, float], None]:
+        def handle(session: Client, message: Message, now: float) -> None:
             axes = message["axes"]
             count = 5 if fixed_flag is None else 4
             try:

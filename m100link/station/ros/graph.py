@@ -15,7 +15,7 @@ from m100link.station.ros.encoding import to_cbor, to_png
 from m100link.station.ros.messages import MESSAGES, SERVICES, Message, MessageType, ServiceType
 
 if TYPE_CHECKING:
-    from m100link.station.ros.client import Session
+    from m100link.station.ros.client import Client
 
 __all__ = ["Call", "Graph", "Publication", "Service", "Topic", "canonical_name"]
 
@@ -72,9 +72,9 @@ class Topic:
 
     name: str
     type: MessageType
-    on_publish: Callable[[Session, Message, float], None] | None = None
+    on_publish: Callable[[Client, Message, float], None] | None = None
     latched: bool = False
-    subscribers: set[Session] = field(default_factory=set)
+    subscribers: set[Client] = field(default_factory=set)
     last: Message | None = None
 
 
@@ -88,7 +88,7 @@ class Call:
         now: When it came.
     """
 
-    session: Session
+    session: Client
     service: Service
     request: Message
     identity: Any
@@ -136,15 +136,15 @@ class Graph:
     def __init__(self) -> None:
         self.topics: dict[str, Topic] = {}
         self.services: dict[str, Service] = {}
-        self.sessions: set[Session] = set()
-        self._on_leave: list[Callable[[Session, float], None]] = []
+        self.sessions: set[Client] = set()
+        self._on_leave: list[Callable[[Client, float], None]] = []
         self._add_rosapi()
 
     def add_topic(
         self,
         name: str,
         type_name: str,
-        on_publish: Callable[[Session, Message, float], None] | None = None,
+        on_publish: Callable[[Client, Message, float], None] | None = None,
         *,
         latched: bool = False,
     ) -> Topic:
@@ -157,7 +157,7 @@ class Graph:
         """A service that the station offers."""
         self.services[name] = Service(name, SERVICES[type_name], on_call)
 
-    def on_leave(self, callback: Callable[[Session, float], None]) -> None:
+    def on_leave(self, callback: Callable[[Client, float], None]) -> None:
         """Call this when a client has gone."""
         self._on_leave.append(callback)
 
@@ -170,7 +170,7 @@ class Graph:
             for session in topic.subscribers:
                 session.deliver(publication, now)
 
-    def leave(self, session: Session, now: float) -> None:
+    def leave(self, session: Client, now: float) -> None:
         """A client has gone."""
         if session in self.sessions:
             self.sessions.discard(session)

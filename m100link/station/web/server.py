@@ -24,7 +24,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from m100link.agent.agent import Station
 from m100link.errors import PortBusy, PortFailed, UsageError
-from m100link.station.ros.client import Limits, Session
+from m100link.station.ros.client import Client, Limits
 from m100link.station.ros.dji_sdk import DjiSdk
 from m100link.station.ros.graph import Graph
 from m100link.station.ros.leases import Clients
@@ -120,7 +120,7 @@ class Bridge:
         peer = websocket.client
         name = f"rosbridge {peer.host}:{peer.port}" if peer else "rosbridge"
         wake = asyncio.Event()
-        session = Session(self.graph, name, limits=self._limits, on_output=wake.set)
+        session = Client(self.graph, name, limits=self._limits, on_output=wake.set)
         try:
             await websocket.accept()
             _logger.info("%s connected", name)
@@ -140,7 +140,7 @@ class Bridge:
             session.close(self._station.now)
             _logger.info("%s has gone (%d messages dropped)", name, session.dropped)
 
-    async def _read(self, websocket: WebSocket, session: Session) -> None:
+    async def _read(self, websocket: WebSocket, session: Client) -> None:
         while True:
             message = await websocket.receive()
             if message["type"] == "websocket.disconnect":
@@ -150,7 +150,7 @@ class Bridge:
             # Frames may wait in a row: others have their turn between them.
             await asyncio.sleep(0)
 
-    async def _write(self, websocket: WebSocket, session: Session, wake: asyncio.Event) -> None:
+    async def _write(self, websocket: WebSocket, session: Client, wake: asyncio.Event) -> None:
         # A client that does not read does not answer pings either: the server cuts it off then,
         # and a send that waits for it ends.
         with contextlib.suppress(WebSocketDisconnect):
@@ -174,7 +174,7 @@ class Bridge:
                 async with asyncio.timeout(1.0):
                     await websocket.close(_POLICY_VIOLATION, session.close_reason[:120])
 
-    async def _wait(self, session: Session, wake: asyncio.Event) -> None:
+    async def _wait(self, session: Client, wake: asyncio.Event) -> None:
         due = session.next_wakeup()
         if due is None:
             await wake.wait()

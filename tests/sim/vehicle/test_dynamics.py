@@ -13,9 +13,9 @@ from m100link.sim.vehicle.dynamics import (
     Airframe,
     Dynamics,
     Guidance,
-    Horizontal,
-    Vertical,
-    Yaw,
+    ModelHorizontal,
+    ModelVertical,
+    ModelYaw,
 )
 
 STILL = Airframe(drag=0.0)
@@ -42,7 +42,7 @@ def test_tilt_responds_as_a_critically_damped_second_order_system(
 ) -> None:
     motion, wanted, w = hovering(), math.radians(10), Airframe().tilt_frequency
     a, b = (wanted, 0.0) if axis == "roll" else (0.0, wanted)
-    run(motion, Guidance(Horizontal.TILT, a, b), seconds)
+    run(motion, Guidance(ModelHorizontal.TILT, a, b), seconds)
     closed_form = wanted * (1 - (1 + w * seconds) * math.exp(-w * seconds))
     assert getattr(motion, axis) == pytest.approx(closed_form, rel=1e-9)
 
@@ -50,21 +50,21 @@ def test_tilt_responds_as_a_critically_damped_second_order_system(
 @pytest.mark.parametrize("seconds", [0.1, 0.35, 1.0])
 def test_climb_rate_responds_as_a_first_order_lag(seconds: float) -> None:
     motion, lag = hovering(), Airframe().vertical_time_constant
-    run(motion, Guidance(vertical=Vertical.VELOCITY, up=1.5), seconds)
+    run(motion, Guidance(vertical=ModelVertical.VELOCITY, up=1.5), seconds)
     assert motion.velocity_up == pytest.approx(1.5 * (1 - math.exp(-seconds / lag)), rel=1e-9)
 
 
 @pytest.mark.parametrize("seconds", [0.1, 0.5, 2.0])
 def test_yaw_rate_responds_as_a_first_order_lag(seconds: float) -> None:
     motion, lag, rate = hovering(), Airframe().yaw_time_constant, math.radians(60)
-    run(motion, Guidance(yaw_mode=Yaw.RATE, yaw=rate), seconds)
+    run(motion, Guidance(yaw_mode=ModelYaw.RATE, yaw=rate), seconds)
     angle = rate * (seconds - lag * (1 - math.exp(-seconds / lag)))
     assert motion.yaw == pytest.approx(angle, rel=1e-9)
 
 
 def test_velocity_at_constant_tilt_without_drag_grows_with_g_tan_tilt() -> None:
     motion = hovering(STILL)
-    guidance = Guidance(Horizontal.TILT, 0.0, math.radians(-10))
+    guidance = Guidance(ModelHorizontal.TILT, 0.0, math.radians(-10))
     run(motion, guidance, 2.0)
     before = motion.velocity_north
     run(motion, guidance, 3.0)
@@ -75,7 +75,7 @@ def test_velocity_at_constant_tilt_without_drag_grows_with_g_tan_tilt() -> None:
 
 def test_velocity_at_constant_tilt_ends_where_drag_balances_it() -> None:
     motion = hovering()
-    run(motion, Guidance(Horizontal.TILT, math.radians(5), 0.0), 30.0)
+    run(motion, Guidance(ModelHorizontal.TILT, math.radians(5), 0.0), 30.0)
     assert motion.velocity_east == pytest.approx(
         GRAVITY * math.tan(math.radians(5)) / Airframe().drag, rel=1e-3
     )
@@ -84,13 +84,13 @@ def test_velocity_at_constant_tilt_ends_where_drag_balances_it() -> None:
 def test_drag_slows_exponentially() -> None:
     motion = hovering()
     motion.velocity_north = 5.0
-    run(motion, Guidance(Horizontal.TILT), 4.0)
+    run(motion, Guidance(ModelHorizontal.TILT), 4.0)
     assert motion.velocity_north == pytest.approx(5.0 * math.exp(-4.0 * Airframe().drag), rel=0.01)
 
 
 def test_velocity_control_takes_about_a_second_and_hardly_overshoots() -> None:
     motion = hovering()
-    guidance = Guidance(Horizontal.VELOCITY, 4.0, 0.0)
+    guidance = Guidance(ModelHorizontal.VELOCITY, 4.0, 0.0)
     reached, highest = 0.0, 0.0
     for step in range(1, 600):
         motion.step(guidance)
@@ -104,7 +104,7 @@ def test_velocity_control_takes_about_a_second_and_hardly_overshoots() -> None:
 
 def test_position_control_arrives_and_stays() -> None:
     motion = hovering()
-    guidance = Guidance(Horizontal.POSITION, 12.0, -7.0)
+    guidance = Guidance(ModelHorizontal.POSITION, 12.0, -7.0)
     run(motion, guidance, 20.0)
     assert (motion.north, motion.east) == pytest.approx((12.0, -7.0), abs=0.02)
     assert motion.speed < 0.02
@@ -112,7 +112,7 @@ def test_position_control_arrives_and_stays() -> None:
 
 def test_height_control_arrives_and_stays() -> None:
     motion = hovering()
-    run(motion, Guidance(vertical=Vertical.HEIGHT, up=60.0), 15.0)
+    run(motion, Guidance(vertical=ModelVertical.HEIGHT, up=60.0), 15.0)
     assert motion.height == pytest.approx(60.0, abs=0.01)
     assert abs(motion.velocity_up) < 0.01
 
@@ -122,7 +122,7 @@ def test_height_control_arrives_and_stays() -> None:
 )
 def test_yaw_angle_turns_the_short_way(start: float, target: float, turn: float) -> None:
     motion = hovering(yaw_deg=start)
-    guidance = Guidance(yaw_mode=Yaw.ANGLE, yaw=math.radians(target))
+    guidance = Guidance(yaw_mode=ModelYaw.ANGLE, yaw=math.radians(target))
     turned, before = 0.0, motion.yaw
     for _ in range(1000):
         motion.step(guidance)
@@ -133,7 +133,7 @@ def test_yaw_angle_turns_the_short_way(start: float, target: float, turn: float)
 
 def test_braking_stops_and_holds_the_place() -> None:
     motion = hovering()
-    run(motion, Guidance(Horizontal.VELOCITY, 8.0, 0.0), 5.0)
+    run(motion, Guidance(ModelHorizontal.VELOCITY, 8.0, 0.0), 5.0)
     run(motion, Guidance(), 6.0)
     place = motion.north, motion.east
     run(motion, Guidance(), 20.0)
@@ -145,9 +145,9 @@ def test_hovering_thrust_keeps_the_height_and_more_climbs() -> None:
     airframe = Airframe(vertical_drag=0.0)
     motion = hovering(airframe)
     thrust = airframe.hover_thrust
-    run(motion, Guidance(Horizontal.TILT, vertical=Vertical.THRUST, up=thrust), 5.0)
+    run(motion, Guidance(ModelHorizontal.TILT, vertical=ModelVertical.THRUST, up=thrust), 5.0)
     assert motion.height == pytest.approx(50.0)
-    run(motion, Guidance(Horizontal.TILT, vertical=Vertical.THRUST, up=1.1 * thrust), 2.0)
+    run(motion, Guidance(ModelHorizontal.TILT, vertical=ModelVertical.THRUST, up=1.1 * thrust), 2.0)
     assert motion.velocity_up == pytest.approx(0.1 * GRAVITY * 2.0, rel=1e-9)
     assert motion.height == pytest.approx(50.0 + 0.5 * 0.1 * GRAVITY * 2.0**2, rel=1e-9)
 
@@ -158,11 +158,11 @@ def test_hovering_thrust_keeps_the_height_and_more_climbs() -> None:
 @pytest.mark.parametrize(
     ("guidance", "read", "limit"),
     [
-        (Guidance(Horizontal.TILT, 1.5, 0.0), "roll", math.radians(30)),
-        (Guidance(Horizontal.TILT, 0.0, -1.5), "pitch", -math.radians(30)),
+        (Guidance(ModelHorizontal.TILT, 1.5, 0.0), "roll", math.radians(30)),
+        (Guidance(ModelHorizontal.TILT, 0.0, -1.5), "pitch", -math.radians(30)),
         (Guidance(up=9.0), "velocity_up", 4.0),
         (Guidance(up=-9.0), "velocity_up", -4.0),
-        (Guidance(yaw_mode=Yaw.RATE, yaw=9.0), "rate_z", math.radians(100)),
+        (Guidance(yaw_mode=ModelYaw.RATE, yaw=9.0), "rate_z", math.radians(100)),
     ],
 )
 def test_limits_of_the_document_are_kept(guidance: Guidance, read: str, limit: float) -> None:
@@ -173,7 +173,7 @@ def test_limits_of_the_document_are_kept(guidance: Guidance, read: str, limit: f
 
 def test_tilt_stays_below_the_cruise_tilt_in_velocity_control() -> None:
     motion = hovering()
-    guidance = Guidance(Horizontal.VELOCITY, 10.0, 10.0)
+    guidance = Guidance(ModelHorizontal.VELOCITY, 10.0, 10.0)
     for _ in range(500):
         motion.step(guidance)
         tilt = math.acos(math.cos(motion.roll) * math.cos(motion.pitch))
@@ -185,27 +185,31 @@ def test_tilt_stays_below_the_cruise_tilt_in_velocity_control() -> None:
 
 def test_forward_is_a_negative_pitch_and_right_a_positive_roll() -> None:
     motion = hovering(yaw_deg=0)
-    run(motion, Guidance(Horizontal.VELOCITY, 3.0, 2.0, body=True), 0.5)
+    run(motion, Guidance(ModelHorizontal.VELOCITY, 3.0, 2.0, body=True), 0.5)
     assert motion.pitch < 0 < motion.roll
     assert motion.velocity_north > 0
     assert motion.velocity_east > 0
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 37, 90, 180, -135])
-@pytest.mark.parametrize("horizontal", [Horizontal.VELOCITY, Horizontal.TILT])
-def test_ground_frame_tracks_ignore_the_heading(yaw_deg: float, horizontal: Horizontal) -> None:
+@pytest.mark.parametrize("horizontal", [ModelHorizontal.VELOCITY, ModelHorizontal.TILT])
+def test_ground_frame_tracks_ignore_the_heading(
+    yaw_deg: float, horizontal: ModelHorizontal
+) -> None:
     motion, reference = hovering(yaw_deg=yaw_deg), hovering()
-    a, b = (0.05, -0.1) if horizontal is Horizontal.TILT else (3.0, 1.0)
+    a, b = (0.05, -0.1) if horizontal is ModelHorizontal.TILT else (3.0, 1.0)
     for each in (motion, reference):
         run(each, Guidance(horizontal, a, b), 4.0)
     assert (motion.north, motion.east) == pytest.approx((reference.north, reference.east), abs=0.03)
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 37, 90, 180, -135])
-@pytest.mark.parametrize("horizontal", [Horizontal.VELOCITY, Horizontal.TILT])
-def test_body_frame_tracks_turn_with_the_heading(yaw_deg: float, horizontal: Horizontal) -> None:
+@pytest.mark.parametrize("horizontal", [ModelHorizontal.VELOCITY, ModelHorizontal.TILT])
+def test_body_frame_tracks_turn_with_the_heading(
+    yaw_deg: float, horizontal: ModelHorizontal
+) -> None:
     motion, reference = hovering(yaw_deg=yaw_deg), hovering()
-    a, b = (0.05, -0.1) if horizontal is Horizontal.TILT else (3.0, 1.0)
+    a, b = (0.05, -0.1) if horizontal is ModelHorizontal.TILT else (3.0, 1.0)
     for each in (motion, reference):
         run(each, Guidance(horizontal, a, b, body=True), 4.0)
     yaw = math.radians(yaw_deg)
@@ -221,7 +225,9 @@ def test_body_frame_tracks_turn_with_the_heading(yaw_deg: float, horizontal: Hor
 def test_a_turning_body_frame_velocity_flies_a_circle() -> None:
     """At v and yaw rate w the radius is v / w; one turn ends where it began."""
     motion, rate = hovering(), math.radians(20)
-    guidance = Guidance(Horizontal.VELOCITY, 3.0, 0.0, body=True, yaw_mode=Yaw.RATE, yaw=rate)
+    guidance = Guidance(
+        ModelHorizontal.VELOCITY, 3.0, 0.0, body=True, yaw_mode=ModelYaw.RATE, yaw=rate
+    )
     run(motion, guidance, 10.0)
     start = motion.north, motion.east
     places = []
@@ -238,11 +244,11 @@ def test_a_turning_body_frame_velocity_flies_a_circle() -> None:
 
 def wild_flight() -> list[Guidance]:
     return [
-        Guidance(Horizontal.VELOCITY, 6.0, -4.0, up=2.0, yaw=0.8),
-        Guidance(Horizontal.TILT, 0.3, -0.2, body=True, up=-1.0, yaw=-1.2),
-        Guidance(Horizontal.POSITION, -20.0, 30.0, vertical=Vertical.HEIGHT, up=70.0),
+        Guidance(ModelHorizontal.VELOCITY, 6.0, -4.0, up=2.0, yaw=0.8),
+        Guidance(ModelHorizontal.TILT, 0.3, -0.2, body=True, up=-1.0, yaw=-1.2),
+        Guidance(ModelHorizontal.POSITION, -20.0, 30.0, vertical=ModelVertical.HEIGHT, up=70.0),
         Guidance(),
-        Guidance(Horizontal.TILT, -0.1, 0.4, vertical=Vertical.THRUST, up=60.0, yaw=1.0),
+        Guidance(ModelHorizontal.TILT, -0.1, 0.4, vertical=ModelVertical.THRUST, up=60.0, yaw=1.0),
     ]
 
 
@@ -332,7 +338,7 @@ def test_body_rates_turn_the_quaternion() -> None:
 def test_wind_is_held_against_by_tilting_into_it() -> None:
     motion = hovering()
     motion.wind_north = 6.0
-    run(motion, Guidance(Horizontal.POSITION, 0.0, 0.0), 30.0)
+    run(motion, Guidance(ModelHorizontal.POSITION, 0.0, 0.0), 30.0)
     assert motion.north == pytest.approx(0.0, abs=0.02)
     assert math.tan(motion.pitch) * GRAVITY == pytest.approx(
         Airframe().drag * 6.0 * -1.0 * -1.0, rel=0.02
@@ -342,20 +348,20 @@ def test_wind_is_held_against_by_tilting_into_it() -> None:
 def test_without_position_control_wind_carries_it_away() -> None:
     motion = hovering()
     motion.wind_east = 4.0
-    run(motion, Guidance(Horizontal.TILT), 30.0)
+    run(motion, Guidance(ModelHorizontal.TILT), 30.0)
     assert motion.velocity_east == pytest.approx(4.0, abs=0.01)
 
 
 def test_on_the_ground_with_motors_off_nothing_moves() -> None:
     motion = Dynamics()
-    run(motion, Guidance(Horizontal.VELOCITY, 5.0, 5.0, up=4.0), 3.0)
+    run(motion, Guidance(ModelHorizontal.VELOCITY, 5.0, 5.0, up=4.0), 3.0)
     assert (motion.north, motion.east, motion.height, motion.yaw) == (0, 0, 0, 0)
 
 
 def test_on_the_ground_with_idle_motors_only_climbing_moves() -> None:
     motion = Dynamics()
     motion.motors_on = True
-    run(motion, Guidance(Horizontal.VELOCITY, 5.0, 5.0, up=0.0, yaw=1.0), 3.0)
+    run(motion, Guidance(ModelHorizontal.VELOCITY, 5.0, 5.0, up=0.0, yaw=1.0), 3.0)
     assert (motion.north, motion.east, motion.height, motion.yaw) == (0, 0, 0, 0)
     run(motion, Guidance(up=1.0), 3.0)
     assert motion.height == pytest.approx(3.0 - Airframe().vertical_time_constant, rel=0.01)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.station.ros.client import Limits, Session
+from m100link.station.ros.client import Client, Limits
 from m100link.station.ros.graph import Call, Graph
 from m100link.station.ros.messages import Message
 from tests.station.ros.test_messages import unpack_png
@@ -29,7 +29,7 @@ class Bench:
             "/steer", "std_msgs/Float32", lambda _, message, __: self.published.append(message)
         )
         self.graph.add_service("/task", "dji_sdk/DroneTaskControl", self.calls.append)
-        self.client = Session(self.graph, limits=limits)
+        self.client = Client(self.graph, limits=limits)
         self.now = 0.0
 
     def send(self, op: str, **fields: Any) -> list[Any]:
@@ -333,7 +333,7 @@ def test_a_flood_is_dropped_and_in_the_end_disconnected() -> None:
 
 def test_a_slow_reader_loses_its_oldest_messages_and_nothing_else() -> None:
     bench = Bench(Limits(waiting=5))
-    other = Session(bench.graph)
+    other = Client(bench.graph)
     for client in (bench.client, other):
         client.receive('{"op":"subscribe","topic":"/height"}', 0.0)
     bench.publish(*range(8))
@@ -378,7 +378,7 @@ def test_an_oversized_frame_is_refused_before_it_is_read() -> None:
 
 def test_a_client_that_leaves_leaves_nothing() -> None:
     bench = Bench()
-    left: list[Session] = []
+    left: list[Client] = []
     bench.graph.on_leave(lambda session, now: left.append(session))
     bench.send("subscribe", topic="/height")
     bench.send("call_service", service="/task")

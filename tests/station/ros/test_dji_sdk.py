@@ -9,14 +9,14 @@ import anyio
 import pytest
 
 from m100link.errors import BadSetpoint
-from m100link.protocol.setpoint import Frame
+from m100link.protocol.setpoint import ReferenceFrame
 from m100link.station.ros.dji_sdk import joy_setpoint
-from tests.station.conftest import Client, Rig
+from tests.station.conftest import FakeClient, Rig
 
 pytestmark = pytest.mark.anyio
 
 
-async def newest(rig: Rig, client: Client, topic: str) -> Any:
+async def newest(rig: Rig, client: FakeClient, topic: str) -> Any:
     client.subscribe(topic)
     await anyio.sleep(1.2)
     found = [one["msg"] for one in client.read() if one.get("topic") == topic]
@@ -183,7 +183,7 @@ def test_joy_frames() -> None:
     ground = joy_setpoint(0x48, 1.0, 2.0, 3.0, math.radians(10))
     assert (ground.x, ground.y, ground.z, ground.yaw) == pytest.approx((2.0, 1.0, 3.0, -10.0))
     body = joy_setpoint(0x4A, 1.0, 2.0, 3.0, 0.0)
-    assert (body.frame, body.x, body.y) == (Frame.BODY, 1.0, -2.0)
+    assert (body.frame, body.x, body.y) == (ReferenceFrame.BODY, 1.0, -2.0)
     tilt = joy_setpoint(0x1A, math.radians(5), math.radians(3), 2.0, 0.0)
     assert (tilt.x, tilt.y, tilt.z) == pytest.approx((5.0, -3.0, 2.0))
     for yaw, heading in ((0.0, 90.0), (math.pi / 2, 0.0), (math.pi, -90.0)):
