@@ -23,7 +23,7 @@ from m100link.errors import (
 )
 from m100link.flight.authority import AuthorityState
 from m100link.flight.guards import GuardKeeper, Guards
-from m100link.flight.guidance import ClosedLoops
+from m100link.flight.guidance import GuidedFlight
 from m100link.flight.handover import (
     authority_lost,
     explained_loss,
@@ -73,12 +73,15 @@ class Hold:
         self._control.send(setpoint, lifetime=self._lifetime, rate_hz=self._rate_hz)
 
 
-class Control(ClosedLoops):
+class Control:
     """Control of the aircraft while an ``async with aircraft.control()`` block runs.
 
     Entering obtains authority. Leaving, in whatever way, takes one path: the mode's neutral, hover
     or land as chosen, release; shielded from cancellation and bounded in time. When authority, the
     link or telemetry is lost, the block is cancelled and the plain reason raised.
+
+    ``fly_to``, ``climb_to``, ``turn_to`` and ``orbit`` are those of
+    :class:`~m100link.flight.guidance.GuidedFlight`.
     """
 
     def __init__(
@@ -109,6 +112,9 @@ class Control(ClosedLoops):
         self._running_task: Task | None = None
         self._setpoints = SetpointLoop(self._transmit)
         self._watchdog: asyncio.TimerHandle | None = None
+        guided = GuidedFlight(self)
+        self.fly_to, self.climb_to = guided.fly_to, guided.climb_to
+        self.turn_to, self.orbit = guided.turn_to, guided.orbit
 
     # -- the block -------------------------------------------------------------------------------
 

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
-from m100link.flight.pacing import MAX_RATE_HZ, Ticker
+from m100link.flight.pacing import Ticker
 from m100link.geodesy import LocalFrame, normalize_degrees
 from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
@@ -22,7 +21,7 @@ from m100link.protocol.setpoint import Setpoint
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["Arrival", "ClosedLoops", "GuidanceProgress"]
+__all__ = ["Arrival", "Flyer", "GuidanceProgress", "GuidedFlight"]
 
 _FRESH_S = 0.5
 _SETTLED_S = 0.5
@@ -68,7 +67,28 @@ class Arrival:
 Progress = Callable[[GuidanceProgress], None]
 
 
-def _position(flyer: ClosedLoops) -> Position:
+class Flyer(Protocol):
+    """What guided flight needs of a control block."""
+
+    @property
+    def state(self) -> AircraftState:
+        """Telemetry of the aircraft."""
+        ...
+
+    def send(self, setpoint: Setpoint) -> None:
+        """Send a setpoint until it expires or the next one comes."""
+        ...
+
+    def ticks(self) -> Ticker:
+        """Ticks of a control loop."""
+        ...
+
+    async def stop(self) -> None:
+        """Neutral, then silence."""
+        ...
+
+
+def _position(flyer: Flyer) -> Position:
     position = flyer.state.fresh(Position, within=_FRESH_S)
     if position is None:
         age = flyer.state.age(Position)
@@ -81,7 +101,7 @@ def _position(flyer: ClosedLoops) -> Position:
     return position
 
 
-def _heading(flyer: ClosedLoops) -> float:
+def _heading(flyer: Flyer) -> float:
     attitude = flyer.state.fresh(Attitude, within=_FRESH_S)
     if attitude is None:
         raise TelemetryStalled(
@@ -94,7 +114,7 @@ def _heading(flyer: ClosedLoops) -> float:
 class _Settling:
     """True once the error stayed within tolerance for a moment, at low speed."""
 
-    def __init__(self, flyer: ClosedLoops) -> None:
+    def __init__(self, flyer: Flyer) -> None:
         self._flyer = flyer
         self._since: float | None = None
 
@@ -113,7 +133,7 @@ class _Settling:
 
 
 async def _run(
-    flyer: ClosedLoops,
+    flyer: Flyer,
     name: str,
     step: Callable[[], tuple[Setpoint, GuidanceProgress]],
     is_within: Callable[[GuidanceProgress], bool],
@@ -174,25 +194,15 @@ def _target(
     )
 
 
-class ClosedLoops(ABC):
-    """Flights that measure and correct; the part of :class:`~m100link.Control` that stands here."""
+class GuidedFlight:
+    """Flights that measure and correct, over whatever takes setpoints.
 
-    @property
-    @abstractmethod
-    def state(self) -> AircraftState:
-        """Telemetry of the aircraft."""
+    Args:
+        flyer: Sends the setpoints and has the telemetry.
+    """
 
-    @abstractmethod
-    def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint."""
-
-    @abstractmethod
-    def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
-        """Ticks of a control loop."""
-
-    @abstractmethod
-    async def stop(self) -> None:
-        """Neutral, then silence."""
+    def __init__(self, flyer: Flyer) -> None:
+        self._flyer = flyer
 
     async def fly_to(
         self,
@@ -225,20 +235,22 @@ class ClosedLoops(ABC):
         Raises:
             NotObserved: It did not arrive in time; it hovers where it is.
             TelemetryStalled: Position or attitude do not arrive.
-            NoAuthority, GuardRefused, UsageError: See :meth:`send`.
+            NoAuthority, GuardRefused, UsageError: See :meth:`Control.send`.
         """
-        target = _target(_position(self), (north, east, up), (latitude_deg, longitude_deg, height))
+        target = _target(
+            _position(self._flyer), (north, east, up), (latitude_deg, longitude_deg, height)
+        )
         latitude, longitude, target_height = target
         if not all(map(math.isfinite, target)) or target_height < 0 or abs(latitude) > 89:
             raise UsageError(
                 f"{latitude:g}° {longitude:g}° at height {target_height:g} m cannot be flown to",
                 remedy="finite numbers, height 0 m or more, latitude within ±89°",
             )
-        heading = _heading(self) if yaw_deg is None else yaw_deg
+        heading = _heading(self._flyer) if yaw_deg is None else yaw_deg
         there = LocalFrame(latitude, longitude)
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
-            here = _position(self)
+            here = _position(self._flyer)
             from_north, from_east = there.to_local(here.latitude_deg, here.longitude_deg)
             distance = math.hypot(from_north, from_east)
             scale = -min(1.0, _MAX_OFFSET_M / distance) if distance else 0.0
@@ -248,7 +260,9 @@ class ClosedLoops(ABC):
                 height=target_height,
                 yaw_deg=heading,
             )
-            turn = normalize_degrees(heading - _heading(self)) if yaw_deg is not None else 0.0
+            turn = (
+                normalize_degrees(heading - _heading(self._flyer)) if yaw_deg is not None else 0.0
+            )
             return setpoint, GuidanceProgress(0.0, distance, target_height - here.height_m, turn)
 
         def is_within(found: GuidanceProgress) -> bool:
@@ -258,7 +272,7 @@ class ClosedLoops(ABC):
                 and abs(found.heading_error_deg) <= 5.0
             )
 
-        return await _run(self, "fly_to", step, is_within, timeout, progress)
+        return await _run(self._flyer, "fly_to", step, is_within, timeout, progress)
 
     async def climb_to(
         self,
@@ -274,12 +288,12 @@ class ClosedLoops(ABC):
         """
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
-            here = _position(self)
+            here = _position(self._flyer)
             setpoint = Setpoint.velocity(north=0.0, east=0.0, height=height, yaw_rate_deg_s=0.0)
             return setpoint, GuidanceProgress(0.0, 0.0, height - here.height_m, 0.0)
 
         return await _run(
-            self,
+            self._flyer,
             "climb_to",
             step,
             lambda found: abs(found.height_error_m) <= tolerance_m,
@@ -302,11 +316,11 @@ class ClosedLoops(ABC):
         setpoint = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_deg=yaw_deg)
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
-            turn = normalize_degrees(yaw_deg - _heading(self))
+            turn = normalize_degrees(yaw_deg - _heading(self._flyer))
             return setpoint, GuidanceProgress(0.0, 0.0, 0.0, turn)
 
         return await _run(
-            self,
+            self._flyer,
             "turn_to",
             step,
             lambda found: abs(found.heading_error_deg) <= tolerance_deg,
@@ -346,7 +360,7 @@ class ClosedLoops(ABC):
                 f"{turns:g} turns of {radius:.1f} m radius at {speed:g} m/s cannot be flown",
                 remedy="radius 1 m or more, speed up to 10 m/s, turns more than 0",
             )
-        start = _position(self)
+        start = _position(self._flyer)
         here_frame = LocalFrame(start.latitude_deg, start.longitude_deg)
         center = LocalFrame(*here_frame.to_geodetic(center_north, center_east))
         height = start.height_m
@@ -356,7 +370,7 @@ class ClosedLoops(ABC):
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
             nonlocal to_go, last_bearing
-            here = _position(self)
+            here = _position(self._flyer)
             north, east = center.to_local(here.latitude_deg, here.longitude_deg)
             bearing = math.degrees(math.atan2(east, north))
             if last_bearing is not None:
@@ -381,4 +395,4 @@ class ClosedLoops(ABC):
         def is_within(found: GuidanceProgress) -> bool:
             return found.heading_error_deg <= 2.0
 
-        return await _run(self, "orbit", step, is_within, timeout, progress)
+        return await _run(self._flyer, "orbit", step, is_within, timeout, progress)
