@@ -29,8 +29,7 @@ from m100link.protocol.setpoint import (
     Vertical,
     Yaw,
 )
-from m100link.station.ros.client import Client
-from m100link.station.ros.graph import Call, Graph, Topic
+from m100link.station.ros.graph import Call, Graph, Listener, Topic
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
 from m100link.telemetry.sample import Sample
@@ -279,8 +278,10 @@ class DjiSdk:
                 self._setpoint_handler(flag),
             )
 
-    def _setpoint_handler(self, fixed_flag: int | None) -> Callable[[Client, Message, float], None]:
-        def handle(session: Client, message: Message, now: float) -> None:
+    def _setpoint_handler(
+        self, fixed_flag: int | None
+    ) -> Callable[[Listener, Message, float], None]:
+        def handle(session: Listener, message: Message, now: float) -> None:
             axes = message["axes"]
             count = 5 if fixed_flag is None else 4
             try:

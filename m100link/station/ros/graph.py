@@ -9,15 +9,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from m100link.station.ros.encoding import to_cbor, to_png
 from m100link.station.ros.messages import MESSAGES, SERVICES, Message, MessageType, ServiceType
 
-if TYPE_CHECKING:
-    from m100link.station.ros.client import Client
-
-__all__ = ["Call", "Graph", "Publication", "Service", "Topic", "canonical_name"]
+__all__ = ["Call", "Graph", "Listener", "Publication", "Service", "Topic", "canonical_name"]
 
 
 def canonical_name(name: str) -> str:
@@ -57,6 +54,30 @@ class Publication:
         return frame
 
 
+class Listener(Protocol):
+    """Who uses the topics and services, as they see it.
+
+    Attributes:
+        name: Who it is, for people.
+        data: For the nodes: what they know about this listener.
+    """
+
+    name: str
+    data: dict[str, Any]
+
+    def deliver(self, publication: Publication, now: float) -> None:
+        """A message was published on a topic that it subscribed."""
+
+    def deliver_alone(self, publication: Publication, now: float) -> None:
+        """The same for a message that is meant for this listener only."""
+
+    def respond(self, call: Call, values: str, result: bool) -> None:
+        """The answer to its call; ``values`` is JSON."""
+
+    def status(self, level: str, text: str) -> None:
+        """Something to be told, with the level ``error``, ``warning`` or ``info``."""
+
+
 @dataclass(slots=True, eq=False)
 class Topic:
     """A topic.
@@ -72,9 +93,9 @@ class Topic:
 
     name: str
     type: MessageType
-    on_publish: Callable[[Client, Message, float], None] | None = None
+    on_publish: Callable[[Listener, Message, float], None] | None = None
     latched: bool = False
-    subscribers: set[Client] = field(default_factory=set)
+    subscribers: set[Listener] = field(default_factory=set)
     last: Message | None = None
 
 
@@ -88,7 +109,7 @@ class Call:
         now: When it came.
     """
 
-    session: Client
+    session: Listener
     service: Service
     request: Message
     identity: Any
@@ -136,15 +157,15 @@ class Graph:
     def __init__(self) -> None:
         self.topics: dict[str, Topic] = {}
         self.services: dict[str, Service] = {}
-        self.sessions: set[Client] = set()
-        self._on_leave: list[Callable[[Client, float], None]] = []
+        self.sessions: set[Listener] = set()
+        self._on_leave: list[Callable[[Listener, float], None]] = []
         self._add_rosapi()
 
     def add_topic(
         self,
         name: str,
         type_name: str,
-        on_publish: Callable[[Client, Message, float], None] | None = None,
+        on_publish: Callable[[Listener, Message, float], None] | None = None,
         *,
         latched: bool = False,
     ) -> Topic:
@@ -157,7 +178,7 @@ class Graph:
         """A service that the station offers."""
         self.services[name] = Service(name, SERVICES[type_name], on_call)
 
-    def on_leave(self, callback: Callable[[Client, float], None]) -> None:
+    def on_leave(self, callback: Callable[[Listener, float], None]) -> None:
         """Call this when a client has gone."""
         self._on_leave.append(callback)
 
@@ -170,7 +191,7 @@ class Graph:
             for session in topic.subscribers:
                 session.deliver(publication, now)
 
-    def leave(self, session: Client, now: float) -> None:
+    def leave(self, session: Listener, now: float) -> None:
         """A client has gone."""
         if session in self.sessions:
             self.sessions.discard(session)

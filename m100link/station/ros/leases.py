@@ -14,8 +14,7 @@ from typing import Any
 from m100link.agent.agent import Station
 from m100link.agent.lease import Lease, LeaseRefused
 from m100link.errors import M100Error, NoAuthority
-from m100link.station.ros.client import Client
-from m100link.station.ros.graph import Call, Graph
+from m100link.station.ros.graph import Call, Graph, Listener
 
 __all__ = ["Clients"]
 
@@ -39,7 +38,7 @@ class Clients:
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
         station.spawn(self._keep_renewing(), "renewal")
 
-    def lease(self, session: Client) -> Lease | None:
+    def lease(self, session: Listener) -> Lease | None:
         """The lease in force of that client."""
         held = session.data.get(_LEASE)
         return held if held is not None and held == self._holder() else None
@@ -47,7 +46,7 @@ class Clients:
     def _holder(self) -> Lease | None:
         return self._station.desk.holder(self._station.now)
 
-    def token(self, session: Client) -> str:
+    def token(self, session: Listener) -> str:
         """The token of that client's lease, which is taken now if it is free.
 
         Raises:
@@ -59,7 +58,7 @@ class Clients:
             session.data[_LEASE] = held
         return held.token
 
-    def held_token(self, session: Client) -> str:
+    def held_token(self, session: Listener) -> str:
         """The token of that client's lease.
 
         Raises:
@@ -74,21 +73,21 @@ class Clients:
             )
         return held.token
 
-    def let_go(self, session: Client) -> None:
+    def let_go(self, session: Listener) -> None:
         """Give that client's lease back, if it has one."""
         held = self.lease(session)
         session.data.pop(_LEASE, None)
         if held is not None:
             self._station.desk.release(held.token, self._station.now)
 
-    def complain(self, session: Client, error: Exception) -> None:
+    def complain(self, session: Listener, error: Exception) -> None:
         """Tell a client what is wrong, at most once a second: keys repeat thirty times."""
         now = self._station.now
         if now - session.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
             session.data[_COMPLAINED_AT] = now
             session.status("error", str(error))
 
-    def run(self, session: Client, work: Coroutine[Any, Any, None], name: str) -> None:
+    def run(self, session: Listener, work: Coroutine[Any, Any, None], name: str) -> None:
         """Run a client's wish; it is told when it fails."""
 
         async def guarded() -> None:
@@ -99,7 +98,7 @@ class Clients:
 
         self._station.spawn(guarded(), f"{name} for {session.name}")
 
-    def _left(self, session: Client, now: float) -> None:
+    def _left(self, session: Listener, now: float) -> None:
         self.let_go(session)
 
     async def _keep_renewing(self) -> None:

@@ -43,8 +43,7 @@ from m100link.errors import (
 from m100link.protocol.codes import ActivationCode, AuthorityCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Battery, FlightStatus
-from m100link.station.ros.client import Client
-from m100link.station.ros.graph import Graph, Publication
+from m100link.station.ros.graph import Graph, Listener, Publication
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
 from m100link.station.ros.patterns import pattern
@@ -141,10 +140,10 @@ class Node:
 
     # -- what the node is asked ------------------------------------------------------------------
 
-    def _on_activation(self, session: Client, message: Message, now: float) -> None:
+    def _on_activation(self, session: Listener, message: Message, now: float) -> None:
         self._clients.run(session, self._activate(session), "activation")
 
-    async def _activate(self, session: Client) -> None:
+    async def _activate(self, session: Listener) -> None:
         lease = self._clients.lease(session)
         try:
             await self._station.activate(lease.token if lease is not None else None)
@@ -154,10 +153,10 @@ class Node:
             self._tell_activation(NO_AUTHORITY)
             raise
 
-    def _on_open_close(self, session: Client, message: Message, now: float) -> None:
+    def _on_open_close(self, session: Listener, message: Message, now: float) -> None:
         self._clients.run(session, self._open_or_close(session, message["data"]), "open/close")
 
-    async def _open_or_close(self, session: Client, data: float) -> None:
+    async def _open_or_close(self, session: Listener, data: float) -> None:
         wanted = _byte(data)
         if wanted not in (0, 1):
             raise UsageError(f"/nav_open_close_request takes 1 (open) or 0 (close), not {wanted}")
@@ -187,10 +186,10 @@ class Node:
             self._clients.let_go(session)
             raise
 
-    def _on_command(self, session: Client, message: Message, now: float) -> None:
+    def _on_command(self, session: Listener, message: Message, now: float) -> None:
         self._clients.run(session, self._command(session, message["data"]), "command")
 
-    async def _command(self, session: Client, data: float) -> None:
+    async def _command(self, session: Listener, data: float) -> None:
         number = _byte(data)
         if number not in Task.__members__.values():
             raise UsageError(
@@ -203,14 +202,14 @@ class Node:
             self._tell_activation(NO_AUTHORITY)
             raise
 
-    def _on_mode(self, session: Client, message: Message, now: float) -> None:
+    def _on_mode(self, session: Listener, message: Message, now: float) -> None:
         if message["data"] in (ANGLE_MODE, VELOCITY_MODE):
             session.data[_MODE] = int(message["data"])
         else:
             error = UsageError(f"there is no control mode {message['data']}: 1 or 2")
             self._clients.complain(session, error)
 
-    def _on_control(self, session: Client, message: Message, now: float) -> None:
+    def _on_control(self, session: Listener, message: Message, now: float) -> None:
         mode = session.data.get(_MODE, ANGLE_MODE)
         values = (message["x"], message["y"], message["z"], message["w"])
         try:
@@ -223,10 +222,10 @@ class Node:
         except M100Error as error:
             self._clients.complain(session, error)
 
-    def _on_simple_task(self, session: Client, message: Message, now: float) -> None:
+    def _on_simple_task(self, session: Listener, message: Message, now: float) -> None:
         self._clients.run(session, self._simple_task(session, message["data"]), "simple task")
 
-    async def _simple_task(self, session: Client, data: float) -> None:
+    async def _simple_task(self, session: Listener, data: float) -> None:
         if not math.isfinite(data):
             raise UsageError("/sdk_request_simple_task takes a number")
         number = int(data)

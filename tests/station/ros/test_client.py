@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.station.ros.client import Client, Limits
-from m100link.station.ros.graph import Call, Graph
+from m100link.station.ros.graph import Call, Graph, Listener
 from m100link.station.ros.messages import Message
 from tests.station.ros.test_messages import unpack_png
 
@@ -378,7 +378,7 @@ def test_an_oversized_frame_is_refused_before_it_is_read() -> None:
 
 def test_a_client_that_leaves_leaves_nothing() -> None:
     bench = Bench()
-    left: list[Client] = []
+    left: list[Listener] = []
     bench.graph.on_leave(lambda session, now: left.append(session))
     bench.send("subscribe", topic="/height")
     bench.send("call_service", service="/task")

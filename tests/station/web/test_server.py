@@ -21,6 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from m100link.errors import PortBusy, UsageError
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
+from m100link.station.ros.client import Client
 from m100link.station.run import Running, running
 
 pytestmark = pytest.mark.anyio
@@ -208,6 +209,7 @@ async def test_a_thousand_subscriptions_are_bounded() -> None:
             await send(client, "subscribe", topic="/dji_sdk/imu", id=str(number))
             await asyncio.sleep(0.004)
         (session,) = one.bridge.graph.sessions
+        assert isinstance(session, Client)
         await until(lambda: session.refused >= 900)
         assert session.close_reason is None
         reading.cancel()
