@@ -282,3 +282,30 @@ async def test_the_console_is_not_for_pages_from_elsewhere(
         await asyncio.to_thread(urllib.request.urlopen, request)
     assert caught.value.code == 403
     caught.value.close()
+
+
+async def test_a_page_elsewhere_cannot_show_the_console_in_a_frame(console: Console) -> None:
+    # Seen by the user: a game. Clicked by the user: take-off, in an invisible frame above it.
+    page = await console.browser.new_page()
+    asked = []
+    page.on("response", lambda answer: asked.append((answer.url, answer.status)))
+    trap = f"<button>play</button><iframe style='opacity:0' src='{console.url}'></iframe>"
+    await page.route(
+        "http://game.example/", lambda route: route.fulfill(body=trap, content_type="text/html")
+    )
+    await page.goto("http://game.example/")
+    await page.wait_for_timeout(500)
+    assert (console.url, 403) in asked or not any(url == console.url for url, _ in asked)
+    shown = [await frame.content() for frame in page.frames[1:]]
+    assert not any("startConsole" in text for text in shown)
+
+
+async def test_what_the_console_answers_forbids_frames(console: Console) -> None:
+    for path in ("", "console/console.js", "none"):
+        try:
+            answer = await asyncio.to_thread(urllib.request.urlopen, console.url + path)
+        except urllib.error.HTTPError as error:
+            answer = error
+        with answer:
+            assert answer.headers["X-Frame-Options"] == "DENY"
+            assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"

@@ -3,8 +3,10 @@
 Web pages can open WebSockets to any address, this one included, and a name in somebody else's DNS
 can point here. So a page opened elsewhere must not get through: the ``Host`` has to be a name of
 this station, and an ``Origin``, which browsers always send and programs do not, has to be a page
-that the station itself served or one that was allowed by name. Beyond the own machine a token is
-needed as well.
+that the station itself served or one that was allowed by name. Where
+a browser says whence and what for it asks (``Sec-Fetch-*``), nothing comes from elsewhere but a
+page that is opened for itself: not in a frame, not as an image or script. Beyond the own machine a
+token is needed as well.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 COOKIE = "m100link_token"
 """The cookie that keeps a browser's token, so that it leaves the address bar."""
 
+_FRAMES = ("iframe", "frame", "embed", "object", "fencedframe")
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 
 
@@ -100,6 +103,8 @@ class Gate:
         origins = headers.get("origin", [])
         if len(origins) > 1 or (origins and not self._is_welcome(origins[0], hosts[0], scope)):
             return "pages from elsewhere may not connect (Origin); see --allow-origin"
+        if not origins and _is_fetched_elsewhere(scope, headers):
+            return "from other pages this one can only be opened for itself (Sec-Fetch)"
         if self._token is not None and not self._has_token(scope, headers):
             return "a token is needed: ?token=…, a Bearer header or the cookie"
         return None
@@ -139,6 +144,20 @@ def _headers(scope: Scope) -> dict[str, list[str]]:
     for name, value in scope["headers"]:
         headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
     return headers
+
+
+def _is_fetched_elsewhere(scope: Scope, headers: dict[str, list[str]]) -> bool:
+    """Whether a page of another site asks, or any page asks for a frame; programs say neither."""
+    site, mode, dest, purpose = (
+        ",".join(headers.get(name, []))
+        for name in ("sec-fetch-site", "sec-fetch-mode", "sec-fetch-dest", "sec-purpose")
+    )
+    if dest in _FRAMES:
+        return True
+    if "sec-fetch-site" not in headers or site in ("same-origin", "none"):
+        return False
+    is_opened = (mode, dest, scope.get("method")) == ("navigate", "document", "GET")
+    return not is_opened or "prefetch" in purpose
 
 
 def _query_token(scope: Scope) -> str | None:

@@ -30,6 +30,7 @@ from m100link.station.ros.graph import Graph
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.node_2015 import Node
 from m100link.station.web.gate import App, Gate
+from m100link.station.web.protocol import HEADERS, HttpConnection, WebSocketConnection
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -204,7 +205,9 @@ class Server(uvicorn.Server):
         """A server with the limits of the station."""
         config = uvicorn.Config(
             app,
-            ws="websockets-sansio",
+            http=HttpConnection,
+            ws=WebSocketConnection,
+            headers=list(HEADERS),
             ws_max_size=message_size,
             ws_ping_interval=PING_INTERVAL,
             ws_ping_timeout=PING_TIMEOUT,
@@ -217,6 +220,7 @@ class Server(uvicorn.Server):
             log_level="warning",  # its "info" prints addresses with their tokens
             access_log=False,
             server_header=False,
+            proxy_headers=False,  # anybody could say who and how he came
             ssl_certfile=settings.tls_cert,
             ssl_keyfile=settings.tls_key,
         )

@@ -29,7 +29,13 @@ class Visit:
             await send({"type": "http.response.start", "status": 200, "headers": []})
 
     async def ask(
-        self, *headers: tuple[str, str], kind: str = "websocket", query: str = "", tls: bool = False
+        self,
+        *headers: tuple[str, str],
+        kind: str = "websocket",
+        query: str = "",
+        path: str = "/",
+        method: str = "GET",
+        tls: bool = False,
     ) -> bool:
         scheme = {"websocket": "ws", "http": "http"}[kind] + ("s" if tls else "")
         scope = {
@@ -37,6 +43,9 @@ class Visit:
             "scheme": scheme,
             "headers": [(name.encode(), value.encode()) for name, value in headers],
             "query_string": query.encode(),
+            "method": method,
+            "path": path,
+            "raw_path": path.encode(),
         }
 
         async def receive() -> dict[str, Any]:
@@ -159,3 +168,55 @@ def test_hosts_and_addresses() -> None:
     assert is_loopback("127.0.0.1")
     assert is_loopback("::1")
     assert not is_loopback("0.0.0.0")
+
+
+NAVIGATION = (("sec-fetch-mode", "navigate"), ("sec-fetch-dest", "document"))
+
+
+@pytest.mark.parametrize("site", ["same-origin", "none"])
+async def test_what_the_stations_own_page_asks_for_gets_in(site: str) -> None:
+    own = ("sec-fetch-site", site)
+    assert await Visit().ask(HERE, own, *NAVIGATION, kind="http")
+    assert await Visit().ask(HERE, own, ("sec-fetch-dest", "script"), kind="http")
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site", "elsewhere", ""])
+@pytest.mark.parametrize(
+    ("mode", "dest", "gets_in"),
+    [
+        ("navigate", "document", True),
+        ("navigate", "iframe", False),
+        ("navigate", "embed", False),
+        ("no-cors", "image", False),
+        ("no-cors", "script", False),
+        ("cors", "empty", False),
+        ("websocket", "websocket", False),
+        ("", "", False),
+    ],
+)
+async def test_from_elsewhere_only_a_page_of_its_own_may_be_opened(
+    site: str, mode: str, dest: str, gets_in: bool
+) -> None:
+    headers = [("sec-fetch-site", site), ("sec-fetch-mode", mode), ("sec-fetch-dest", dest)]
+    headers = [(name, value) for name, value in headers if value or name == "sec-fetch-site"]
+    assert await Visit().ask(HERE, *headers, kind="http") is gets_in
+
+
+async def test_from_elsewhere_nothing_is_posted_or_fetched_ahead() -> None:
+    there = ("sec-fetch-site", "cross-site")
+    assert not await Visit().ask(HERE, there, *NAVIGATION, kind="http", method="POST")
+    ahead = ("sec-purpose", "prefetch;prerender")
+    assert not await Visit().ask(HERE, there, *NAVIGATION, ahead, kind="http")
+
+
+@pytest.mark.parametrize("dest", ["iframe", "frame", "embed", "object", "fencedframe"])
+@pytest.mark.parametrize("site", ["same-origin", "none"])
+async def test_no_page_stands_in_a_frame_not_even_of_the_station(site: str, dest: str) -> None:
+    headers = (("sec-fetch-site", site), ("sec-fetch-dest", dest))
+    assert not await Visit().ask(HERE, *headers, kind="http")
+
+
+async def test_a_page_allowed_by_name_is_judged_by_its_origin() -> None:
+    page = ("origin", "http://127.0.0.1:8000")
+    visit = Visit(origins=["http://127.0.0.1:8000"])
+    assert await visit.ask(HERE, page, ("sec-fetch-site", "same-site"))

@@ -1,0 +1,88 @@
+"""What goes over the line whoever answers: the application, the gate or the server itself."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("uvicorn")
+pytest.importorskip("starlette")
+from m100link.sim.virtual import VirtualAircraft
+from m100link.station.config import Settings
+from m100link.station.run import Running, running
+
+pytestmark = pytest.mark.anyio
+
+TOKEN = "0123456789abcdefXY"
+UPGRADE = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+KEY = "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+HOST = "Host: 127.0.0.1:{port}\r\n"
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"  # real time: sockets are not virtual
+
+
+@contextlib.asynccontextmanager
+async def station(**options: Any) -> AsyncIterator[Running]:
+    virtual = VirtualAircraft(seed=5)
+    async with running(Settings(sim=True, port=0, **options), virtual=virtual) as one:
+        yield one
+
+
+async def until(predicate: Callable[[], bool], within: float = 10.0) -> None:
+    async with asyncio.timeout(within):
+        while not predicate():  # noqa: ASYNC110 - polls what has no event
+            await asyncio.sleep(0.005)
+
+
+async def ask(port: int, request: str, within: float = 5.0) -> str:
+    """Bytes out as they stand, head of the answer in lower case back."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        writer.write(request.replace("{port}", str(port)).encode())
+        async with asyncio.timeout(within):
+            return (await reader.readuntil(b"\r\n\r\n")).decode().lower()
+    finally:
+        writer.close()
+
+
+@pytest.mark.parametrize(
+    ("request_text", "status"),
+    [
+        (f"GET / HTTP/1.1\r\n{HOST}\r\n", 200),
+        (f"GET /page.html HTTP/1.1\r\n{HOST}\r\n", 200),
+        (f"GET /none HTTP/1.1\r\n{HOST}\r\n", 404),
+        (f"POST / HTTP/1.1\r\n{HOST}Content-Length: 0\r\n\r\n", 405),
+        ("GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n", 403),
+        (f"GET / HTTP/1.1\r\n{HOST}Origin: http://evil.example\r\n\r\n", 403),
+        ("this is no HTTP\r\n\r\n", 400),
+        (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE}{KEY}\r\n", 101),
+        (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE}\r\n", 400),
+        (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE.replace('13', '7')}{KEY}\r\n", 400),
+        (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE}{KEY}Origin: http://evil.example\r\n\r\n", 403),
+    ],
+)
+async def test_no_answer_may_stand_in_a_frame_of_another_page(
+    request_text: str, status: int, tmp_path: Path
+) -> None:
+    (tmp_path / "index.html").write_text("<p>index</p>")
+    (tmp_path / "page.html").write_text("<p>page</p>")
+    async with station(pages=tmp_path) as one:
+        head = await ask(one.ports[0], request_text)
+    lines = head.split("\r\n")
+    assert lines[0].startswith(f"http/1.1 {status}")
+    for line in (
+        "content-security-policy: frame-ancestors 'none'",
+        "x-frame-options: deny",
+        "referrer-policy: no-referrer",
+        "x-content-type-options: nosniff",
+    ):
+        assert lines.count(line) == 1, head
