@@ -15,6 +15,7 @@ import pytest
 
 from m100link.cli.app import run
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -121,7 +122,7 @@ class Simulator:
 
     def close(self) -> None:
         self._process.terminate()
-        self._process.communicate(timeout=10)
+        self._process.communicate(timeout=PATIENCE)
 
 
 @pytest.fixture

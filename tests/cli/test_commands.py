@@ -12,7 +12,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -20,8 +19,13 @@ import pytest
 from m100link.protocol.firmware import ITEM_NAMES
 from m100link.sim.vehicle.mobile import DEMO_APP_ID
 from tests.cli.conftest import ROOT, Simulator, process
+from tests.waiting import PATIENCE
 
-pytestmark = pytest.mark.pty
+# Several programs in a row fly in real time: more than the usual time-out on a busy machine.
+pytestmark = [pytest.mark.pty, pytest.mark.timeout(180)]
+
+# Measured over a second or two of real time, in which a busy machine may do something else.
+NEARLY_100 = pytest.approx(100, rel=0.3)
 
 
 # -- demo -----------------------------------------------------------------------------------------
@@ -81,7 +85,7 @@ def test_demo_that_is_interrupted_ends_with_130() -> None:
         while os.read(master, 65_536):
             pass
     os.close(master)
-    assert running.wait(timeout=30) == 130
+    assert running.wait(timeout=PATIENCE) == 130
     assert running.stderr is not None
     err = running.stderr.read().decode()
     running.stderr.close()
@@ -115,7 +119,7 @@ def test_demo_on_a_terminal_shows_live_progress() -> None:
             break
         shown += piece
     os.close(master)
-    assert running.wait(timeout=30) == 0
+    assert running.wait(timeout=PATIENCE) == 0
     text = shown.decode(errors="replace")
     assert text.count("square") > 5, "it was drawn once, not live"
     assert "✓" in text
@@ -133,8 +137,8 @@ def test_info_tells_what_is_there(simulator: Simulator) -> None:
     assert described["firmware_is_forced"] is False
     assert described["activated"] is False
     assert described["version"].startswith("SDK-v1.0")
-    assert described["telemetry"]["quaternion"] == pytest.approx(100, rel=0.1)
-    assert described["telemetry"]["rc"] == pytest.approx(50, rel=0.1)
+    assert described["telemetry"]["quaternion"] == NEARLY_100
+    assert described["telemetry"]["rc"] == pytest.approx(50, rel=0.3)
     assert "magnetometer" not in described["telemetry"]
     assert described["telemetry_mismatches"] == 0
     assert described["line"]["discarded_bytes"] <= 200  # a port opened in the middle of a frame
@@ -174,16 +178,14 @@ def test_activate_waits_for_the_server_and_a_second_time_is_success(
 
 
 def test_monitor_prints_one_object_per_second_and_ends_by_itself(simulator: Simulator) -> None:
-    start = time.monotonic()
     outcome = process("monitor", simulator.port, "--json", "--duration", "2.5")
     assert (outcome.status, outcome.err) == (0, "")
-    assert time.monotonic() - start < 10
     lines = outcome.objects
-    assert len(lines) == 2
+    assert 1 <= len(lines) <= 2, "the machine may be late, not early"
     for line in lines:
         assert set(line) < set(ITEM_NAMES)
-        assert 0 <= line["quaternion"]["age_s"] < 0.2
-        assert line["quaternion"]["rate_hz"] == pytest.approx(100, rel=0.1)
+        assert 0 <= line["quaternion"]["age_s"] < 1.0
+        assert line["quaternion"]["rate_hz"] == NEARLY_100
         attitude = line["quaternion"]["value"]
         assert math.hypot(*attitude.values()) == pytest.approx(1.0, abs=1e-3)
         assert line["battery"]["value"] == {"percent": 100}
@@ -200,7 +202,7 @@ def test_monitor_ends_with_ctrl_c_and_with_the_plug(simulator: Simulator) -> Non
     assert running.stdout is not None
     running.stdout.readline()
     running.send_signal(signal.SIGINT)
-    _, err = running.communicate(timeout=10)
+    _, err = running.communicate(timeout=PATIENCE)
     assert running.returncode == 130
     assert err == "interrupted\n"
     second = subprocess.Popen(
@@ -212,7 +214,7 @@ def test_monitor_ends_with_ctrl_c_and_with_the_plug(simulator: Simulator) -> Non
     assert second.stdout is not None
     second.stdout.readline()
     simulator.close()
-    _, err = second.communicate(timeout=10)
+    _, err = second.communicate(timeout=PATIENCE)
     assert second.returncode == 4
     assert "went away" in err
 
@@ -228,15 +230,15 @@ def test_echo_as_json_and_as_csv(simulator: Simulator) -> None:
     rows = list(csv.DictReader(io.StringIO(table.out)))
     assert len(rows) == 10
     seconds = float(rows[-1]["received_at"]) - float(rows[0]["received_at"])
-    assert seconds == pytest.approx(0.9, abs=0.15)
+    assert seconds > 0.75, "faster than asked for"
 
 
 def test_hz_measures(simulator: Simulator) -> None:
     outcome = process("hz", simulator.port, "--duration", "2", "--json")
     assert outcome.status == 0
     [measured] = outcome.objects
-    assert measured["items"]["quaternion"]["rate_hz"] == pytest.approx(100, rel=0.1)
-    assert measured["items"]["flight_status"]["rate_hz"] == pytest.approx(10, rel=0.15)
+    assert measured["items"]["quaternion"]["rate_hz"] == NEARLY_100
+    assert measured["items"]["flight_status"]["rate_hz"] == pytest.approx(10, rel=0.3)
     assert measured["items"]["magnetometer"]["count"] == 0
     assert measured["items"]["magnetometer"]["rate_hz"] is None
     assert measured["device_clock"]["tick_hz"] == 600

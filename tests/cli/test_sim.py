@@ -20,10 +20,10 @@ from cyclopts import CycloptsError
 from m100link.cli.app import app
 from m100link.errors import M100Error
 from m100link.wire import FrameDecoder, encode_frame
+from tests.waiting import PATIENCE, blocking_until
 
 pytestmark = pytest.mark.pty
 
-PATIENCE = 30.0  # seconds for what takes one on an idle machine
 KEY = "5837313ef98f1f7f1c50eebb0b06363d523a369289e042c4d00b66d8e49337a7"
 
 
@@ -135,9 +135,7 @@ def test_tcp_many_and_scenario(start: Any, tmp_path: Path) -> None:
     for port in ports:
         with serial.serial_for_url(port.replace("tcp://", "socket://"), timeout=0.2) as opened:
             assert len(version_of(opened)) == 49
-    deadline = time.monotonic() + PATIENCE
-    while json.loads(simulator.ctl("status").stdout)["gps_health"] != 1:
-        assert time.monotonic() < deadline, "the scenario was not performed"
+    blocking_until(lambda: json.loads(simulator.ctl("status").stdout)["gps_health"] == 1)
 
 
 def test_it_ends_by_itself_after_its_time(start: Any) -> None:
@@ -183,21 +181,20 @@ def test_on_a_terminal_it_is_shown_live_and_has_keys(tmp_path: Path) -> None:
     if child == 0:  # pragma: no cover (the simulator itself)
         os.execve(
             sys.executable,
-            [sys.executable, "-m", "m100link", "sim", "--seed", "3", "--for", "4"],
+            [sys.executable, "-m", "m100link", "sim", "--seed", "3"],
             environment,
         )
     seen = b""
-    pressed = False
+    keys = [(b"seed 3", b"p"), (b"the mode switch is not in F", b"\x03")]
     try:
         while chunk := os.read(master, 65_536):
             seen += chunk
-            if not pressed and b"seed 3" in seen:
-                os.write(master, b"p")
-                pressed = True
+            if keys and keys[0][0] in seen:
+                os.write(master, keys.pop(0)[1])
     except OSError:
         pass  # the terminal closes with its last process
     finally:
         os.close(master)
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == 0
-    assert b"the mode switch is not in F" in seen
+    assert not keys

@@ -1,0 +1,29 @@
+"""Waiting in real time, for tests with sockets, terminals and processes.
+
+A test waits for what is to happen, never for a time in which it should have happened: on a machine
+that is busy with other things everything takes longer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+PATIENCE = 30.0
+"""Seconds for what takes one on an idle machine; more means that it does not happen."""
+
+
+async def until(predicate: Callable[[], bool], within: float = PATIENCE) -> None:
+    """Wait until it is so."""
+    async with asyncio.timeout(within):
+        while not predicate():  # noqa: ASYNC110 - what is waited for has no event
+            await asyncio.sleep(0.01)
+
+
+def blocking_until(predicate: Callable[[], bool], within: float = PATIENCE) -> None:
+    """The same for tests without an event loop."""
+    deadline = time.monotonic() + within
+    while not predicate():
+        assert time.monotonic() < deadline, f"not within {within} s"
+        time.sleep(0.01)
