@@ -19,7 +19,7 @@ async def main(port: str, stop: str) -> None:
     assert stop in ("hover", "land")
     async with m100link.connect(port) as aircraft:
         await aircraft.activate(credentials)
-        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=5)
+        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=30)
         async with aircraft.control(stop="land" if stop == "land" else "hover") as control:
             async for tick in control.ticks():
                 control.send(north)

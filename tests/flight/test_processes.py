@@ -19,6 +19,7 @@ from m100link.protocol.records import Device
 from m100link.sim import Driver, PtyPort, VirtualAircraft
 from m100link.sim.vehicle.mobile import Grant
 from tests.rig import TimedMoves
+from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.pty, pytest.mark.anyio]
 
@@ -41,24 +42,27 @@ class Flight:
 
     @property
     def last_values(self) -> list[tuple[float, ...]]:
-        """Values of the last ten movements: the neutral lasts 0.3 s."""
+        """Values of the last five movements: the neutral lasts 0.3 s, which is 15 at best."""
         return [
             (move.roll_or_x, move.pitch_or_y, move.throttle_or_z, move.yaw)
-            for move in list(self.moves)[-10:]
+            for move in list(self.moves)[-5:]
         ]
 
     async def end(self, *signals: signal.Signals, pause: float = 0.1) -> int:
-        """Send the signals, wait for the process, return its status."""
+        """Send the signals, wait for the process and its last bytes, return its status."""
         for number in signals:
             self.process.send_signal(number)
             await asyncio.sleep(pause)
-        async with asyncio.timeout(20):
-            return await self.process.wait()
+        async with asyncio.timeout(PATIENCE):
+            status = await self.process.wait()
+        await asyncio.sleep(0.2)
+        return status
 
     async def assert_hovers(self) -> None:
         count = len(self.moves)
-        await asyncio.sleep(2.5)
         motion = self.virtual.autopilot.flight.dynamics
+        await until(lambda: motion.speed < 0.1)
+        await asyncio.sleep(0.5)
         assert motion.speed < 0.1
         assert abs(motion.velocity_up) < 0.05
         assert motion.height > 0.8
@@ -93,15 +97,14 @@ async def flight(*, stop: str = "hover", firmware: str = "1.0") -> AsyncIterator
     )
     try:
         assert process.stdout is not None
-        async with asyncio.timeout(25):
+        async with asyncio.timeout(PATIENCE):
             said = await process.stdout.readline()
         if said != b"flying\n":
             assert process.stderr is not None
             pytest.fail(f"it does not fly: {(await process.stderr.read()).decode()}")
         flown = Flight(virtual, process)
-        await asyncio.sleep(1.0)
-        assert virtual.autopilot.flight.dynamics.speed > 0.5
-        assert len(flown.moves) > 30
+        await until(lambda: len(flown.moves) > 30)
+        await until(lambda: virtual.autopilot.flight.dynamics.speed > 0.5)
         yield flown
     finally:
         if process.returncode is None:

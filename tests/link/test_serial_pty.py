@@ -17,7 +17,9 @@ import pytest
 
 from m100link.errors import LinkClosed, LinkError, LinkLost, PortBusy
 from m100link.link import Link, open_link
+from m100link.link.link import CLOSE_TIMEOUT
 from m100link.wire import FrameDecoder, encode_frame
+from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]
 
@@ -114,14 +116,14 @@ async def test_requests_are_answered_over_a_pty(terminal: Terminal) -> None:
 
 
 async def test_closing_is_quick_may_be_repeated_and_frees_the_port(terminal: Terminal) -> None:
-    for _ in range(3):
+    begun = time.monotonic()
+    for _ in range(20):
         link = await open_link(terminal.path)
-        begun = time.monotonic()
         await asyncio.gather(link.close(), link.close())
         await link.close()
-        assert time.monotonic() - begun < 0.5
         with pytest.raises(LinkClosed):
             link.push(b"x")
+    assert time.monotonic() - begun < 20 * CLOSE_TIMEOUT, "nothing was there to wait for"
 
 
 async def test_what_was_written_before_closing_arrives(terminal: Terminal) -> None:
@@ -135,30 +137,24 @@ async def test_what_was_written_before_closing_arrives(terminal: Terminal) -> No
 async def test_a_peer_that_does_not_drain_cannot_hang_the_link(terminal: Terminal) -> None:
     link = await open_link(terminal.path)
     begun = time.monotonic()
-    longest = 0.0
     for _ in range(100):
-        before = time.monotonic()
         for _ in range(10):
             link.push(bytes(500))
         await asyncio.sleep(0)
-        longest = max(longest, time.monotonic() - before)
     await asyncio.sleep(0.1)
     statistics = link.statistics()
     assert link._transport is not None
     assert link._transport.get_write_buffer_size() < 4096
     assert statistics.dropped_writes > 900 - 64
     assert statistics.frames_sent + statistics.dropped_writes == 1000
-    assert longest < 0.5
-    before = time.monotonic()
     await link.close()
-    assert time.monotonic() - before < 2.5
-    assert time.monotonic() - begun < 4
+    assert time.monotonic() - begun < PATIENCE, "it hung"
 
 
 async def test_a_line_that_drains_again_takes_pushes_again(terminal: Terminal) -> None:
     link = await open_link(terminal.path)
     await fill(link)
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE):
         while not link.push(b"fresh"):
             terminal.drain()
             await asyncio.sleep(0.001)
@@ -169,22 +165,20 @@ async def test_a_line_that_drains_again_takes_pushes_again(terminal: Terminal) -
 
 
 @pytest.mark.parametrize("writing", [False, True], ids=["idle", "writing"])
-async def test_unplugging_fails_every_request_within_a_second(
+async def test_unplugging_fails_every_request_long_before_its_time(
     terminal: Terminal, writing: bool, complaints: list[dict[str, Any]]
 ) -> None:
     watch(complaints)
     lost: list[LinkError] = []
     link = await open_link(terminal.path, on_lost=lost.append)
-    tasks = [asyncio.ensure_future(link.request(b"x", timeout=30)) for _ in range(35)]
+    tasks = [asyncio.ensure_future(link.request(b"x", timeout=1000)) for _ in range(35)]
     await asyncio.sleep(0.05)
-    begun = time.monotonic()
     terminal.unplug()
     if writing:
         for _ in range(20):
             link.push(bytes(100))
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(PATIENCE):
         results = await asyncio.gather(*tasks, return_exceptions=True)
-    assert time.monotonic() - begun < 1
     assert {type(result) for result in results} == {LinkLost}
     assert all(isinstance(result, LinkLost) and result.__cause__ for result in results)
     assert [type(error) for error in lost] == [LinkLost]
@@ -204,7 +198,7 @@ async def test_unplugging_a_line_that_does_not_drain_is_noticed_too(
     link = await open_link(terminal.path, on_lost=lost.set_result)
     await fill(link)
     terminal.unplug()
-    error = await asyncio.wait_for(lost, 1)
+    error = await asyncio.wait_for(lost, PATIENCE)
     assert isinstance(error, LinkLost)
     await link.close()
     assert complaints == []
@@ -219,7 +213,7 @@ async def test_unplugging_while_closing_is_no_trouble(
     closing = asyncio.ensure_future(link.close())
     await asyncio.sleep(0.05)
     terminal.unplug()
-    async with asyncio.timeout(2.5):
+    async with asyncio.timeout(PATIENCE):
         await closing
     assert complaints == []
 

@@ -22,6 +22,7 @@ from m100link.errors import (
 from m100link.link import Link, connect_in_memory, open_link, transport
 from m100link.link.url import ConnectionString, parse_url
 from tests.link.peer import Peer
+from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]
 
@@ -164,7 +165,7 @@ async def test_tcp_carries_frames_both_ways_and_its_end_is_a_lost_link() -> None
     link = await open_link(f"tcp://127.0.0.1:{port}", on_lost=lost.set_result)
     assert await link.request(b"x") == b"ack of x"
     await peers[0].link.close()
-    error = await asyncio.wait_for(lost, 1)
+    error = await asyncio.wait_for(lost, PATIENCE)
     assert type(error).__name__ == "LinkLost"
     await link.close()
     server.close()

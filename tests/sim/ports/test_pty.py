@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,10 @@ import serial
 
 import m100link
 from m100link.link import open_link
+from m100link.protocol import TelemetryPacket, Time
 from m100link.sim import Driver, PtyPort, VirtualAircraft
-from m100link.wire import FrameDecoder, encode_frame
+from m100link.wire import Frame, FrameDecoder, encode_frame
+from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]
 
@@ -23,20 +26,23 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-def read(port: PtyPort, seconds: float, baud_rate: int = 230_400) -> FrameDecoder:
-    """Open the port like any serial program does, and read for a while."""
+def read(port: PtyPort, count: int) -> list[Frame]:
+    """Open the port like any serial program does, and read so many frames or a few more."""
     decoder = FrameDecoder()
-    with serial.Serial(port.name, baud_rate, timeout=seconds) as opened:
-        decoder.feed(opened.read(100_000))
-    return decoder
+    frames: list[Frame] = []
+    deadline = time.monotonic() + PATIENCE
+    with serial.Serial(port.name, 230_400, timeout=0.05) as opened:
+        while len(frames) < count:
+            assert time.monotonic() < deadline, f"{len(frames)} frames"
+            frames += decoder.feed(opened.read(4096))
+    return frames
 
 
 async def test_programs_may_open_and_close_the_port_as_often_as_they_like() -> None:
     driver = Driver(VirtualAircraft(seed=1))
     port = PtyPort(driver)
     for _ in range(3):
-        decoder = await asyncio.to_thread(read, port, 0.3)
-        assert decoder.frames >= 20
+        assert await asyncio.to_thread(read, port, 20)
     driver.stop()
 
 
@@ -103,12 +109,13 @@ async def test_nobody_reading_grows_nothing_and_a_late_reader_gets_fresh_bytes()
     aircraft = VirtualAircraft(seed=1)
     driver = Driver(aircraft)
     port = PtyPort(driver)
-    await asyncio.sleep(2.5)
+    await until(lambda: port.flushes >= 1)
     assert port.unread <= 4096
     assert len(port.backlog) <= port.backlog.LIMIT
-    assert port.flushes >= 1
-    decoder = await asyncio.to_thread(read, port, 0.4)
-    assert 30 <= decoder.frames < 250, "not the two and a half seconds that were missed"
+    first, *_ = await asyncio.to_thread(read, port, 30)
+    stamp = TelemetryPacket(first.data[2:], aircraft.autopilot.profile).get(Time)
+    assert stamp is not None
+    assert stamp.seconds > 1.0, "not from the first second, which nobody read"
     driver.stop()
 
 
@@ -124,13 +131,15 @@ async def test_what_the_terminal_cannot_hold_waits_bounded_and_arrives_whole() -
     assert len(port.backlog) == port.backlog.LIMIT
     assert port.backlog.dropped > 1000
 
-    decoder, sequences = FrameDecoder(), []
+    decoder = FrameDecoder()
+    sequences: list[int] = []
     descriptor = os.open(port.device, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
-    for _ in range(60):
-        await asyncio.sleep(0.01)
-        with contextlib.suppress(BlockingIOError):
-            frames = decoder.feed(os.read(descriptor, 65_536))
-            sequences += [frame.sequence for frame in frames]
+    async with asyncio.timeout(PATIENCE):
+        while sequences[-1:] != [9]:
+            await asyncio.sleep(0.01)
+            with contextlib.suppress(BlockingIOError):
+                frames = decoder.feed(os.read(descriptor, 65_536))
+                sequences += [frame.sequence for frame in frames]
     os.close(descriptor)
     assert decoder.discarded_bytes == 0, "whole frames only"
     assert sequences[-2:] == [2999, 9], "the newest are there"
@@ -143,16 +152,14 @@ async def test_another_baud_rate_reads_garbage_and_is_not_understood() -> None:
     driver = Driver(aircraft)
     port = PtyPort(driver)
     link = await open_link(port.name, baud_rate=115_200)
-    await asyncio.sleep(0.3)
+    await until(lambda: link.statistics().bytes_received > 1000)
     with pytest.raises(m100link.AckTimeout):
         await link.request(b"\x00\x00\x00", name="version", timeout=0.1, tries=2)
     statistics = link.statistics()
-    assert statistics.bytes_received > 1000
     assert statistics.frames_received == 0
     assert aircraft.autopilot.endpoint.statistics.commands == 0
     await link.close()
-    decoder = await asyncio.to_thread(read, port, 0.3)
-    assert decoder.frames >= 20, "the next program chooses its own"
+    assert await asyncio.to_thread(read, port, 20), "the next program chooses its own"
     driver.stop()
 
 
@@ -164,12 +171,11 @@ async def test_unplugging_takes_the_port_away_and_replugging_brings_it_back(
     port = PtyPort(driver, link=tmp_path / "ttyUSB0")
     async with m100link.connect(port.name) as connected:
         aircraft.unplug()
-        await asyncio.sleep(0.3)
-        assert not connected.link.is_open
+        await until(lambda: not connected.link.is_open)
         assert isinstance(connected.link.failure, m100link.LinkLost)
     assert not (tmp_path / "ttyUSB0").exists()
     aircraft.replug()
-    await asyncio.sleep(0.05)
+    await until((tmp_path / "ttyUSB0").exists)
     async with m100link.connect(port.name) as connected:
         await connected.version()
     driver.stop()
