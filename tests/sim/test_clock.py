@@ -29,7 +29,7 @@ def run(loop: asyncio.AbstractEventLoop, seconds: float, count: int = 1) -> tupl
 def test_virtual_time_jumps_and_is_exact() -> None:
     elapsed, real = run(VirtualClockEventLoop(), 3600.0, count=100)
     assert elapsed == pytest.approx(360_000.0)
-    assert real < 1.0
+    assert real < elapsed / 10_000
 
 
 def test_virtual_time_begins_at_zero_and_keeps_the_order_of_timers() -> None:
@@ -72,13 +72,14 @@ def test_virtual_timeouts_time_out() -> None:
 def test_scaled_time_waits_but_shorter(speed: float) -> None:
     elapsed, real = run(ScaledEventLoop(speed), 0.1 * speed)
     assert elapsed >= 0.1 * speed
-    assert 0.09 < real < 0.5
+    assert 0.09 < real < elapsed
 
 
 def test_scaled_time_starts_at_the_monotonic_clock() -> None:
+    before = time.monotonic()
     loop = ScaledEventLoop(5.0)
     try:
-        assert loop.time() == pytest.approx(time.monotonic(), abs=0.5)
+        assert before <= loop.time() <= before + 5.0 * (time.monotonic() - before)
         assert loop.speed == 5.0
     finally:
         loop.close()

@@ -17,6 +17,7 @@ from m100link.sim.ports.driver import Backlog, StreamPort
 from m100link.sim.telemetry import is_telemetry
 from m100link.testing import ConnectableAircraft, VirtualClock
 from m100link.wire import FrameDecoder, encode_frame
+from tests.waiting import until
 
 pytestmark = pytest.mark.anyio
 
@@ -255,18 +256,15 @@ async def test_tcp_serves_one_program_at_a_time_and_a_new_one_replaces_it() -> N
     driver = Driver(VirtualAircraft(seed=1))
     server = await serve_tcp(driver)
     loop = asyncio.get_running_loop()
-    listeners = []
+    listeners: list[Listener] = []
     for _ in range(2):
         _, listener = await loop.create_connection(Listener, "127.0.0.1", server.port)
         listeners.append(listener)
-        await asyncio.sleep(0.15)
-    assert listeners[0].lost == [None]
-    assert listeners[0].frames > 5
-    assert listeners[1].frames > 5
+        await until(lambda: listeners[-1].frames > 5)
+    await until(lambda: listeners[0].lost == [None])
     await server.stop()
     driver.stop()
-    await asyncio.sleep(0.05)
-    assert listeners[1].lost
+    await until(lambda: bool(listeners[1].lost))
     assert server.port > 0
 
 
@@ -275,29 +273,27 @@ async def test_tcp_refuses_while_the_aircraft_is_unplugged() -> None:
     driver = Driver(aircraft)
     server = await serve_tcp(driver)
     loop = asyncio.get_running_loop()
-    heard = []
+    listeners: list[Listener] = []
     for plugged in (True, False, True):
         aircraft.replug() if plugged else aircraft.unplug()
-        await asyncio.sleep(0.05)
         _, listener = await loop.create_connection(Listener, "127.0.0.1", server.port)
-        await asyncio.sleep(0.15)
-        heard.append(listener.bytes > 0)
-    assert heard == [True, False, True]
+        listeners.append(listener)
+        await until(lambda: bool(listeners[-1].bytes or listeners[-1].lost))
+    assert [listener.bytes > 0 for listener in listeners] == [True, False, True]
     await server.stop()
     driver.stop()
-    await asyncio.sleep(0.05)
 
 
 # --- pace -----------------------------------------------------------------------------------
 
 
-async def test_ten_minutes_of_flight_take_two_seconds_at_most(
+async def test_time_flies_at_least_fifty_times_as_fast_as_it_passes(
     virtual_aircraft: ConnectableAircraft,
 ) -> None:
     """Telemetry at default rates, movement at 50 Hz, through the event loop and a cable.
 
-    The bound is wider than the goal of two seconds, for slow and busy machines; the benchmark
-    measures.
+    The bound is wider than the goal of 300 times, for slow machines, and counts what this process
+    works and not what others do meanwhile; the benchmark measures.
     """
     listener = Listener()
     transport = virtual_aircraft.connect_protocol(listener)
@@ -306,7 +302,7 @@ async def test_ten_minutes_of_flight_take_two_seconds_at_most(
     await asyncio.sleep(8.0)
     virtual_aircraft.autopilot.authority.is_requested = True
     move = encode_frame(bytes.fromhex("010348" + "0000803f" + 12 * "00"), session=0, sequence=1)
-    began, left = time.perf_counter(), 30_000
+    began, left = time.process_time(), 6_000
 
     def send() -> None:
         nonlocal left
@@ -316,12 +312,12 @@ async def test_ten_minutes_of_flight_take_two_seconds_at_most(
             loop.call_later(0.02, send)
 
     send()
-    await asyncio.sleep(600.0)
-    real = time.perf_counter() - began
-    print(f"600 s of flight in {real:.2f} s")  # noqa: T201
-    assert virtual_aircraft.autopilot.counters.movements == 30_000
-    assert listener.frames >= 60_700
-    assert real < 8.0
+    await asyncio.sleep(120.0)
+    worked = time.process_time() - began
+    print(f"120 s of flight in {worked:.2f} s")  # noqa: T201
+    assert virtual_aircraft.autopilot.counters.movements == 6_000
+    assert listener.frames >= 12_700
+    assert worked < 120.0 / 50
 
 
 def test_packets_carry_what_the_driver_made(virtual_aircraft: ConnectableAircraft) -> None:
