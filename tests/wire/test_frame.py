@@ -316,3 +316,14 @@ def test_the_simple_model_agrees_with_the_golden_streams() -> None:
         found = all_frames(bytes.fromhex(vector["bytes"]), key)
         wanted = [bytes.fromhex(frame["data"]) for frame in vector["frames"]]
         assert [frame.data for frame in found] == wanted
+
+
+def test_without_a_key_an_encrypted_frame_is_passed_over_whole() -> None:
+    """Ciphertext may be anything, a whole plain frame too: it was not sent, so it is not found."""
+    hidden = raw_frame(b"\x02\x01\x04" + bytes(13), sequence=7)
+    outer = raw_frame(hidden.ljust(48, b"\x55"), encryption=1, padding=1, sequence=6)
+    behind = raw_frame(b"\x02\x01\x04", sequence=8)
+    found, decoder = decode(outer + behind)
+    assert [frame.sequence for frame in found] == [8]
+    assert faults(decoder) == {"no_key": 1}
+    assert decoder.discarded_bytes == len(outer)
