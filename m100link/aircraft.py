@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import secrets
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from m100link.errors import (
-    AckTimeout,
     ActivationRefused,
     CommandRefused,
     LayoutMismatch,
@@ -22,20 +20,21 @@ from m100link.errors import (
 from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
 from m100link.flight.control import Control, PauseAction, StopAction
 from m100link.flight.guards import Guards
+from m100link.flight.handover import release_authority
+from m100link.flight.tasks import Commander, task_sequences
 from m100link.link import Link, LinkStatistics, open_link
-from m100link.protocol.codes import AckCode, ActivationCode
-from m100link.protocol.command import Command, encode_code
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.command import Push, Request, encode_code
 from m100link.protocol.commands.activation import (
     Activate,
     Credentials,
-    GetVersion,
     SendToMobile,
     Version,
 )
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
-from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfile, profile
+from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.protocol.records import RECORDS
-from m100link.refusals import key_rejected, no_aircraft, system_error
+from m100link.requests import Requests
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
@@ -47,11 +46,11 @@ __all__ = ["ActivationProgress", "Aircraft", "connect"]
 
 _logger = logging.getLogger("m100link.aircraft")
 
-_PROBE_TIMEOUT = 0.3
-_VERSION_TIMEOUT, _VERSION_TRIES = 0.2, 3
 _ACTIVATION_TIMEOUT, _ACTIVATION_TRIES = 1.0, 3
 _ACTIVATION_PAUSE = 2.0
 _MOBILE_TIMEOUT, _MOBILE_TRIES = 0.5, 2
+
+A = TypeVar("A")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +85,11 @@ class Aircraft:
         self._clock = loop.time
         self._link: Link | None = None
         self._forced_firmware = firmware
-        self._firmware = firmware or FIRMWARE_1_0
-        self._is_known_firmware = firmware is not None
-        self._version: Version | None = None
+        self._requests: Requests | None = None
         self._telemetry: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
         self._control: Control | None = None
-        self._task_sequence = secrets.randbits(8)
-        self._proven_cipher: Cipher | None = None
+        self._task_sequences = task_sequences()
         self.state = AircraftState(self._clock)
         self.authority = Authority(self._authority_changed)
         self.telemetry_mismatches = 0
@@ -120,9 +116,10 @@ class Aircraft:
     async def attach(self, link: Link, *, timeout: float = 3.0) -> None:
         """Use a link that is open already, and ask for the version."""
         self._link = link
+        self._requests = Requests(link, self._forced_firmware)
         link.on_received, link.on_lost = self._on_received, self._on_lost
         try:
-            await self._probe(timeout)
+            await self._requests.find_aircraft(timeout)
         except BaseException:
             await self.aclose()
             raise
@@ -131,23 +128,6 @@ class Aircraft:
         """Close the line. May be called any number of times."""
         if self._link is not None:
             await self._link.close()
-
-    async def _probe(self, timeout: float) -> None:
-        """Ask for the version until the deadline; if none comes, say how far the line reaches."""
-        deadline = self._clock() + timeout
-        while (remaining := deadline - self._clock()) > 0:
-            try:
-                payload = await self.link.request(
-                    GetVersion().encode(self._firmware),
-                    name=GetVersion.NAME,
-                    timeout=min(_PROBE_TIMEOUT, remaining),
-                    tries=1,
-                )
-            except AckTimeout:
-                continue
-            self._take_version(GetVersion.parse_ack(payload))
-            return
-        raise no_aircraft(self.link, timeout)
 
     @property
     def link(self) -> Link:
@@ -169,7 +149,7 @@ class Aircraft:
     @property
     def firmware(self) -> FirmwareProfile:
         """The firmware profile in use."""
-        return self._firmware
+        return self._sender.firmware
 
     @property
     def is_activated(self) -> bool:
@@ -182,29 +162,7 @@ class Aircraft:
         Raises:
             AckTimeout, LinkError, BadAck: See each class.
         """
-        payload = await self.link.request(
-            GetVersion().encode(self._firmware),
-            name=GetVersion.NAME,
-            timeout=_VERSION_TIMEOUT,
-            tries=_VERSION_TRIES,
-        )
-        version = GetVersion.parse_ack(payload)
-        self._take_version(version)
-        return version
-
-    def _take_version(self, version: Version) -> None:
-        self._version = version
-        if self._forced_firmware is not None:
-            return
-        found = version.profile
-        self._is_known_firmware = found is not None
-        # An unknown firmware gets telemetry only; packets that do not fit are refused and counted.
-        likeliest = FIRMWARE_1_0 if version.serial is None else FIRMWARE_3_1
-        self._firmware = found or likeliest
-        if found is None:
-            _logger.warning(
-                "unknown firmware %r: telemetry only, read as %s", version.name, likeliest
-            )
+        return await self._sender.query_version()
 
     async def activate(
         self,
@@ -237,15 +195,12 @@ class Aircraft:
         attempt = 0
         while True:
             attempt += 1
-            request = Activate.from_credentials(credentials, self._firmware)
-            code = ActivationCode(
-                await self.execute(
-                    request,
-                    timeout=_ACTIVATION_TIMEOUT,
-                    tries=_ACTIVATION_TRIES,
-                    encrypted=False,
-                    refusal=ActivationRefused,
-                )
+            request = Activate.from_credentials(credentials, self.firmware)
+            code = await self.execute(
+                request,
+                timeout=_ACTIVATION_TIMEOUT,
+                tries=_ACTIVATION_TRIES,
+                refusal=ActivationRefused,
             )
             remaining = max(0.0, deadline - self._clock())
             again = code == ActivationCode.NEW_DEVICE and remaining > 0
@@ -277,88 +232,45 @@ class Aircraft:
         """Encrypt with this key without activating: for a second program on an active aircraft."""
         self.link.cipher = Cipher(credentials.key, random_padding=True)
 
+    @property
+    def _sender(self) -> Requests:
+        # Not public: by it, movement could leave without a control block.
+        if self._requests is None:
+            raise UsageError("this aircraft is not connected", remedy="use `async with connect(…)`")
+        return self._requests
+
     # -- commands --------------------------------------------------------------------------------
 
     async def execute(
         self,
-        command: Command,
+        request: Request[A],
         *,
         timeout: float = 0.5,
         tries: int = 3,
         encrypted: bool | None = None,
         refusal: type[CommandRefused] = CommandRefused,
-    ) -> int:
-        """Send any command that has an ack, and return the ack code.
+    ) -> A:
+        """Send any request and return what its ack says: see :meth:`Requests.execute`."""
+        return await self._sender.execute(
+            request, timeout=timeout, tries=tries, encrypted=encrypted, refusal=refusal
+        )
 
-        Args:
-            command: One of the commands of :mod:`m100link.protocol`.
-            timeout: Seconds to wait for the ack of one transmission.
-            tries: Transmissions in all.
-            encrypted: By default commands of set 0x01 are encrypted once there is a key.
-            refusal: Class of the error for system codes that have no class of their own.
+    def push(self, command: Push) -> bool:
+        """Send any command without an ack. False when the line does not drain.
 
-        Raises:
-            NotActivated, LevelTooLow, CommandNotSupported: System codes.
-            KeyRejected: Encrypted and refused or unanswered, while plain requests are answered.
-            AckTimeout, BadAck, LinkError: See each class.
-        """
-        self._require_known_firmware(command)
-        cipher = self.link.cipher
-        if encrypted is None:
-            encrypted = cipher is not None and command.ADDRESS.command_set == 0x01
-        # A key that was understood once is right; a lost frame does not make it wrong.
-        may_be_wrong = encrypted and cipher is not self._proven_cipher
-        try:
-            payload = await self.link.request(
-                command.encode(self._firmware),
-                name=command.NAME,
-                encrypted=encrypted,
-                timeout=timeout,
-                tries=tries,
-            )
-        except AckTimeout as error:
-            if may_be_wrong and await self._answers_plain():
-                raise key_rejected(command.NAME) from error
-            raise
-        code = command.parse_ack(payload)
-        assert isinstance(code, AckCode)
-        if code.is_system:
-            raise system_error(command.NAME, code, may_be_wrong, refusal)
-        if encrypted:
-            self._proven_cipher = cipher
-        return code
-
-    async def _answers_plain(self) -> bool:
-        try:
-            await self.version()
-        except AckTimeout:
-            return False
-        return True
-
-    def push(self, command: Command) -> bool:
-        """Send a command that has no ack. False when the line does not drain.
+        Movement is not among them: it leaves through a control block alone.
 
         Raises:
-            UsageError: The firmware is unknown.
+            UsageError: Not such a command, or the firmware is unknown.
             LinkError: The line is gone.
         """
-        self._require_known_firmware(command)
-        encrypted = self.link.cipher is not None and command.ADDRESS.command_set == 0x01
-        return self.link.push(command.encode(self._firmware), encrypted=encrypted)
-
-    def _require_known_firmware(self, command: Command) -> None:
-        if not self._is_known_firmware and command.ADDRESS.command_set != 0x00:
-            name = self._version.name if self._version else "unknown"
+        if not isinstance(command, Push):
             raise UsageError(
-                f"{command.NAME} is not sent to an unknown firmware ({name})",
-                cause="the order of movement values and the handshakes differ between firmwares",
-                remedy="if you know that it fits, force it: connect(..., firmware='3.1')",
+                f"{command!r} cannot be pushed",
+                remedy="movement is sent in `async with aircraft.control()`; what has an ack is "
+                "executed",
             )
-
-    def next_task_sequence(self) -> int:
-        """A number for the next take-off, landing or go-home, 0 to 255."""
-        self._task_sequence = (self._task_sequence + 1) & 0xFF
-        return self._task_sequence
+        return self._sender.push(command)
 
     def control(
         self,
@@ -384,13 +296,23 @@ class Aircraft:
             NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
         """
         return Control(
-            self,
+            self._commander(),
             stop=stop,
             on_pause=on_pause,
             guards=guards,
             handle_signals=handle_signals,
             claim=self._claim,
         )
+
+    async def release_authority(self) -> None:
+        """Give control authority back that an earlier program left; a control block does it itself.
+
+        The aircraft hovers and the pilot flies on. What goes wrong is logged, not raised.
+        """
+        await release_authority(self._commander())
+
+    def _commander(self) -> Commander:
+        return Commander(self._sender, self.authority, self.state, self._task_sequences)
 
     def _claim(self, control: Control) -> None:
         """One block at a time: the second would release what the first one holds."""
@@ -438,8 +360,9 @@ class Aircraft:
     def device_clock(self) -> DeviceClock:
         """Relates the aircraft's tick to this computer's time, with offset, skew, uncertainty."""
         clock = self._device_clock
-        if clock is None or clock.tick_hz != self._firmware.tick_hz:
-            clock = self._device_clock = DeviceClock(self._firmware.tick_hz)
+        tick_hz = self.firmware.tick_hz
+        if clock is None or clock.tick_hz != tick_hz:
+            clock = self._device_clock = DeviceClock(tick_hz)
         return clock
 
     async def wait_for(
@@ -501,10 +424,11 @@ class Aircraft:
             _logger.debug("a push that is no push of the document: %s", data[:16].hex())
 
     def _on_telemetry(self, frame: Frame, now: float) -> None:
-        if self._version is None and self._forced_firmware is None:
-            return  # its layout is not known before the version answer
+        requests = self._requests
+        if requests is None or not requests.knows_layout:
+            return
         try:
-            sample = Sample(frame.data[2:], self._firmware, now)
+            sample = Sample(frame.data[2:], requests.firmware, now)
         except LayoutMismatch as error:
             self.telemetry_mismatches += 1
             if self.telemetry_mismatches == 1:

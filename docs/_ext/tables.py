@@ -37,6 +37,7 @@ from m100link.cli.app import app as cli
 from m100link.flight.authority import TRANSITIONS
 from m100link.link.url import EXAMPLES
 from m100link.protocol import codes, firmware, setpoint
+from m100link.protocol.command import Notification, Request
 from m100link.protocol.commands.registry import COMMANDS
 from m100link.protocol.packet import telemetry_size
 from m100link.protocol.records import RECORDS
@@ -117,8 +118,9 @@ class CommandTable(TableDirective):
         for address, command in sorted(COMMANDS.items()):
             summary = (inspect.getdoc(command) or "").split("\n\n")[0].replace("\n", " ")
             summary = summary.removeprefix(f"{address}, ").removesuffix(".")
-            ack = "none" if command.CODES is None else f"``{command.CODES.__name__}``"
-            direction = "from the aircraft" if address.command_set == 0x02 else "to the aircraft"
+            ack = f"``{command.ANSWER.__name__}``" if issubclass(command, Request) else "none"
+            is_notification = issubclass(command, Notification)
+            direction = "from the aircraft" if is_notification else "to the aircraft"
             yield f"``{address}``", f"``{command.NAME}``", direction, _sentence(summary), ack
 
 

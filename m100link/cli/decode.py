@@ -12,7 +12,7 @@ from rich.table import Table
 
 from m100link.cli.common import ExitCode, complain, out, print_json
 from m100link.errors import BadAck, M100Error, UsageError
-from m100link.protocol.command import Command, Unrecognised, plain
+from m100link.protocol.command import Command, Request, Unrecognised, plain
 from m100link.protocol.commands.activation import Version
 from m100link.protocol.commands.registry import COMMANDS, parse_command
 from m100link.protocol.firmware import FirmwareProfile, profile
@@ -133,7 +133,7 @@ def _describe(
 
 def _ack(command: type[Command], payload: bytes) -> dict[str, Any]:
     described: dict[str, Any] = {"command": command.NAME}
-    if command.CODES is None:
+    if not issubclass(command, Request):
         return described
     try:
         answer = command.parse_ack(payload)

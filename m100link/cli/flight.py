@@ -15,7 +15,6 @@ from m100link.errors import UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.guidance import GuidanceProgress
-from m100link.flight.handover import release_authority
 from m100link.flight.tasks import TaskProgress, describe_situation
 from m100link.protocol.commands.activation import Credentials
 
@@ -143,7 +142,7 @@ def release(url: Url, /, *, app: AppOptions | None = None, link: LinkOptions | N
     async def run() -> None:
         async with connect(url, **(link or LinkOptions()).arguments()) as aircraft:
             await _activate(aircraft, (app or AppOptions()).credentials(url))
-            await release_authority(aircraft)
+            await aircraft.release_authority()
             out.print("released")
 
     return run_async(run())

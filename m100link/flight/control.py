@@ -99,6 +99,7 @@ class Control:
         if on_pause not in ("raise", "wait"):
             raise UsageError(f"on_pause cannot be {on_pause!r}", remedy="use 'raise' or 'wait'")
         self._commander = commander
+        self._requests = commander.requests
         self._stop_action: StopAction = stop
         self._on_pause: PauseAction = on_pause
         self._guards = GuardKeeper(guards or Guards(), commander.state)
@@ -283,7 +284,7 @@ class Control:
             )
         if not 0 < lifetime < math.inf:
             raise UsageError(f"a lifetime of {lifetime} s is no time that ends")
-        setpoint.control_flag(self._commander.firmware)  # refused here, not in the sending task
+        setpoint.control_flag(self._requests.firmware)  # refused here, not in the sending task
         self._guards.check(setpoint)
         self._setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
 
@@ -299,13 +300,13 @@ class Control:
             NoAuthority: Authority is not held.
         """
         self._require_authority("a raw movement command")
-        return self._commander.push(move)
+        return self._requests.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
         if not self.has_authority or not self._check_telemetry():
             return False
         try:
-            return self._commander.push(setpoint.to_move(self._commander.firmware))
+            return self._requests.push(setpoint.to_move(self._requests.firmware))
         except LinkError as error:
             self.fail(error)
             return False

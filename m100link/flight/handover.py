@@ -28,14 +28,12 @@ _EXPLANATION_STEP_S = 0.01
 
 def _requests(commander: Commander) -> int:
     """How often to ask: firmware that wants two requests answers the first "in progress"."""
-    return _MAX_REQUESTS if commander.firmware.authority_requests > 1 else 1
+    return _MAX_REQUESTS if commander.requests.firmware.authority_requests > 1 else 1
 
 
 async def _request(commander: Commander, *, obtain: bool, timeout: float = 0.5) -> AuthorityCode:
-    return AuthorityCode(
-        await commander.execute(
-            RequestAuthority(obtain=obtain), timeout=timeout, tries=2, refusal=AuthorityRefused
-        )
+    return await commander.requests.execute(
+        RequestAuthority(obtain=obtain), timeout=timeout, tries=2, refusal=AuthorityRefused
     )
 
 
@@ -96,7 +94,7 @@ async def release_authority(commander: Commander) -> None:
             for attempt in range(_requests(commander)):
                 if attempt:
                     await asyncio.sleep(_PAUSE_S)
-                is_last = attempt + 1 >= commander.firmware.authority_requests
+                is_last = attempt + 1 >= commander.requests.firmware.authority_requests
                 code = await _request_release(commander, is_last=is_last)
                 if code not in (AuthorityCode.NOT_CHANGED, AuthorityCode.RELEASING):
                     break

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+import secrets
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from itertools import cycle, islice
+from typing import TYPE_CHECKING
 
 from m100link.errors import (
     AckTimeout,
@@ -21,8 +23,7 @@ from m100link.protocol.records import FlightPhase
 
 if TYPE_CHECKING:
     from m100link.flight.authority import Authority
-    from m100link.protocol.command import Command
-    from m100link.protocol.firmware import FirmwareProfile
+    from m100link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
 __all__ = ["Commander", "TaskProgress", "run_task"]
@@ -40,36 +41,21 @@ TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
 """Seconds to wait for the end of each task unless told otherwise."""
 
 
-class Commander(Protocol):
-    """What flying needs of an aircraft."""
+@dataclass(frozen=True, slots=True)
+class Commander:
+    """What flying needs of an aircraft.
 
+    Attributes:
+        requests: The road by which commands are sent.
+        authority: Who controls the aircraft.
+        state: Newest telemetry.
+        task_sequences: A number for each task: see :func:`task_sequences`.
+    """
+
+    requests: Requests
     authority: Authority
     state: AircraftState
-
-    @property
-    def firmware(self) -> FirmwareProfile:
-        """Firmware profile in use."""
-        ...
-
-    async def execute(
-        self,
-        command: Command,
-        *,
-        timeout: float = ...,
-        tries: int = ...,
-        encrypted: bool | None = ...,
-        refusal: type[CommandRefused] = ...,
-    ) -> int:
-        """Send a command, return its ack code; system codes raise."""
-        ...
-
-    def push(self, command: Command) -> bool:
-        """Send a command without ack."""
-        ...
-
-    def next_task_sequence(self) -> int:
-        """A number for the next task."""
-        ...
+    task_sequences: Iterator[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +75,11 @@ class TaskProgress:
     phase: FlightPhase | None
     height_m: float | None
     result: TaskResultCode | None
+
+
+def task_sequences() -> Iterator[int]:
+    """A number for each take-off, landing or go-home, 0 to 255 and round again."""
+    return islice(cycle(range(256)), secrets.randbits(8), None)
 
 
 def task_name(task: Task) -> str:
@@ -114,11 +105,9 @@ async def run_task(
     Raises:
         TaskRefused, TaskFailed, NotObserved, AckTimeout: See :meth:`Control.take_off`.
     """
-    sequence = commander.next_task_sequence()
-    code = TaskStartCode(
-        await commander.execute(
-            StartTask(sequence, task), timeout=0.5, tries=3, refusal=TaskRefused
-        )
+    sequence = next(commander.task_sequences)
+    code = await commander.requests.execute(
+        StartTask(sequence, task), timeout=0.5, tries=3, refusal=TaskRefused
     )
     if code != TaskStartCode.STARTED:
         situation = commander.state.situation()
@@ -180,9 +169,7 @@ class _Watch:
         """Ask for the result. One answer that is lost does not change what the last one said."""
         query = QueryTask(self._sequence)
         try:
-            self._result = TaskResultCode(
-                await self._commander.execute(query, timeout=0.2, tries=2)
-            )
+            self._result = await self._commander.requests.execute(query, timeout=0.2, tries=2)
         except AckTimeout as error:
             _logger.debug("no result of the task: %s", error)
             self._unanswered += 1

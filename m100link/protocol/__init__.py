@@ -12,7 +12,16 @@ from m100link.protocol.codes import (
     TaskStartCode,
     VersionCode,
 )
-from m100link.protocol.command import Address, Command, Unrecognised, encode_code
+from m100link.protocol.command import (
+    Address,
+    Command,
+    Movement,
+    Notification,
+    Push,
+    Request,
+    Unrecognised,
+    encode_code,
+)
 from m100link.protocol.commands.activation import (
     Activate,
     Credentials,
@@ -88,13 +97,17 @@ __all__ = [
     "Magnetometer",
     "MobileDataCode",
     "Move",
+    "Movement",
+    "Notification",
     "Position",
+    "Push",
     "PushTelemetry",
     "QueryTask",
     "RatesCode",
     "RcMode",
     "ReferenceFrame",
     "RemoteControl",
+    "Request",
     "RequestAuthority",
     "SendToMobile",
     "SetTelemetryRates",

@@ -1,21 +1,36 @@
-"""What a command is: an address, a value, and the meaning of its ack.
+"""What a command is: a declaration of its address, who may send it and how, and both directions.
 
-Each command of the document is a frozen dataclass in the module of its command set. ``encode``
-gives the data of a frame, ``parse`` reads them back on the other side of the cable, ``parse_ack``
-reads the answer.
+Each command of the document is a frozen dataclass in the module of its command set, and one of
+four kinds: a :class:`Request` wants an ack and says what the ack tells, a :class:`Push` has none, a
+:class:`Movement` is a push that flies, a :class:`Notification` comes from the aircraft. ``encode``
+gives the data of a frame, ``parse`` reads them back on the other side of the cable; ``parse_ack``
+and ``encode_ack`` do the same for the answer.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar, get_args, get_origin
 
 from m100link.errors import BadAck
 from m100link.protocol.codes import AckCode
 from m100link.protocol.firmware import FirmwareProfile
+from m100link.session.events import SessionMode
 
-__all__ = ["Address", "Command", "Unrecognised", "encode_code", "read_code"]
+__all__ = [
+    "Address",
+    "Command",
+    "Movement",
+    "Notification",
+    "Push",
+    "Request",
+    "Unrecognised",
+    "encode_code",
+    "read_code",
+]
+
+A = TypeVar("A")
 
 
 class Address(NamedTuple):
@@ -29,25 +44,30 @@ class Address(NamedTuple):
 
 
 class Command:
-    """Base of every command and push.
+    """What the four kinds have in common.
 
     Attributes:
         ADDRESS: Command set and id.
         NAME: The word for it in logs, errors and the CLI.
-        CODES: Enum of its ack code; None when the command has no ack.
+        LEVEL: Authorization level that the aircraft asks for (document 2.1).
+        ENCRYPTED: Whether it is sent encrypted as soon as there is a key.
+        SESSION_MODE: How it is sent; follows from the kind.
     """
 
     __slots__ = ()
 
     ADDRESS: ClassVar[Address]
     NAME: ClassVar[str]
-    CODES: ClassVar[type[AckCode] | None] = None
-    ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (2,)
+    LEVEL: ClassVar[int] = 0
+    ENCRYPTED: ClassVar[bool] = False
+    SESSION_MODE: ClassVar[SessionMode] = SessionMode.NO_ACK
 
     _PREFIX: ClassVar[bytes]
 
     def __init_subclass__(cls) -> None:
-        cls._PREFIX = bytes(cls.ADDRESS)
+        super().__init_subclass__()
+        if hasattr(cls, "ADDRESS"):  # the four kinds have none
+            cls._PREFIX = bytes(cls.ADDRESS)
 
     def encode(self, profile: FirmwareProfile) -> bytes:
         """The data of the frame: set, id, value."""
@@ -66,19 +86,58 @@ class Command:
         """
         raise ValueError(f"{cls.__name__} is never parsed")
 
+    def fields(self) -> dict[str, Any]:
+        """The decoded fields as JSON-ready values."""
+        return {name: plain(getattr(self, name)) for name in field_names(self)}
+
+
+class Request(Command, Generic[A]):
+    """A command with an ack. ``class Arm(Request[ArmCode])`` says that its ack is that code.
+
+    Attributes:
+        ANSWER: What the ack tells: the class in the brackets.
+        ACK_CODE_SIZES: Sizes that the code of the ack may have.
+    """
+
+    __slots__ = ()
+
+    SESSION_MODE: ClassVar[SessionMode] = SessionMode.RELIABLE
+    ANSWER: ClassVar[type[Any]]
+    ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (2,)
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for base in cls.__dict__.get("__orig_bases__", ()):
+            if get_origin(base) is Request:
+                (cls.ANSWER,) = get_args(base)
+
     @classmethod
-    def parse_ack(cls, payload: bytes) -> Any:
-        """Read the data of an ack frame: the ack code, or what carries it.
+    def parse_ack(cls, payload: bytes) -> A:
+        """Read the data of an ack frame.
 
         Raises:
             BadAck: Too short.
         """
-        assert cls.CODES is not None, f"{cls.NAME} has no ack"
-        return cls.CODES(read_code(cls.NAME, payload, cls.ACK_CODE_SIZES))
+        answer: A = cls.ANSWER(read_code(cls.NAME, payload, cls.ACK_CODE_SIZES))
+        return answer
 
-    def fields(self) -> dict[str, Any]:
-        """The decoded fields as JSON-ready values."""
-        return {name: plain(getattr(self, name)) for name in field_names(self)}
+
+class Push(Command):
+    """A command without an ack: sent, and nobody says whether it arrived."""
+
+    __slots__ = ()
+
+
+class Movement(Command):
+    """A push that flies the aircraft. It leaves through :class:`m100link.Control` alone."""
+
+    __slots__ = ()
+
+
+class Notification(Command):
+    """What the aircraft sends by itself."""
+
+    __slots__ = ()
 
 
 @dataclass(frozen=True, slots=True)

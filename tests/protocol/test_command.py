@@ -22,8 +22,12 @@ from m100link.protocol import (
     FromMobile,
     GetVersion,
     Move,
+    Movement,
+    Notification,
+    Push,
     PushTelemetry,
     QueryTask,
+    Request,
     RequestAuthority,
     SendToMobile,
     SetTelemetryRates,
@@ -37,9 +41,11 @@ from m100link.protocol import (
 )
 from m100link.protocol.commands.registry import COMMANDS, address_of
 from m100link.protocol.firmware import ITEM_NAMES
+from m100link.session import SessionMode
 
 FIRMWARE = profile("3.1")
 FIRMWARES = st.sampled_from(list(PROFILES.values()))
+KINDS: tuple[type[Command], ...] = (Request, Push, Movement, Notification)
 BYTE, U32 = st.integers(0, 0xFF), st.integers(0, 0xFFFFFFFF)
 F32 = st.floats(width=32, allow_nan=False)
 
@@ -172,34 +178,38 @@ def test_a_telemetry_push_carries_its_packet() -> None:
 
 # -- acks ------------------------------------------------------------------------------------------
 
-WITH_CODE = [kind for kind in COMMANDS.values() if kind.CODES is not None]
-PLAIN_ACKS = [kind for kind in WITH_CODE if kind is not GetVersion]
+AnyRequest = Request[Any]
+REQUESTS = [kind for kind in COMMANDS.values() if issubclass(kind, Request)]
+PLAIN_ACKS = [kind for kind in REQUESTS if kind is not GetVersion]
 
 
 @pytest.mark.parametrize("kind", PLAIN_ACKS)
 @pytest.mark.parametrize("number", [0, 1, 3, 0x4D, 0xC9, 0xFF00, 0xFF01, 0xFF02, 0xFFFF])
-def test_two_bytes_of_an_ack_are_its_code_little_endian(kind: type[Command], number: int) -> None:
+def test_two_bytes_of_an_ack_are_its_code_little_endian(
+    kind: type[AnyRequest], number: int
+) -> None:
     code = kind.parse_ack(bytes((number & 0xFF, number >> 8)))
     assert code == number
-    assert kind.CODES is not None
-    assert isinstance(code, kind.CODES)
+    assert isinstance(code, kind.ANSWER)
     assert encode_code(code) == bytes((number & 0xFF, number >> 8))
 
 
-@pytest.mark.parametrize("kind", WITH_CODE)
-def test_an_empty_ack_is_a_bad_ack_that_names_its_command(kind: type[Command]) -> None:
+@pytest.mark.parametrize("kind", REQUESTS)
+def test_an_empty_ack_is_a_bad_ack_that_names_its_command(kind: type[AnyRequest]) -> None:
     with pytest.raises(BadAck, match=kind.NAME) as caught:
         kind.parse_ack(b"")
     assert (caught.value.command, caught.value.payload) == (kind.NAME, b"")
 
 
 @pytest.mark.parametrize("kind", [StartTask, QueryTask])
-def test_acks_of_tasks_may_be_one_byte_as_the_document_prints_them(kind: type[Command]) -> None:
+def test_acks_of_tasks_may_be_one_byte_as_the_document_prints_them(
+    kind: type[AnyRequest],
+) -> None:
     assert kind.parse_ack(b"\x01") == kind.parse_ack(b"\x01\x00") == 1
 
 
-@pytest.mark.parametrize("kind", [k for k in WITH_CODE if k not in (StartTask, QueryTask)])
-def test_an_ack_of_one_byte_is_a_bad_ack_elsewhere(kind: type[Command]) -> None:
+@pytest.mark.parametrize("kind", [k for k in REQUESTS if k not in (StartTask, QueryTask)])
+def test_an_ack_of_one_byte_is_a_bad_ack_elsewhere(kind: type[AnyRequest]) -> None:
     with pytest.raises(BadAck) as caught:
         kind.parse_ack(b"\x02")
     assert caught.value.payload == b"\x02"
@@ -209,6 +219,14 @@ def test_bytes_behind_a_code_are_ignored() -> None:
     assert Activate.parse_ack(b"\x03\x00garbage") is ActivationCode.NEW_DEVICE
 
 
-def test_a_command_without_an_ack_has_no_codes() -> None:
-    without: set[Any] = {kind for kind in COMMANDS.values() if kind.CODES is None}
-    assert without == {Move, PushTelemetry, AuthorityChanged, FromMobile}
+def test_each_command_is_of_one_kind() -> None:
+    kinds = {kind: [c for c in COMMANDS.values() if issubclass(c, kind)] for kind in KINDS}
+    assert kinds[Movement] == [Move]
+    assert kinds[Notification] == [PushTelemetry, AuthorityChanged, FromMobile]
+    assert sum(map(len, kinds.values())) == len(COMMANDS)
+
+
+@pytest.mark.parametrize("kind", COMMANDS.values())
+def test_only_requests_want_an_ack(kind: type[Command]) -> None:
+    wants_ack = kind.SESSION_MODE is SessionMode.RELIABLE
+    assert wants_ack is issubclass(kind, Request)

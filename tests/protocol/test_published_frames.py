@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -26,6 +26,7 @@ from m100link.protocol import (
     Position,
     PushTelemetry,
     RemoteControl,
+    Request,
     RequestAuthority,
     SendToMobile,
     StartTask,
@@ -175,7 +176,7 @@ def test_published_command_means_what_it_says_and_is_built_again(name: str) -> N
 def test_published_ack_means_what_it_says(name: str) -> None:
     row = ACKS[name]
     data = _check_frame(row, is_ack=True)
-    kind: dict[type, type[Command]] = {
+    kind: dict[type, type[Request[Any]]] = {
         Version: GetVersion,
         ActivationCode: Activate,
         AuthorityCode: RequestAuthority,

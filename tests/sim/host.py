@@ -9,6 +9,7 @@ from m100link.protocol import (
     ActivationCode,
     Command,
     Credentials,
+    Request,
     RequestAuthority,
     Setpoint,
     StartTask,
@@ -101,7 +102,7 @@ class Host:
     def ask(self, command: Command, *, encrypted: bool | None = None, session: int = 2) -> Any:
         """Send a command and return its parsed ack, None if there is none."""
         ack = self.ask_raw(command.encode(self.profile), encrypted=encrypted, session=session)
-        return None if ack is None else command.parse_ack(ack.data)
+        return command.parse_ack(ack.data) if ack and isinstance(command, Request) else None
 
     def ask_raw(
         self, data: bytes, *, encrypted: bool | None = None, session: int = 2

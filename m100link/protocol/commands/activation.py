@@ -9,13 +9,12 @@ from typing import Any, ClassVar, Self
 
 from m100link.errors import BadAck, PayloadTooLarge, UsageError
 from m100link.protocol.codes import (
-    AckCode,
     ActivationCode,
     MobileDataCode,
     RatesCode,
     VersionCode,
 )
-from m100link.protocol.command import Address, Command, read_code
+from m100link.protocol.command import Address, Request, read_code
 from m100link.protocol.firmware import (
     FIRMWARE_1_0,
     FIRMWARE_2_3,
@@ -148,12 +147,11 @@ def _text(raw: bytes) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class GetVersion(Command):
+class GetVersion(Request[Version]):
     """0x00/0x00, get API version. The one byte of its value is arbitrary."""
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x00)
     NAME: ClassVar[str] = "get_version"
-    CODES: ClassVar[type[AckCode] | None] = VersionCode
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """One zero byte."""
@@ -183,7 +181,7 @@ class GetVersion(Command):
 
 
 @dataclass(frozen=True, slots=True)
-class Activate(Command):
+class Activate(Request[ActivationCode]):
     """0x00/0x01, activate API; always sent plain.
 
     Attributes:
@@ -195,7 +193,6 @@ class Activate(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x01)
     NAME: ClassVar[str] = "activate"
-    CODES: ClassVar[type[AckCode] | None] = ActivationCode
 
     app_id: int
     level: int
@@ -235,7 +232,7 @@ KEEP_RATE = 5
 
 
 @dataclass(frozen=True, slots=True)
-class SetTelemetryRates(Command):
+class SetTelemetryRates(Request[RatesCode]):
     """0x00/0x10, telemetry rates (firmware 3.1; earlier ones are set in the PC assistant).
 
     Attributes:
@@ -244,7 +241,6 @@ class SetTelemetryRates(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x10)
     NAME: ClassVar[str] = "set_telemetry_rates"
-    CODES: ClassVar[type[AckCode] | None] = RatesCode
 
     rates_hz: dict[str, int] = field(default_factory=dict)
 
@@ -295,12 +291,11 @@ def check_mobile_data(data: bytes) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class SendToMobile(Command):
+class SendToMobile(Request[MobileDataCode]):
     """0x00/0xFE, transparent data to the mobile device, 1 to 100 bytes, about 8 kB/s."""
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0xFE)
     NAME: ClassVar[str] = "send_to_mobile"
-    CODES: ClassVar[type[AckCode] | None] = MobileDataCode
 
     data: bytes
 

@@ -7,8 +7,8 @@ from enum import IntEnum
 from struct import Struct
 from typing import Any, ClassVar, NamedTuple, Self
 
-from m100link.protocol.codes import AckCode, ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
-from m100link.protocol.command import Address, Command
+from m100link.protocol.codes import ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
+from m100link.protocol.command import Address, Movement, Request
 from m100link.protocol.firmware import FirmwareProfile
 
 __all__ = ["Arm", "Move", "QueryTask", "RequestAuthority", "StartTask", "Task"]
@@ -21,12 +21,13 @@ def _exactly(value: bytes, size: int, name: str) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class RequestAuthority(Command):
+class RequestAuthority(Request[AuthorityCode]):
     """0x01/0x00, obtain (True) or release (False) control authority."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x00)
     NAME: ClassVar[str] = "request_authority"
-    CODES: ClassVar[type[AckCode] | None] = AuthorityCode
+    LEVEL: ClassVar[int] = 2
+    ENCRYPTED: ClassVar[bool] = True
 
     obtain: bool
 
@@ -52,7 +53,7 @@ class Task(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class StartTask(Command):
+class StartTask(Request[TaskStartCode]):
     """0x01/0x01, begin take-off, landing or go-home.
 
     Attributes:
@@ -62,7 +63,8 @@ class StartTask(Command):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x01)
     NAME: ClassVar[str] = "start_task"
-    CODES: ClassVar[type[AckCode] | None] = TaskStartCode
+    LEVEL: ClassVar[int] = 2
+    ENCRYPTED: ClassVar[bool] = True
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
 
     task_sequence: int
@@ -88,12 +90,13 @@ class StartTask(Command):
 
 
 @dataclass(frozen=True, slots=True)
-class QueryTask(Command):
+class QueryTask(Request[TaskResultCode]):
     """0x01/0x02, ask for the result of the task with that number."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x02)
     NAME: ClassVar[str] = "query_task"
-    CODES: ClassVar[type[AckCode] | None] = TaskResultCode
+    LEVEL: ClassVar[int] = 2
+    ENCRYPTED: ClassVar[bool] = True
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
 
     task_sequence: int
@@ -119,7 +122,7 @@ class _MoveFields(NamedTuple):
     yaw: float
 
 
-class Move(_MoveFields, Command):
+class Move(_MoveFields, Movement):
     """0x01/0x03, movement: a control flag and four raw values, without an ack.
 
     What flag and values mean is :mod:`m100link.protocol.setpoint`'s business. On the wire the
@@ -134,6 +137,8 @@ class Move(_MoveFields, Command):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x03)
     NAME: ClassVar[str] = "move"
+    LEVEL: ClassVar[int] = 2
+    ENCRYPTED: ClassVar[bool] = True
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """17 bytes."""
@@ -156,12 +161,13 @@ class Move(_MoveFields, Command):
 
 
 @dataclass(frozen=True, slots=True)
-class Arm(Command):
+class Arm(Request[ArmCode]):
     """0x01/0x05, motors on (True) or off (False); firmware 3.1."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x05)
     NAME: ClassVar[str] = "arm"
-    CODES: ClassVar[type[AckCode] | None] = ArmCode
+    LEVEL: ClassVar[int] = 2
+    ENCRYPTED: ClassVar[bool] = True
 
     on: bool
 

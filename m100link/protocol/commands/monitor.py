@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from m100link.protocol.command import Address, Command
+from m100link.protocol.command import Address, Notification
 from m100link.protocol.commands.activation import MOBILE_DATA_LIMIT, check_mobile_data
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.packet import TelemetryPacket
@@ -17,7 +17,7 @@ AUTHORITY_LOST = 0x04
 
 
 @dataclass(frozen=True, slots=True)
-class PushTelemetry(Command):
+class PushTelemetry(Notification):
     """0x02/0x00, the telemetry package."""
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x00)
@@ -40,7 +40,7 @@ class PushTelemetry(Command):
 
 
 @dataclass(frozen=True, slots=True)
-class AuthorityChanged(Command):
+class AuthorityChanged(Notification):
     """0x02/0x01, control authority passed away from the onboard device.
 
     Sent once, on session 0 or on a session that wants an ack (errata 30).
@@ -64,7 +64,7 @@ class AuthorityChanged(Command):
 
 
 @dataclass(frozen=True, slots=True)
-class FromMobile(Command):
+class FromMobile(Notification):
     """0x02/0x02, transparent data from the mobile device, 1 to 100 bytes, about 1 kB/s."""
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x02)

@@ -1,0 +1,246 @@
+"""The one road down: requests that are answered, pushes that are not, and typed refusals."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import TYPE_CHECKING, TypeVar
+
+from m100link.errors import (
+    AckTimeout,
+    CommandNotSupported,
+    CommandRefused,
+    KeyRejected,
+    LevelTooLow,
+    NoAnswer,
+    NotActivated,
+    NoValidFrame,
+    SilentLine,
+    UsageError,
+)
+from m100link.protocol.codes import AckCode, SystemCode
+from m100link.protocol.command import Command, Movement, Push, Request
+from m100link.protocol.commands.activation import GetVersion, Version
+from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfile
+from m100link.wire.cipher import Cipher
+
+if TYPE_CHECKING:
+    from m100link.link import Link
+
+__all__ = ["Requests"]
+
+_logger = logging.getLogger("m100link.requests")
+
+_PROBE_TIMEOUT = 0.3
+_VERSION_TIMEOUT, _VERSION_TRIES = 0.2, 3
+
+A = TypeVar("A")
+
+
+class Requests:
+    """Sends commands over a link: encrypted where there is a key, in the layout of the firmware.
+
+    Args:
+        link: The line.
+        firmware: Profile that the version answer does not change; by default it chooses.
+
+    Attributes:
+        firmware: Profile in whose layout commands are encoded.
+        version: Newest answer to the version query, None before the first.
+    """
+
+    def __init__(self, link: Link, firmware: FirmwareProfile | None = None) -> None:
+        self._link = link
+        self._is_forced = firmware is not None
+        self._is_known = self._is_forced
+        self._proven_cipher: Cipher | None = None  # the key that the aircraft understood once
+        self.firmware = firmware or FIRMWARE_1_0
+        self.version: Version | None = None
+
+    @property
+    def knows_layout(self) -> bool:
+        """Whether telemetry can be read by ``firmware``: forced, or chosen by a version answer."""
+        return self.version is not None or self._is_forced
+
+    async def execute(
+        self,
+        request: Request[A],
+        *,
+        timeout: float = 0.5,
+        tries: int = 3,
+        encrypted: bool | None = None,
+        refusal: type[CommandRefused] = CommandRefused,
+    ) -> A:
+        """Send a request until it is answered, and return what its ack says.
+
+        Args:
+            request: What to ask.
+            timeout: Seconds to wait for the ack of one transmission.
+            tries: Transmissions in all.
+            encrypted: By default as the request declares, once there is a key.
+            refusal: Class of the error for system codes that have no class of their own.
+
+        Raises:
+            NotActivated, LevelTooLow, CommandNotSupported: System codes.
+            KeyRejected: Encrypted and refused or unanswered, while plain requests are answered.
+            UsageError: Not a request, or the firmware is unknown.
+            AckTimeout, BadAck, LinkError: See each class.
+        """
+        if not isinstance(request, Request):  # a movement must not be sent three times
+            raise UsageError(
+                f"{request!r} has no ack to wait for", remedy="push it, or fly in a control block"
+            )
+        self._require_known_firmware(request)
+        cipher = self._link.cipher
+        if encrypted is None:
+            encrypted = request.ENCRYPTED and cipher is not None
+        # A key that was understood once is right; a lost frame does not make it wrong.
+        may_be_wrong = encrypted and cipher is not self._proven_cipher
+        try:
+            payload = await self._link.request(
+                request.encode(self.firmware),
+                name=request.NAME,
+                mode=request.SESSION_MODE,
+                encrypted=encrypted,
+                timeout=timeout,
+                tries=tries,
+            )
+        except AckTimeout as error:
+            if may_be_wrong and await self._answers_plain():
+                raise _key_rejected(request.NAME) from error
+            raise
+        answer = request.parse_ack(payload)
+        if isinstance(answer, AckCode) and answer.is_system:
+            raise _system_error(request.NAME, answer, may_be_wrong, refusal)
+        if encrypted:
+            self._proven_cipher = cipher
+        return answer
+
+    def push(self, command: Push | Movement) -> bool:
+        """Send a command that has no ack. False when the line does not drain.
+
+        Raises:
+            UsageError: The firmware is unknown.
+            LinkError: The line is gone.
+        """
+        self._require_known_firmware(command)
+        link = self._link
+        encrypted = command.ENCRYPTED and link.cipher is not None
+        return link.push(command.encode(self.firmware), encrypted=encrypted)
+
+    async def find_aircraft(self, timeout: float) -> Version:
+        """Ask for the version until the deadline; if none comes, say how far the line reaches.
+
+        Raises:
+            SilentLine, NoValidFrame, NoAnswer: No aircraft; each names the cause.
+            LinkError, BadAck: See each class.
+        """
+        clock = asyncio.get_running_loop().time
+        deadline = clock() + timeout
+        while (remaining := deadline - clock()) > 0:
+            try:
+                return await self.query_version(timeout=min(_PROBE_TIMEOUT, remaining), tries=1)
+            except AckTimeout:
+                continue
+        raise _no_aircraft(self._link, timeout)
+
+    async def query_version(
+        self, *, timeout: float = _VERSION_TIMEOUT, tries: int = _VERSION_TRIES
+    ) -> Version:
+        """Ask for the version and let it choose the firmware profile, unless one is forced.
+
+        Raises:
+            AckTimeout, LinkError, BadAck: See each class.
+        """
+        version = await self.execute(GetVersion(), timeout=timeout, tries=tries)
+        self.version = version
+        if not self._is_forced:
+            self._choose_firmware(version)
+        return version
+
+    def _choose_firmware(self, version: Version) -> None:
+        found = version.profile
+        self._is_known = found is not None
+        # An unknown firmware gets telemetry only; packets that do not fit are refused and counted.
+        likeliest = FIRMWARE_1_0 if version.serial is None else FIRMWARE_3_1
+        self.firmware = found or likeliest
+        if found is None:
+            _logger.warning(
+                "unknown firmware %r: telemetry only, read as %s", version.name, likeliest
+            )
+
+    def _require_known_firmware(self, command: Command) -> None:
+        if not self._is_known and command.ADDRESS.command_set != 0x00:
+            name = self.version.name if self.version else "unknown"
+            raise UsageError(
+                f"{command.NAME} is not sent to an unknown firmware ({name})",
+                cause="the order of movement values and the handshakes differ between firmwares",
+                remedy="if you know that it fits, force it: connect(..., firmware='3.1')",
+            )
+
+    async def _answers_plain(self) -> bool:
+        try:
+            await self.query_version()
+        except AckTimeout:
+            return False
+        return True
+
+
+def _no_aircraft(link: Link, timeout: float) -> SilentLine | NoValidFrame | NoAnswer:
+    """Nobody answered the version query; says how far the line reaches."""
+    numbers = link.statistics()
+    where = f"{link.name}, {timeout:g} s"
+    received = {
+        "bytes_received": numbers.bytes_received,
+        "frames_received": numbers.frames_received,
+    }
+    if not numbers.bytes_received:
+        return SilentLine(
+            f"not one byte arrived ({where})",
+            cause="no power, TX and RX swapped, no common ground, or the wrong port",
+            remedy="swap TX and RX, check ground and the port name; docs: howto/silent-line",
+            **received,
+        )
+    if not numbers.frames_received:
+        return NoValidFrame(
+            f"{numbers.bytes_received} bytes arrived and not one valid frame ({where})",
+            cause="another baud rate than the one set in the PC assistant, or noise",
+            remedy="try 230400, 115200, 921600; docs: howto/silent-line",
+            **received,
+        )
+    return NoAnswer(
+        f"{numbers.frames_received} frames arrived, but no answer to a version query ({where})",
+        cause="the wire from our TX to the aircraft's RX, or two programs on one port",
+        remedy="check that wire; docs: howto/silent-line",
+        **received,
+    )
+
+
+def _key_rejected(name: str) -> KeyRejected:
+    """Encrypted and without a usable answer, while plain requests are answered."""
+    return KeyRejected(
+        f"{name} was encrypted and got no usable answer, while plain requests are answered",
+        command=name,
+        cause="the key of this program is not the one that the aircraft was activated with",
+        remedy="check the enc key of the app id, and activate again",
+    )
+
+
+def _system_error(
+    name: str, code: AckCode, encrypted: bool, refusal: type[CommandRefused]
+) -> CommandRefused | KeyRejected:
+    """The error for a system code."""
+    if code == SystemCode.NOT_SUPPORTED and encrypted:
+        return _key_rejected(name)
+    kind = {
+        SystemCode.NOT_SUPPORTED: CommandNotSupported,
+        SystemCode.NOT_ACTIVATED: NotActivated,
+        SystemCode.LEVEL_TOO_LOW: LevelTooLow,
+    }.get(SystemCode(int(code)), refusal)
+    return kind(
+        f"{name} was refused: {code.meaning} (code 0x{code:04X})",
+        command=name,
+        code=int(code),
+        cause=code.cause,
+        remedy=code.remedy,
+    )
