@@ -305,7 +305,7 @@ def _announcement(plan: _Plan, ports: list[str], control: CtlServer) -> dict[str
         "seed": plan.seed,
         "app_id": first.credentials.app_id,
         "level": first.credentials.level,
-        "serial_number": first.autopilot.serial_number,
+        "serial_number": first.vehicle.serial_number,
         "pid": os.getpid(),
         "control_socket": str(control.path),
     }

@@ -94,7 +94,7 @@ class LiveView:
 
     def _state(self) -> Panel:
         state = status(self._aircraft)
-        motion = self._aircraft.autopilot.flight.dynamics
+        motion = self._aircraft.vehicle.flight.dynamics
         north, east, up = state["velocity"]
         heading = state["heading_deg"]
         control = state["control"].upper()
@@ -140,7 +140,9 @@ class LiveView:
 
     def _history(self) -> Panel:
         autopilot = self._aircraft.autopilot
-        lines = [f"{entry.time:8.2f}  {entry.text}" for entry in list(autopilot.events)[-6:]]
+        lines = [
+            f"{entry.time:8.2f}  {entry.text}" for entry in list(self._aircraft.vehicle.events)[-6:]
+        ]
         commands = []
         for command in list(autopilot.received_commands)[-4:]:
             name = command.command.NAME if command.command else str(command.address)

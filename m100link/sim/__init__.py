@@ -5,7 +5,7 @@ event loop. ``m100link sim`` runs it for people and other programs, :mod:`m100li
 to test suites.
 """
 
-from m100link.sim.autopilot import Autopilot, Counters, LogEntry
+from m100link.sim.autopilot import Autopilot, Counters
 from m100link.sim.clock import ScaledEventLoop, VirtualClockEventLoop, loop_factory
 from m100link.sim.commands import LastCommand
 from m100link.sim.line import NO_FAULTS, Line, LineFaults
@@ -27,6 +27,7 @@ from m100link.sim.vehicle.settings import (
     AssistantSettings,
     Undecodable,
 )
+from m100link.sim.vehicle.vehicle import LogEntry, Vehicle
 from m100link.sim.virtual import VirtualAircraft
 
 __all__ = [
@@ -53,6 +54,7 @@ __all__ = [
     "ScaledEventLoop",
     "TcpServer",
     "Undecodable",
+    "Vehicle",
     "VirtualAircraft",
     "VirtualClockEventLoop",
     "loop_factory",

@@ -13,10 +13,9 @@ that chance decides comes from the one :class:`random.Random` that is passed in.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from m100link.protocol.codes import ActivationCode, AuthorityCode, SystemCode, VersionCode
 from m100link.protocol.command import encode_code
@@ -24,18 +23,14 @@ from m100link.protocol.commands.activation import Activate, Version
 from m100link.protocol.commands.control import Move
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile, profile
-from m100link.protocol.records import Device, RcMode
 from m100link.session import Endpoint, Received
 from m100link.sim.commands import Commands, LastCommand
-from m100link.sim.telemetry import Sensors, TelemetryPusher
-from m100link.sim.vehicle.activation import Activation
-from m100link.sim.vehicle.authority import ControlArbiter
+from m100link.sim.telemetry import TelemetryPusher
 from m100link.sim.vehicle.dynamics import STEP_S
-from m100link.sim.vehicle.flight import FlightController
-from m100link.sim.vehicle.gimbal import Camera, GimbalMount
 from m100link.sim.vehicle.mobile import ActivationServer, MobileApp
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings, Undecodable
+from m100link.sim.vehicle.vehicle import Vehicle
 from m100link.wire.cipher import Cipher
 from m100link.wire.crc import frame_crc32
 from m100link.wire.frame import Frame, encode_frame
@@ -43,18 +38,10 @@ from m100link.wire.frame import Frame, encode_frame
 if TYPE_CHECKING:
     from random import Random
 
-__all__ = ["Autopilot", "Counters", "LogEntry"]
+__all__ = ["Autopilot", "Counters"]
 
 _MOBILE_BYTES_PER_S = 1000.0  # document 2.2.3.3: around 1 KB/s from the mobile device
 _PUSH_TIMEOUT_S, _PUSH_TRIES = 0.5, 10
-_SLOW_TICKS = 5  # switches and time-outs are looked at every 50 ms
-
-
-class LogEntry(NamedTuple):
-    """Something that happened to the aircraft, for people."""
-
-    time: float
-    text: str
 
 
 @dataclass(slots=True)
@@ -65,14 +52,12 @@ class Counters:
         movements: Movement commands received.
         ignored_movements: Those without effect: no authority, illegal, on the ground, no GPS.
         undecodable: Encrypted frames that could not be read as a command.
-        authority_losses: Times that control passed away from the onboard device.
         dropped_frames: Frames that nobody fetched in time.
     """
 
     movements: int = 0
     ignored_movements: int = 0
     undecodable: int = 0
-    authority_losses: int = 0
     dropped_frames: int = 0
 
 
@@ -90,7 +75,7 @@ class _NoKey(Cipher):
 
 
 class Autopilot:
-    """The N1 autopilot of a virtual Matrice 100, with everything it is connected to.
+    """The N1 autopilot of a virtual Matrice 100: the aircraft, and what answers on its line.
 
     Args:
         random: Source of the sensor noise, the gusts and the serial number.
@@ -103,13 +88,13 @@ class Autopilot:
         serial_number: Ten characters; by default drawn from ``random``.
 
     Attributes:
-        activation, authority, flight, gimbal, camera, remote, app, server: The parts.
+        profile: The firmware that speaks.
+        vehicle: The aircraft itself.
+        flight, authority, activation, gimbal, camera, remote, app: Its parts.
         endpoint: Decoder, sender and receiver; ``endpoint.statistics`` counts frames.
         received_movements: Last 10000 movement commands as they came.
         received_commands: Last 1000 other commands, with their answers.
-        events: Last 200 things that happened.
         counters: Counts since it was made.
-        time: Seconds since power-on.
     """
 
     OUTBOX_LIMIT = 4096
@@ -127,65 +112,53 @@ class Autopilot:
         serial_number: str | None = None,
     ) -> None:
         self.profile = profile(firmware)
-        self.settings = settings or AircraftSettings()
-        self.assistant = assistant or AssistantSettings()
-        self.remote = remote or _remote_in_f()
-        self.app = app or MobileApp(is_connected=True, has_internet=True)
-        self.server = server or ActivationServer()
-        self.serial_number = serial_number or f"041D{random.randrange(16**6):06X}"
-        self.flight = FlightController(self.settings)
-        self.gimbal = GimbalMount()
-        self.camera = Camera()
-        self.activation = Activation(
+        self.vehicle = vehicle = Vehicle(
+            random,
             self.profile,
-            self.serial_number,
-            server=self.server,
-            app=self.app,
-            server_delay=self.settings.server_delay,
+            settings=settings,
+            assistant=assistant,
+            remote=remote,
+            app=app,
+            server=server,
+            serial_number=serial_number,
         )
-        self.authority = ControlArbiter(
-            self.profile, self.settings, self.assistant, self.remote, self.app
-        )
-        self._sensors = self._make_sensors(random)
-        self._telemetry = TelemetryPusher(self.profile, self._sensors, self.assistant.rates_hz)
-        self._random = random
-        self._gust_north = self._gust_east = 0.0
+        self.flight = vehicle.flight
+        self.authority = vehicle.authority
+        self.activation = vehicle.activation
+        self.gimbal, self.camera = vehicle.gimbal, vehicle.camera
+        self.remote, self.app = vehicle.remote, vehicle.app
+        self._telemetry = TelemetryPusher(self.profile, vehicle.sensors, vehicle.assistant.rates_hz)
         self.counters = Counters()
         self.received_movements: deque[Move] = deque(maxlen=10_000)
         self.received_commands: deque[LastCommand] = deque(maxlen=1000)
-        self.events: deque[LogEntry] = deque(maxlen=200)
-        self.endpoint = Endpoint(forget_after=self.settings.forget_acks_after)
-        self.endpoint.decoder.cipher = _NoKey()
+        self.endpoint = self._fresh_endpoint()
         self._commands = Commands(self)
+        # Whole frames, so that faults of the line strike frames.
         self._outbox: deque[bytes] = deque()
+        # Messages of the app that wait for their turn at about 1 KB/s, and when the next may go.
         self._from_mobile: deque[bytes] = deque()
         self._mobile_free_at = 0.0
+        # Of the pushes; the endpoint numbers its own requests.
         self._sequence = 0
+        # A notification waits for its ack: the only time that the endpoint's timer matters.
         self._has_requests = False
+        # The caller's clock at the first call; steps are counted from there, so no error adds up.
         self._power_on: float | None = None
         self._ticks = 0
-        self._silent_until = -math.inf
-        self._rc_lost_since: float | None = None
-        self._gps_good_at: float | None = None
-        self.time = 0.0
+        # Losses of authority that the onboard device was told of, out of vehicle.authority_losses.
+        self._told_losses = 0
 
-    def _make_sensors(self, random: Random) -> Sensors:
-        return Sensors(
-            self.profile,
-            self.settings,
-            random,
-            flight=self.flight,
-            authority=self.authority,
-            remote=self.remote,
-            gimbal=self.gimbal,
-        )
+    def _fresh_endpoint(self) -> Endpoint:
+        endpoint = Endpoint(forget_after=self.vehicle.settings.forget_acks_after)
+        endpoint.decoder.cipher = _NoKey()
+        return endpoint
 
     # --- the line ---------------------------------------------------------------------------
 
     def receive_data(self, data: bytes, now: float) -> None:
         """Take bytes from the onboard device. Whatever they are, nothing raises."""
         self.advance(now)
-        if self.is_rebooting:
+        if self.vehicle.is_restarting:
             return
         self.endpoint.receive_data(data, now)
         for event in self.endpoint.events():
@@ -193,6 +166,7 @@ class Autopilot:
                 self._execute(event.frame, now)
         # Acks go out before the telemetry that is made after them.
         self._collect()
+        self._tell_of_losses()
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now``."""
@@ -217,6 +191,7 @@ class Autopilot:
 
     def frames_to_send(self) -> list[bytes]:
         """Take the frames that wait to be sent, oldest first."""
+        self._tell_of_losses()  # a switch may have been moved between two steps
         outbox = self._outbox
         if len(outbox) == 1:
             return [outbox.popleft()]
@@ -261,9 +236,9 @@ class Autopilot:
         code: int = SystemCode.NOT_SUPPORTED
         if not self._has_key and len(frame.data) == _ACTIVATION_SIZE:
             code = ActivationCode.ENCRYPTED  # unreadable, but no other command is that long
-        elif self.settings.undecodable is Undecodable.SILENCE:
+        elif self.vehicle.settings.undecodable is Undecodable.SILENCE:
             return
-        self.log("an encrypted frame could not be read: the keys differ")
+        self.vehicle.log("an encrypted frame could not be read: the keys differ")
         self.endpoint.acknowledge(frame, encode_code(code), now=now, encrypted=False)
 
     def _push(self, data: bytes) -> None:
@@ -284,92 +259,33 @@ class Autopilot:
 
     def _tick(self) -> None:
         self._ticks += 1
-        self._sensors.ticks += 1
-        self.time = now = self._ticks * STEP_S
-        flight = self.flight
-        self.remote.now = now
-        flight.step(now, self.authority.device, self.remote)
-        if self._ticks % _SLOW_TICKS == 0:
-            self._look_around(now)
-        if now < self._silent_until:
+        vehicle = self.vehicle
+        vehicle.step()
+        if vehicle.is_restarting:
             return
+        self._tell_of_losses()
+        if self._from_mobile and vehicle.time >= self._mobile_free_at:
+            message = self._from_mobile.popleft()
+            self._mobile_free_at = vehicle.time + len(message) / _MOBILE_BYTES_PER_S
+            self._push(FromMobile(message).encode(self.profile))
         frame = self._telemetry.frame(self._sequence)
         if frame is not None:
             self._next_sequence()
             self._send(frame)
 
-    def _look_around(self, now: float) -> None:
-        """Whatever need not be looked at a hundred times a second."""
-        settings, flight = self.settings, self.flight
-        if settings.gusts:
-            self._blow()
-        else:
-            flight.dynamics.wind_north = settings.wind_north
-            flight.dynamics.wind_east = settings.wind_east
-        self.gimbal.advance(now, _SLOW_TICKS * STEP_S)
-        if self._gps_good_at is not None and now >= self._gps_good_at:
-            self._gps_good_at = None
-            flight.gps_health = 5
-        if flight.battery_percent <= settings.critical_battery_percent and flight.force_landing():
-            self.log("battery nearly empty: landing")
-        self._watch_remote(now)
-        self.refresh()
-        if self._from_mobile and now >= max(self._mobile_free_at, self._silent_until):
-            message = self._from_mobile.popleft()
-            self._mobile_free_at = now + len(message) / _MOBILE_BYTES_PER_S
-            self._push(FromMobile(message).encode(self.profile))
-
-    def _blow(self) -> None:
-        """Gusts: wind with a memory of two seconds."""
-        settings, motion = self.settings, self.flight.dynamics
-        keep = math.exp(-_SLOW_TICKS * STEP_S / 2.0)
-        kick = settings.gusts * math.sqrt(1.0 - keep * keep)
-        self._gust_north = keep * self._gust_north + kick * self._random.gauss(0.0, 1.0)
-        self._gust_east = keep * self._gust_east + kick * self._random.gauss(0.0, 1.0)
-        motion.wind_north = settings.wind_north + self._gust_north
-        motion.wind_east = settings.wind_east + self._gust_east
-
-    def _watch_remote(self, now: float) -> None:
-        authority = self.authority
-        if self.remote.is_connected:
-            if self.authority.device is Device.RC:
-                self.flight.corner_gesture(self.remote.sticks().are_in_corner)
-            self._rc_lost_since = None
-            if authority.failsafe:
-                authority.failsafe = False
-                self.flight.interrupt()
-                self.log("remote control is back")
-            return
-        if self._rc_lost_since is None:
-            self._rc_lost_since = now
-            self.log("remote control lost")
-        elif not authority.failsafe and now - self._rc_lost_since > self.settings.rc_lost_after:
-            authority.failsafe = True
-            self.refresh()
-            self.flight.interrupt()
-            if not self.flight.dynamics.on_ground:
-                self.log("failsafe: going home")
-                self.flight.go_home()
-
-    def refresh(self) -> None:
-        """Decide anew who holds control; tell the onboard device if it is no longer the one."""
-        before = self.authority.device
-        lost = self.authority.update()
-        if self.authority.device is not before:
-            self.log(f"control: {before.name} to {self.authority.device.name}")
-        if lost:
-            self.counters.authority_losses += 1
-            self.flight.interrupt()
-            if not self.is_rebooting:
-                self._notify_authority_change()
+    def _tell_of_losses(self) -> None:
+        """Notify the onboard device of each loss of authority that it was not told of yet."""
+        while self._told_losses < self.vehicle.authority_losses:
+            self._told_losses += 1
+            self._notify_authority_change()
 
     def _notify_authority_change(self) -> None:
         data = AuthorityChanged().encode(self.profile)
-        if self.settings.authority_push_session == 0:
+        if self.vehicle.settings.authority_push_session == 0:
             self._push(data)
             return
         assert self._power_on is not None
-        now = self._power_on + self.time
+        now = self._power_on + self.vehicle.time
         self.endpoint.request(data, now=now, timeout=_PUSH_TIMEOUT_S, tries=_PUSH_TRIES)
         self._has_requests = True
         self._collect()
@@ -380,26 +296,15 @@ class Autopilot:
         """The answer to a version query."""
         name = self.profile.version_name
         crc = frame_crc32(name.encode("latin-1") + b"\0")
-        serial = self.serial_number if self.profile.has_serial else None
+        serial = self.vehicle.serial_number if self.profile.has_serial else None
         return Version(code, crc, name, serial)
 
     def activate(self, request: Activate) -> ActivationCode:
         """Carry an activation request out; on success the key is in use at once."""
-        code = self.activation.request(request, self.time)
-        active = self.activation.active
+        code = self.vehicle.activate(request)
+        active = self.vehicle.activation.active
         if code == ActivationCode.SUCCESS and active is not None:
             self.endpoint.cipher = Cipher(active.key)
-        self.log(f"activation of app {request.app_id}: {code.meaning}")
-        return code
-
-    def request_authority(self, obtain: bool) -> AuthorityCode:
-        """Carry a request for control authority out."""
-        before = self.authority.device
-        code = self.authority.request(obtain)
-        if self.authority.device is not before:
-            self.log(f"control: {before.name} to {self.authority.device.name}")
-            if not obtain:
-                self.flight.interrupt()
         return code
 
     def set_rates(self, rates_hz: dict[str, int]) -> None:
@@ -411,71 +316,59 @@ class Autopilot:
         """Telemetry rates in force."""
         return self._telemetry.rates_hz
 
-    @property
-    def heading_deg(self) -> float:
-        """Where the nose points, -180 to 180 degrees."""
-        return math.degrees(self.flight.dynamics.yaw)
-
     # --- what people do ---------------------------------------------------------------------
 
     def configure(self, assistant: AssistantSettings) -> None:
         """Change the assistant's settings."""
-        self.assistant = self.authority.assistant = assistant
+        self.vehicle.configure(assistant)
         self._telemetry.set_rates(assistant.rates_hz)
-        self.refresh()
 
     def queue_from_mobile(self, data: bytes) -> None:
         """Messages of the mobile app to the onboard device, in pieces of 100 bytes, 1 KB/s."""
         self._from_mobile.extend(data[at : at + 100] for at in range(0, len(data), 100))
 
-    def search_gps(self, seconds: float) -> None:
-        """No GPS now, good reception after some seconds."""
-        self.flight.gps_health = 0
-        self._gps_good_at = self.time + seconds
-
-    def set_gps_health(self, health: int) -> None:
-        """Set GPS health, 0 to 5, for good."""
-        if not 0 <= health <= 5:
-            raise ValueError(f"GPS health is 0 to 5, not {health}")
-        self._gps_good_at = None
-        self.flight.gps_health = health
-
-    @property
-    def is_rebooting(self) -> bool:
-        """Whether it is silent because it restarts."""
-        return self.time < self._silent_until
-
     def reboot(self) -> None:
-        """Restart the autopilot: silence, then a fresh start with nobody active or in control.
+        """Restart: silence, then a fresh start with nobody active or in control.
 
         In the air the motors keep it up meanwhile. What the server allowed stays known.
         """
-        self.log("autopilot restarts")
-        self._silent_until = self.time + self.settings.reboot_seconds
-        self.authority.is_requested = self.authority.is_pending = False
-        self.authority.device = Device.RC
-        self.flight.interrupt()
-        self.activation.power_off()
-        self.remote.moved_since_power_on = False
-        self.remote.virtual.reset()
-        self.endpoint = Endpoint(forget_after=self.settings.forget_acks_after)
-        self.endpoint.decoder.cipher = _NoKey()
+        self.vehicle.restart()
+        self.endpoint = self._fresh_endpoint()
         self._outbox.clear()
         self._from_mobile.clear()
         self._mobile_free_at = 0.0
         self._sequence = 0
-        self._sensors.ticks = 0
-        self._telemetry.set_rates(self.assistant.rates_hz)
+        self._told_losses = self.vehicle.authority_losses
+        self._telemetry.set_rates(self.vehicle.assistant.rates_hz)
+
+    # --- the vehicle, as commands reach it --------------------------------------------------
+
+    @property
+    def settings(self) -> AircraftSettings:
+        """Settings of the aircraft."""
+        return self.vehicle.settings
+
+    @property
+    def time(self) -> float:
+        """Seconds since power-on."""
+        return self.vehicle.time
+
+    @property
+    def heading_deg(self) -> float:
+        """Where the nose points, -180 to 180 degrees."""
+        return self.vehicle.heading_deg
+
+    def request_authority(self, obtain: bool) -> AuthorityCode:
+        """Carry a request for control authority out."""
+        return self.vehicle.request_authority(obtain)
+
+    def refresh(self) -> None:
+        """Decide anew who holds control."""
+        self.vehicle.refresh()
 
     def log(self, text: str) -> None:
         """Note something that happened."""
-        self.events.append(LogEntry(self.time, text))
+        self.vehicle.log(text)
 
 
 _ACTIVATION_SIZE = 2 + 44
-
-
-def _remote_in_f() -> PilotRemote:
-    remote = PilotRemote()
-    remote.set_mode(RcMode.F)
-    return remote

@@ -46,6 +46,7 @@ class VirtualAircraft:
 
     Attributes:
         autopilot: What is at the other end of the cable.
+        vehicle: The aircraft itself: ``autopilot.vehicle``.
         line: The cable.
         remote, app, server: The remote control, the mobile app, the registry.
         credentials: What the onboard device needs for activation.
@@ -89,8 +90,9 @@ class VirtualAircraft:
             server=self.server,
             serial_number=serial_number,
         )
+        self.vehicle = self.autopilot.vehicle
         if cold:
-            self.autopilot.search_gps(settings.gps_seconds)
+            self.vehicle.search_gps(settings.gps_seconds)
         # The line has a generator of its own, so that faults do not change the weather.
         self.line = Line(Random(random.getrandbits(64)), faults)
 
@@ -99,7 +101,7 @@ class VirtualAircraft:
     def set_rc_mode(self, mode: RcMode | str) -> None:
         """Turn the mode switch to P, A or F."""
         self.remote.set_mode(mode)
-        self.autopilot.refresh()
+        self.vehicle.refresh()
 
     def leave_f(self) -> None:
         """The pilot takes over: mode switch to P."""
@@ -127,45 +129,45 @@ class VirtualAircraft:
     def rc_lost(self) -> None:
         """Switch the remote control off; three seconds later the aircraft goes home."""
         self.remote.is_switched_on = False
-        self.autopilot.refresh()
+        self.vehicle.refresh()
 
     def rc_back(self) -> None:
         """Switch the remote control on again."""
         self.remote.is_switched_on = True
-        self.autopilot.refresh()
+        self.vehicle.refresh()
 
     def pilot_takes_off(self) -> None:
         """The pilot takes off by hand (automatic take-off of the app)."""
-        self.autopilot.flight.take_off()
+        self.vehicle.flight.take_off()
 
     def pilot_lands(self) -> None:
         """The pilot lands."""
-        self.autopilot.flight.land()
+        self.vehicle.flight.land()
 
     # --- the app ----------------------------------------------------------------------------
 
     def connect_app(self, *, internet: bool = True) -> None:
         """Plug the phone in, with or without Internet."""
         self.app.connect(internet=internet)
-        self.autopilot.refresh()
+        self.vehicle.refresh()
 
     def disconnect_app(self) -> None:
         """Unplug the phone."""
         self.app.disconnect()
-        self.autopilot.refresh()
+        self.vehicle.refresh()
 
     def app_takes_control(self) -> bool:
         """The app asks for control, and gets it unless it is unplugged or the API kept out."""
-        if not self.app.is_connected or self.autopilot.authority.obstacle() is not None:
+        if not self.app.is_connected or self.vehicle.authority.obstacle() is not None:
             return False
         self.app.wants_control = True
-        self.autopilot.refresh()
+        self.vehicle.refresh()
         return True
 
     def app_releases_control(self) -> None:
         """The app gives control back."""
         self.app.wants_control = False
-        self.autopilot.refresh()
+        self.vehicle.refresh()
 
     def send_from_mobile(self, data: bytes) -> None:
         """The app sends data to the onboard device."""
@@ -182,7 +184,7 @@ class VirtualAircraft:
         """
         old = self.server.apps[self.credentials.app_id]
         self.server.register(old.app_id, key, level=old.level, device_limit=old.device_limit)
-        self.autopilot.activation.known.pop(old.app_id, None)
+        self.vehicle.activation.known.pop(old.app_id, None)
 
     # --- the assistant ----------------------------------------------------------------------
 
@@ -196,37 +198,37 @@ class VirtualAircraft:
 
     def set_rates(self, **rates_hz: int) -> None:
         """Set telemetry rates by item name: 0, 1, 10, 50 or 100 Hz."""
-        self._configure(rates_hz=self.autopilot.assistant.rates_hz | rates_hz)
+        self._configure(rates_hz=self.vehicle.assistant.rates_hz | rates_hz)
 
     def _configure(self, **changes: Any) -> None:
-        self.autopilot.configure(replace(self.autopilot.assistant, **changes))
+        self.autopilot.configure(replace(self.vehicle.assistant, **changes))
 
     # --- nature and decay -------------------------------------------------------------------
 
     @property
     def gps_health(self) -> int:
         """GPS health, 0 to 5; below 3, velocity and position setpoints are ignored."""
-        return self.autopilot.flight.gps_health
+        return self.vehicle.flight.gps_health
 
     @gps_health.setter
     def gps_health(self, health: int) -> None:
-        self.autopilot.set_gps_health(health)
+        self.vehicle.set_gps_health(health)
 
     @property
     def battery_percent(self) -> float:
         """Charge of the battery, 0 to 100."""
-        return self.autopilot.flight.battery_percent
+        return self.vehicle.flight.battery_percent
 
     @battery_percent.setter
     def battery_percent(self, percent: float) -> None:
         if not 0.0 <= percent <= 100.0:
             raise ValueError(f"charge is 0 to 100 percent, not {percent}")
-        self.autopilot.flight.battery_percent = percent
+        self.vehicle.flight.battery_percent = percent
 
     def set_wind(self, north: float, east: float) -> None:
         """Velocity of the air in m/s; gusts come on top of it."""
-        settings = self.autopilot.settings
-        self.autopilot.settings = replace(settings, wind_north=north, wind_east=east)
+        settings = self.vehicle.settings
+        self.vehicle.settings = replace(settings, wind_north=north, wind_east=east)
 
     def reboot(self) -> None:
         """Restart the autopilot, in the air too."""
@@ -255,18 +257,18 @@ class VirtualAircraft:
     @property
     def height(self) -> float:
         """Metres above the ground."""
-        return self.autopilot.flight.dynamics.height
+        return self.vehicle.flight.dynamics.height
 
     @property
     def position(self) -> tuple[float, float]:
         """Metres north and east of where it was switched on."""
-        motion = self.autopilot.flight.dynamics
+        motion = self.vehicle.flight.dynamics
         return motion.north, motion.east
 
     def __repr__(self) -> str:
-        autopilot = self.autopilot
+        vehicle = self.vehicle
         return (
-            f"<VirtualAircraft firmware={autopilot.profile} seed={self.seed} "
-            f"{autopilot.flight.phase.name} height={self.height:.1f} "
-            f"control={autopilot.authority.device.name}>"
+            f"<VirtualAircraft firmware={vehicle.profile} seed={self.seed} "
+            f"{vehicle.flight.phase.name} height={self.height:.1f} "
+            f"control={vehicle.authority.device.name}>"
         )

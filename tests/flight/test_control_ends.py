@@ -169,7 +169,7 @@ async def test_a_guard_that_refuses_ends_the_block_like_any_error(firmware: str)
             async with flown.aircraft.control() as control:
                 await control.take_off()
                 loop = asyncio.get_running_loop()
-                loop.call_later(1.0, flown.virtual.autopilot.set_gps_health, 2)
+                loop.call_later(1.0, flown.virtual.vehicle.set_gps_health, 2)
                 await flown.fly_on(control)
         flown.assert_stopped_in_order()
         assert flown.is_released

@@ -216,7 +216,7 @@ def test_dan_limit_is_5_by_default_and_can_be_raised() -> None:
 
 
 def test_serial_numbers_differ_by_seed_and_look_like_real_ones() -> None:
-    numbers = {VirtualAircraft(seed=seed).autopilot.serial_number for seed in range(20)}
+    numbers = {VirtualAircraft(seed=seed).vehicle.serial_number for seed in range(20)}
     assert len(numbers) == 20
     assert all(len(number) == 10 and number.startswith("041D") for number in numbers)
 

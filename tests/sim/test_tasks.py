@@ -371,7 +371,7 @@ def test_nearly_empty_it_lands_by_itself_and_nothing_stops_it() -> None:
     host.fly(NORTH, 1.0)
     host.wait(20.0)
     assert host.phase() is FlightPhase.STANDBY
-    assert any("battery" in entry.text for entry in host.autopilot.events)
+    assert any("battery" in entry.text for entry in host.aircraft.vehicle.events)
 
 
 def test_no_take_off_with_a_nearly_empty_battery() -> None:

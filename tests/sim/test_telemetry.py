@@ -148,7 +148,7 @@ def wild(firmware: str, **settings: Any) -> Host:
 def test_the_quick_encoder_agrees_with_the_ordinary_one(firmware: str) -> None:
     """For every flag word: same bytes as encode_telemetry and encode_frame make."""
     host = wild(firmware)
-    sensors, pusher = host.autopilot._sensors, host.autopilot._telemetry
+    sensors, pusher = host.autopilot.vehicle.sensors, host.autopilot._telemetry
     random = Random(3)
     for flags in [0xFFF, *(1 << bit for bit in range(12)), *random.sample(range(1, 0xFFF), 200)]:
         names = [name for bit, name in enumerate(ITEM_NAMES) if flags >> bit & 1]

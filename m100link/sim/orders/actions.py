@@ -217,14 +217,14 @@ def perform(aircraft: VirtualAircraft, order: str | list[str]) -> Action:
 
 def status(aircraft: VirtualAircraft) -> dict[str, Any]:
     """The state of an aircraft as JSON can carry it."""
-    autopilot = aircraft.autopilot
-    flight, motion, authority = autopilot.flight, autopilot.flight.dynamics, autopilot.authority
+    autopilot, vehicle = aircraft.autopilot, aircraft.vehicle
+    flight, motion, authority = vehicle.flight, vehicle.flight.dynamics, vehicle.authority
     obstacle = authority.obstacle()
-    active = autopilot.activation.active
+    active = vehicle.activation.active
     move = autopilot.received_movements[-1] if autopilot.received_movements else None
     statistics, line = autopilot.endpoint.statistics, aircraft.line
     return {
-        "time": round(autopilot.time, 2),
+        "time": round(vehicle.time, 2),
         "firmware": autopilot.profile.name,
         "seed": aircraft.seed,
         "flight_status": flight.phase.name.lower(),
@@ -237,7 +237,7 @@ def status(aircraft: VirtualAircraft) -> dict[str, Any]:
             round(motion.velocity_east, 3),
             round(motion.velocity_up, 3),
         ],
-        "heading_deg": round(autopilot.heading_deg, 1),
+        "heading_deg": round(vehicle.heading_deg, 1),
         "motors_on": motion.motors_on,
         "battery_percent": round(flight.battery_percent, 1),
         "gps_health": flight.gps_health,

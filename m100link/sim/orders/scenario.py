@@ -83,11 +83,11 @@ class Scenario:
         done = []
         while self._done < len(self.steps):
             step = self.steps[self._done]
-            if step.at > aircraft.autopilot.time + 1e-9:
+            if step.at > aircraft.vehicle.time + 1e-9:
                 break
             self._done += 1
             perform(aircraft, step.order)
-            aircraft.autopilot.log(f"scenario: {step.order}")
+            aircraft.vehicle.log(f"scenario: {step.order}")
             done.append(step)
         return done
 

@@ -180,7 +180,7 @@ class Driver:
         try:
             scenario.advance(self.aircraft)
         except UsageError as error:
-            self.aircraft.autopilot.log(f"scenario: {error.seen}")
+            self.aircraft.vehicle.log(f"scenario: {error.seen}")
 
     def _plug(self, is_plugged: bool) -> None:
         self._was_plugged = is_plugged

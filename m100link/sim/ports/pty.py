@@ -96,7 +96,7 @@ class PtyPort:
 
     def _set_speed(self) -> None:
         """A fresh terminal has the aircraft's rate; a program that says nothing fits."""
-        wanted = self._driver.aircraft.autopilot.assistant.baud_rate
+        wanted = self._driver.aircraft.vehicle.assistant.baud_rate
         codes = [code for code, rate in _SPEEDS.items() if rate == wanted]
         attributes = termios.tcgetattr(self._slave)
         if codes:
@@ -222,7 +222,7 @@ class PtyPort:
         except termios.error:
             return False
         rate = _SPEEDS.get(code)
-        return rate is not None and rate != self._driver.aircraft.autopilot.assistant.baud_rate
+        return rate is not None and rate != self._driver.aircraft.vehicle.assistant.baud_rate
 
     def _garbled(self, data: bytes) -> bytes:
         """What a UART makes of bytes at the wrong rate: as many, and nonsense."""

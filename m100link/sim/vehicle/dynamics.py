@@ -25,6 +25,7 @@ from math import atan, cos, exp, pi, sin, sqrt, tan
 
 __all__ = [
     "GRAVITY",
+    "STEPS_PER_SECOND",
     "STEP_S",
     "Airframe",
     "Dynamics",
@@ -35,8 +36,9 @@ __all__ = [
 ]
 
 GRAVITY = 9.80665
-STEP_S = 0.01
-"""One step is one period of the fastest telemetry rate, 100 Hz."""
+STEPS_PER_SECOND = 100
+"""One step is one period of the fastest telemetry rate."""
+STEP_S = 1.0 / STEPS_PER_SECOND
 
 
 class ModelHorizontal(IntEnum):

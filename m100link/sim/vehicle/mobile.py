@@ -10,7 +10,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
 
-from m100link.wire import Key
+from m100link.wire.cipher import Key
 
 __all__ = [
     "DEFAULT_DEVICE_LIMIT",

@@ -144,7 +144,7 @@ async def test_a_scenario_happens_in_time(virtual_aircraft: ConnectableAircraft)
     assert virtual_aircraft.gps_health == 5
     await asyncio.sleep(1.0)
     assert virtual_aircraft.gps_health == 1
-    assert any("key" in entry.text for entry in virtual_aircraft.autopilot.events)
+    assert any("key" in entry.text for entry in virtual_aircraft.vehicle.events)
 
 
 # --- a reader who does not keep up ----------------------------------------------------------
@@ -217,7 +217,7 @@ async def test_many_aircraft_in_one_process_do_not_mix(virtual_clock: VirtualClo
     for aircraft in fleet:
         async with aircraft.connect() as connected:
             serials.append((await connected.version()).serial)
-    assert serials == [aircraft.autopilot.serial_number for aircraft in fleet]
+    assert serials == [aircraft.vehicle.serial_number for aircraft in fleet]
     assert len(set(serials)) == 20
     for aircraft in fleet:
         aircraft.stop()

@@ -1,0 +1,230 @@
+"""What the aircraft believes about itself: the values that telemetry reports, with sensor noise.
+
+How they travel is not its business (:mod:`m100link.sim.telemetry`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from random import Random
+from typing import ClassVar, Protocol
+
+from m100link.geodesy import LocalFrame
+from m100link.protocol.firmware import FirmwareProfile, ItemLayout
+from m100link.protocol.records import Device
+from m100link.sim.vehicle.authority import ControlArbiter
+from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
+from m100link.sim.vehicle.flight import GOOD_GPS, FlightController
+from m100link.sim.vehicle.gimbal import GimbalMount
+from m100link.sim.vehicle.remote import PilotRemote
+from m100link.sim.vehicle.settings import AircraftSettings
+
+__all__ = ["Sensors"]
+
+Values = tuple[float, ...]
+"""The fields of one item, in wire order."""
+
+# Standard deviations with noise = 1: decent sensors, well fused.
+_ACCELERATION_NOISE = 0.05
+_VELOCITY_NOISE = 0.03
+_RATE_NOISE = 0.005
+_PLACE_NOISE = 0.05
+_HEIGHT_NOISE = 0.04
+
+_TO_RADIANS = math.pi / 180.0
+
+# The Earth's magnetic field, north and down, in the raw numbers of the item (1500 in all).
+_FIELD_NORTH, _FIELD_DOWN = 1100.0, 1020.0
+
+
+class _Noise(Protocol):
+    def __call__(self) -> float:
+        """One sample of unit variance."""
+        ...
+
+
+def noise_source(random: Random) -> _Noise:
+    """Normal noise out of a table: repeatable, and ten times as fast as drawing each sample."""
+    table = [random.gauss(0.0, 1.0) for _ in range(4093)]
+    position = 0
+
+    def sample() -> float:
+        nonlocal position
+        position += 1
+        if position >= 4093:  # prime, so that the columns of a packet do not repeat together
+            position = 0
+        return table[position]
+
+    return sample
+
+
+class Sensors:
+    """What the aircraft believes about itself: the values of every item, in wire order."""
+
+    def __init__(
+        self,
+        profile: FirmwareProfile,
+        settings: AircraftSettings,
+        random: Random,
+        *,
+        flight: FlightController,
+        authority: ControlArbiter,
+        remote: PilotRemote,
+        gimbal: GimbalMount,
+    ) -> None:
+        self.ticks = 0
+        self._profile = profile
+        self._settings = settings
+        self._flight = flight
+        self._motion = flight.dynamics
+        self._authority = authority
+        self._remote = remote
+        self._gimbal = gimbal
+        self._noise = noise_source(random)
+        self._scale = settings.noise
+        self._down = -1.0 if settings.vertical_down else 1.0
+        self._tick_step = profile.tick_hz // STEPS_PER_SECOND
+        self._site = LocalFrame(settings.latitude_deg, settings.longitude_deg)
+
+    def reader(self, name: str, layout: ItemLayout) -> Callable[[], Values]:
+        """The function that reads one item as its layout wants it."""
+        read: Callable[[], Values] = getattr(self, f"_read_{name}")
+        usual = self._FIELDS[name]
+        if layout.fields == usual:
+            return read
+        # A layout that leaves out (1.0 has no status byte) or reorders (1.0-document).
+        places = [usual.index(field) for field in layout.fields]
+        if places == list(range(len(places))):
+            count = len(places)
+            return lambda: read()[:count]
+        return lambda: tuple([read()[place] for place in places])
+
+    _FIELDS: ClassVar[dict[str, tuple[str, ...]]] = {
+        "time": ("tick", "nanoseconds", "sync"),
+        "quaternion": ("q0", "q1", "q2", "q3"),
+        "acceleration": ("x", "y", "z"),
+        "velocity": ("x", "y", "z", "status"),
+        "angular_velocity": ("x", "y", "z"),
+        "position": ("latitude_rad", "longitude_rad", "altitude", "height", "gps_health"),
+        "magnetometer": ("x", "y", "z"),
+        "rc": ("roll", "pitch", "yaw", "throttle", "mode", "gear"),
+        "gimbal": ("roll", "pitch", "yaw", "limits"),
+        "flight_status": ("status",),
+        "battery": ("percent",),
+        "control_device": ("mode", "control"),
+    }
+
+    def _read_time(self) -> Values:
+        # Nobody published how the nanoseconds of 3.1 relate to the tick; here they count the
+        # same time within its second.
+        ticks = self.ticks
+        return ticks * self._tick_step & 0xFFFFFFFF, ticks % STEPS_PER_SECOND * 10_000_000, 0
+
+    def _read_quaternion(self) -> Values:
+        return self._motion.quaternion()
+
+    def _read_acceleration(self) -> Values:
+        motion = self._motion
+        north, east, up = (
+            motion.acceleration_north,
+            motion.acceleration_east,
+            motion.acceleration_up * self._down,
+        )
+        if not self._scale:
+            return north, east, up
+        noise, scale = self._noise, self._scale * _ACCELERATION_NOISE
+        return north + scale * noise(), east + scale * noise(), up + scale * noise()
+
+    def _read_velocity(self) -> Values:
+        motion = self._motion
+        north, east, up = (
+            motion.velocity_north,
+            motion.velocity_east,
+            motion.velocity_up * self._down,
+        )
+        status = 0
+        if self._flight.gps_health >= GOOD_GPS:
+            status = 0x01 if self._profile.has_serial else 0x07  # 2.3 adds sensor 3, GPS
+        if not self._scale:
+            return north, east, up, status
+        noise, scale = self._noise, self._scale * _VELOCITY_NOISE
+        return north + scale * noise(), east + scale * noise(), up + scale * noise(), status
+
+    def _read_angular_velocity(self) -> Values:
+        motion = self._motion
+        if not self._scale:
+            return motion.rate_x, motion.rate_y, motion.rate_z
+        noise, scale = self._noise, self._scale * _RATE_NOISE
+        return (
+            motion.rate_x + scale * noise(),
+            motion.rate_y + scale * noise(),
+            motion.rate_z + scale * noise(),
+        )
+
+    def _read_position(self) -> Values:
+        motion, flight = self._motion, self._flight
+        north, east, height = motion.north, motion.east, motion.height
+        if self._scale:
+            noise, scale = self._noise, self._scale * _PLACE_NOISE
+            if flight.gps_health < GOOD_GPS:
+                scale *= 20.0
+            north += scale * noise()
+            east += scale * noise()
+            height += self._scale * _HEIGHT_NOISE * noise()
+        if flight.gps_health == 0:
+            latitude = longitude = 0.0
+        else:
+            latitude, longitude = self._site.to_geodetic(north, east)
+        altitude = self._settings.ground_altitude + height
+        return (
+            latitude * _TO_RADIANS,
+            longitude * _TO_RADIANS,
+            altitude,
+            height,
+            flight.gps_health,
+        )
+
+    def _read_magnetometer(self) -> Values:
+        motion = self._motion
+        cr, sr = math.cos(motion.roll), math.sin(motion.roll)
+        cp, sp = math.cos(motion.pitch), math.sin(motion.pitch)
+        cy, sy = math.cos(motion.yaw), math.sin(motion.yaw)
+        north, down = _FIELD_NORTH, _FIELD_DOWN
+        return (
+            round(north * cp * cy - down * sp),
+            round(north * (sr * sp * cy - cr * sy) + down * sr * cp),
+            round(north * (cr * sp * cy + sr * sy) + down * cr * cp),
+        )
+
+    def _read_rc(self) -> Values:
+        return self._remote.channels()
+
+    def _read_gimbal(self) -> Values:
+        gimbal = self._gimbal
+        heading = math.degrees(self._motion.yaw) + gimbal.yaw
+        if heading > 180.0:
+            heading -= 360.0
+        elif heading <= -180.0:
+            heading += 360.0
+        return gimbal.roll, gimbal.pitch, heading, gimbal.limits
+
+    def _read_flight_status(self) -> Values:
+        return (self._flight.phase,)
+
+    def _read_battery(self) -> Values:
+        return (math.ceil(self._flight.battery_percent),)
+
+    def _read_control_device(self) -> Values:
+        authority, flight = self._authority, self._flight
+        control = int(authority.device)
+        if self._profile.authority_requests > 1 and (
+            authority.is_requested or authority.is_pending
+        ):
+            control |= 0x08  # firmware 2.3 and later show the request too
+        if self._remote.virtual.is_on:
+            control |= 0x10
+        mode = 0
+        if authority.device is Device.ONBOARD and flight.setpoint is not None:
+            mode = flight.setpoint.mode.number
+        return mode, control

@@ -1,0 +1,279 @@
+"""A Matrice 100 without a line: it flies, obeys, measures and decides who may give orders.
+
+::
+
+    vehicle.step()                  let one hundredth of a second pass
+    vehicle.refresh()               somebody moved a switch: decide anew who holds control
+    vehicle.sensors                 what it measures
+
+It knows values of the protocol (setpoints, codes, records), but nothing of frames, sessions or
+whoever is connected: that is :mod:`m100link.sim.autopilot`, which looks at it after each step.
+Everything that chance decides comes from the one :class:`random.Random` that is passed in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+from m100link.protocol.codes import ActivationCode, AuthorityCode
+from m100link.protocol.records import Device, RcMode
+from m100link.sim.vehicle.activation import Activation
+from m100link.sim.vehicle.authority import ControlArbiter
+from m100link.sim.vehicle.dynamics import STEP_S
+from m100link.sim.vehicle.flight import FlightController
+from m100link.sim.vehicle.gimbal import Camera, GimbalMount
+from m100link.sim.vehicle.mobile import ActivationServer, MobileApp
+from m100link.sim.vehicle.remote import PilotRemote
+from m100link.sim.vehicle.sensors import Sensors
+from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
+
+if TYPE_CHECKING:
+    from random import Random
+
+    from m100link.protocol.commands.activation import Activate
+    from m100link.protocol.firmware import FirmwareProfile
+
+__all__ = ["LogEntry", "Vehicle"]
+
+_SLOW_STEPS = 5  # switches and time-outs are looked at every 50 ms
+_GUST_MEMORY_S = 2.0
+
+
+class LogEntry(NamedTuple):
+    """Something that happened to the aircraft, for people."""
+
+    time: float
+    text: str
+
+
+class Vehicle:
+    """The aircraft, the remote control and the phone, and the settings of all three.
+
+    Args:
+        random: Source of the sensor noise, the gusts and the serial number.
+        profile: The firmware.
+        settings: The aircraft, its site and the open questions of the protocol.
+        assistant: Settings of the PC assistant.
+        remote: The remote control; by default in F, moved there after power-on.
+        app: The mobile app; by default connected, with Internet.
+        server: The registry of apps; by default an empty one.
+        serial_number: Ten characters; by default drawn from ``random``.
+
+    Attributes:
+        profile, settings, assistant, remote, app, server, serial_number: As given.
+        flight: Motion, flight status, tasks, setpoints, battery.
+        authority: Who may fly.
+        activation: Which app is active, and which ones are known.
+        gimbal, camera: What hangs below.
+        sensors: What it measures.
+        time: Seconds since power-on; a restart does not set it back.
+        events: Last 200 things that happened.
+        authority_losses: Times that control passed away from the onboard device. Whoever is
+            connected is told of each by whoever carries the line.
+    """
+
+    def __init__(
+        self,
+        random: Random,
+        profile: FirmwareProfile,
+        *,
+        settings: AircraftSettings | None = None,
+        assistant: AssistantSettings | None = None,
+        remote: PilotRemote | None = None,
+        app: MobileApp | None = None,
+        server: ActivationServer | None = None,
+        serial_number: str | None = None,
+    ) -> None:
+        self.profile = profile
+        self.settings = settings or AircraftSettings()
+        self.assistant = assistant or AssistantSettings()
+        self.remote = remote or _remote_in_f()
+        self.app = app or MobileApp(is_connected=True, has_internet=True)
+        self.server = server or ActivationServer()
+        self.serial_number = serial_number or f"041D{random.randrange(16**6):06X}"
+        self.flight = FlightController(self.settings)
+        self.gimbal = GimbalMount()
+        self.camera = Camera()
+        self.activation = Activation(
+            profile,
+            self.serial_number,
+            server=self.server,
+            app=self.app,
+            server_delay=self.settings.server_delay,
+        )
+        self.authority = ControlArbiter(
+            profile, self.settings, self.assistant, self.remote, self.app
+        )
+        self.sensors = Sensors(
+            profile,
+            self.settings,
+            random,
+            flight=self.flight,
+            authority=self.authority,
+            remote=self.remote,
+            gimbal=self.gimbal,
+        )
+        self.time = 0.0
+        self.events: deque[LogEntry] = deque(maxlen=200)
+        self.authority_losses = 0
+        self._random = random
+        self._steps = 0
+        # Deviation of the wind from its mean now, m/s: gusts remember, so it is a state.
+        self._gust_north = self._gust_east = 0.0
+        # Until then the autopilot restarts: it keeps the aircraft up, and says and hears nothing.
+        self._silent_until = -math.inf
+        # When the remote control was last heard, as long as it is not; the failsafe counts from it.
+        self._rc_lost_since: float | None = None
+        # When GPS reception becomes good after a cold start; None once it was set by hand.
+        self._gps_good_at: float | None = None
+
+    # --- time -------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Let one step of the dynamics pass."""
+        self._steps += 1
+        self.sensors.ticks += 1
+        self.time = now = self._steps * STEP_S
+        self.remote.now = now
+        self.flight.step(now, self.authority.device, self.remote)
+        if self._steps % _SLOW_STEPS == 0:
+            self._look_around(now)
+
+    def _look_around(self, now: float) -> None:
+        """Whatever need not be looked at a hundred times a second."""
+        settings, flight = self.settings, self.flight
+        if settings.gusts:
+            self._blow()
+        else:
+            flight.dynamics.wind_north = settings.wind_north
+            flight.dynamics.wind_east = settings.wind_east
+        self.gimbal.advance(now, _SLOW_STEPS * STEP_S)
+        if self._gps_good_at is not None and now >= self._gps_good_at:
+            self._gps_good_at = None
+            flight.gps_health = 5
+        if flight.battery_percent <= settings.critical_battery_percent and flight.force_landing():
+            self.log("battery nearly empty: landing")
+        self._watch_remote(now)
+        self.refresh()
+
+    def _blow(self) -> None:
+        """Gusts: wind with a short memory."""
+        settings, motion = self.settings, self.flight.dynamics
+        keep = math.exp(-_SLOW_STEPS * STEP_S / _GUST_MEMORY_S)
+        kick = settings.gusts * math.sqrt(1.0 - keep * keep)
+        self._gust_north = keep * self._gust_north + kick * self._random.gauss(0.0, 1.0)
+        self._gust_east = keep * self._gust_east + kick * self._random.gauss(0.0, 1.0)
+        motion.wind_north = settings.wind_north + self._gust_north
+        motion.wind_east = settings.wind_east + self._gust_east
+
+    def _watch_remote(self, now: float) -> None:
+        authority = self.authority
+        if self.remote.is_connected:
+            if authority.device is Device.RC:
+                self.flight.corner_gesture(self.remote.sticks().are_in_corner)
+            self._rc_lost_since = None
+            if authority.failsafe:
+                authority.failsafe = False
+                self.flight.interrupt()
+                self.log("remote control is back")
+            return
+        if self._rc_lost_since is None:
+            self._rc_lost_since = now
+            self.log("remote control lost")
+        elif not authority.failsafe and now - self._rc_lost_since > self.settings.rc_lost_after:
+            authority.failsafe = True
+            self.refresh()
+            self.flight.interrupt()
+            if not self.flight.dynamics.on_ground:
+                self.log("failsafe: going home")
+                self.flight.go_home()
+
+    def refresh(self) -> None:
+        """Decide anew who holds control, after anything that may change it."""
+        before = self.authority.device
+        lost = self.authority.update()
+        if self.authority.device is not before:
+            self.log(f"control: {before.name} to {self.authority.device.name}")
+        if lost:
+            self.authority_losses += 1
+            self.flight.interrupt()
+
+    # --- what the onboard device asks for ---------------------------------------------------
+
+    def activate(self, request: Activate) -> ActivationCode:
+        """Carry an activation request out; on success its app is ``activation.active``."""
+        code = self.activation.request(request, self.time)
+        self.log(f"activation of app {request.app_id}: {code.meaning}")
+        return code
+
+    def request_authority(self, obtain: bool) -> AuthorityCode:
+        """Carry a request for control authority out."""
+        before = self.authority.device
+        code = self.authority.request(obtain)
+        if self.authority.device is not before:
+            self.log(f"control: {before.name} to {self.authority.device.name}")
+            if not obtain:
+                self.flight.interrupt()
+        return code
+
+    # --- what people and nature do ----------------------------------------------------------
+
+    def configure(self, assistant: AssistantSettings) -> None:
+        """Change the assistant's settings."""
+        self.assistant = self.authority.assistant = assistant
+        self.refresh()
+
+    def search_gps(self, seconds: float) -> None:
+        """No GPS now, good reception after some seconds."""
+        self.flight.gps_health = 0
+        self._gps_good_at = self.time + seconds
+
+    def set_gps_health(self, health: int) -> None:
+        """Set GPS health, 0 to 5, for good.
+
+        Raises:
+            ValueError: It is not 0 to 5.
+        """
+        if not 0 <= health <= 5:
+            raise ValueError(f"GPS health is 0 to 5, not {health}")
+        self._gps_good_at = None
+        self.flight.gps_health = health
+
+    def restart(self) -> None:
+        """Restart the autopilot: silence, then a fresh start with nobody active or in control.
+
+        In the air the motors keep it up meanwhile. What the server allowed stays known.
+        """
+        self.log("autopilot restarts")
+        self._silent_until = self.time + self.settings.reboot_seconds
+        self.authority.is_requested = self.authority.is_pending = False
+        self.authority.device = Device.RC
+        self.flight.interrupt()
+        self.activation.power_off()
+        self.remote.moved_since_power_on = False
+        self.remote.virtual.reset()
+        self.sensors.ticks = 0
+
+    # --- views ------------------------------------------------------------------------------
+
+    @property
+    def is_restarting(self) -> bool:
+        """Whether it says and hears nothing because it restarts."""
+        return self.time < self._silent_until
+
+    @property
+    def heading_deg(self) -> float:
+        """Where the nose points, -180 to 180 degrees."""
+        return math.degrees(self.flight.dynamics.yaw)
+
+    def log(self, text: str) -> None:
+        """Note something that happened."""
+        self.events.append(LogEntry(self.time, text))
+
+
+def _remote_in_f() -> PilotRemote:
+    remote = PilotRemote()
+    remote.set_mode(RcMode.F)
+    return remote
