@@ -14,7 +14,6 @@ from cyclopts import Parameter
 
 from m100link.cli.common import ExitCode, err, out, print_json, run_async
 from m100link.errors import UsageError
-from m100link.station.web.gate import is_loopback
 
 if TYPE_CHECKING:
     from m100link.agent.journal import Event
@@ -185,15 +184,15 @@ async def _serve(
 
 def _console_url(settings: Settings, running: Running) -> str:
     scheme = "http" if settings.tls_cert is None else "https"
-    host = "127.0.0.1" if is_loopback(settings.host) else settings.host
     token = settings.access_token()
     query = f"/?token={token}" if token else "/"
-    return f"{scheme}://{host}:{running.console_port}{query}"
+    assert running.console_port is not None
+    return f"{scheme}://{settings.authority(running.console_port)}{query}"
 
 
 def _announce(settings: Settings, running: Running, *, as_json: bool) -> None:
     scheme = "ws" if settings.tls_cert is None else "wss"
-    addresses = [f"{scheme}://{settings.host}:{port}" for port in running.ports]
+    addresses = [f"{scheme}://{settings.authority(port)}" for port in running.ports]
     console_url = None if running.console_port is None else _console_url(settings, running)
     if as_json:
         print_json({"rosbridge": addresses, "console": console_url, "sim": settings.sim})

@@ -129,6 +129,17 @@ class Settings:
             raise UsageError('a token has none of the characters space " ; , \\ % & + # =')
         return token
 
+    def host_names(self) -> set[str]:
+        """Names and addresses, as URLs have them, under which the station is reached."""
+        everywhere = {"0.0.0.0", "::"}
+        return set(self.allow_host) | {_in_url(one) for one in {self.host} - everywhere}
+
+    def authority(self, port: int) -> str:
+        """Host and port for a URL by which the station is reached."""
+        nearest = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+        named = self.allow_host[0] if self.allow_host and self.host in nearest else self.host
+        return f"{_in_url(nearest.get(named, named))}:{port}"
+
     def is_plain_beyond_loopback(self) -> bool:
         """Whether the token and everything else would travel readable through a network."""
         return not is_loopback(self.host) and self.tls_cert is None
@@ -200,6 +211,10 @@ def resolve(
             raise UsageError("a url and --sim were given", remedy="choose one of them")
         settings = replace(settings, url=None)
     return settings
+
+
+def _in_url(host: str) -> str:
+    return f"[{host}]" if ":" in host and not host.startswith("[") else host
 
 
 def _is_shadowed(name: str, values: Mapping[str, Any]) -> bool:

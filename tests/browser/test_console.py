@@ -143,6 +143,17 @@ async def test_losing_focus_stops_although_the_key_is_held(console: Console, how
     await banner(page, "You have control")
 
 
+async def test_a_key_whose_release_is_not_told_stops(console: Console) -> None:
+    page = await airborne(console)
+    await page.click("#pad")
+    await page.keyboard.press("Digit4")
+    await page.keyboard.down("w")
+    await until(lambda: console.watch.speed[1] > 0.5)
+    await page.keyboard.down("Meta")  # macOS sends no keyup from now on
+    await until(lambda: is_still(console), within=6.0)
+    assert await page.evaluate("window.m100.steering.held.size") == 0
+
+
 async def test_keys_do_nothing_until_the_pad_has_the_focus(console: Console) -> None:
     page = await airborne(console)
     await page.click("#banner")

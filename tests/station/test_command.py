@@ -10,6 +10,7 @@ import signal
 import ssl
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -99,6 +100,28 @@ async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) ->
     assert process.returncode == 0
     assert b"control authority released" in talk
     assert b"Traceback" not in talk
+
+
+@pytest.mark.parametrize("host", ["::1", "127.0.0.2", "localhost"])
+async def test_somebody_listens_where_it_says(host: str) -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "console", "--sim", "--host", host, "--port", "0", "--console-port", "0"),
+        *("--json", "--no-open-browser"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+    )
+    try:
+        assert process.stdout is not None
+        said = json.loads(await process.stdout.readline())
+        async with connect(said["rosbridge"][0], close_timeout=1) as client:
+            await client.send('{"op":"subscribe","topic":"/flight_status"}')
+            assert json.loads(await client.recv())["op"] == "publish"
+        health = said["console"] + "console/console.js"
+        with await asyncio.to_thread(urllib.request.urlopen, health) as answer:
+            assert answer.status == 200
+    finally:
+        process.terminate()
+        await process.wait()
 
 
 def certificate(folder: Path) -> tuple[Path, Path]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from m100link.errors import BadKey, UsageError
-from m100link.station.config import resolve
+from m100link.station.config import Settings, resolve
 from m100link.station.launch import read_launch
 
 KEY = "00112233445566778899aabbccddeeff" * 2
@@ -162,3 +162,27 @@ def test_beyond_this_machine_a_token_is_needed(tmp_path: Path) -> None:
     for bad in ("short", "with space in the middle", "ümlaut ümlaut ümlaut"):
         with pytest.raises(UsageError, match="token"):
             resolve({"token": bad}, {}).access_token()
+
+
+@pytest.mark.parametrize(
+    ("host", "at"),
+    [
+        ("127.0.0.1", "127.0.0.1:80"),
+        ("127.0.0.2", "127.0.0.2:80"),
+        ("::1", "[::1]:80"),
+        ("localhost", "localhost:80"),
+        ("0.0.0.0", "127.0.0.1:80"),
+        ("::", "[::1]:80"),
+        ("field.local", "field.local:80"),
+    ],
+)
+def test_the_address_that_is_announced_is_one_where_it_listens(host: str, at: str) -> None:
+    assert Settings(host=host).authority(80) == at
+    name = at.rpartition(":")[0]
+    assert name in {*Settings(host=host).host_names(), "127.0.0.1", "[::1]", "localhost"}
+
+
+def test_a_name_of_the_station_is_announced_where_it_listens_everywhere() -> None:
+    settings = Settings(host="0.0.0.0", allow_host=("field-laptop.local",))
+    assert settings.authority(80) == "field-laptop.local:80"
+    assert settings.host_names() == {"field-laptop.local"}

@@ -21,6 +21,7 @@ from m100link.errors import UsageError
 from m100link.station.console.fields import live
 from m100link.station.console.page import Page
 from m100link.station.console.tab import Tab
+from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import App, Gate
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def console_app(station: Station, settings: Settings, virtual: VirtualAircraft |
     if settings.tiles is not None:
         if not settings.tiles.is_dir():
             raise UsageError(f"{settings.tiles} is no folder")
-        app.mount("/tiles", StaticFiles(directory=settings.tiles))
+        app.mount("/tiles", PublicFiles(directory=settings.tiles))
 
     def page(client: Client) -> None:
         key, tab = tabs.open()
@@ -128,5 +129,9 @@ def console_app(station: Station, settings: Settings, virtual: VirtualAircraft |
 
     ui.page("/", title="m100link")(page)
     ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)
-    hosts = {*settings.allow_host, settings.host}
-    return Gate(app, hosts=hosts, origins=settings.allow_origin, token=settings.access_token())
+    return Gate(
+        app,
+        hosts=settings.host_names(),
+        origins=settings.allow_origin,
+        token=settings.access_token(),
+    )

@@ -11,6 +11,7 @@ token is needed as well.
 
 from __future__ import annotations
 
+import ipaddress
 import logging
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
@@ -18,9 +19,9 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-__all__ = ["COOKIE", "Gate", "host_of", "is_loopback"]
+from m100link.station.web.logs import SparingLogger
 
-_logger = logging.getLogger("m100link.station")
+__all__ = ["COOKIE", "Gate", "host_of", "is_loopback"]
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -37,7 +38,10 @@ _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 
 def is_loopback(host: str) -> bool:
     """Whether an address to bind reaches this machine only."""
-    return host in ("localhost", "::1") or host.startswith("127.")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"  # any other name may mean anything
 
 
 def host_of(header: str) -> str:
@@ -80,6 +84,7 @@ class Gate:
         self._origins = {origin.rstrip("/").lower() for origin in origins}
         self._token = token
         self.refused = 0
+        self._log = SparingLogger(logging.getLogger("m100link.station"))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request, then pass it on."""
@@ -90,6 +95,7 @@ class Gate:
         why = self._objection(scope, headers)
         if why is not None:
             self.refused += 1
+            self._log.warning("refused %s: %s", scope.get("client"), why)
             await _refuse(scope, receive, send, why)
             return
         if self._token is not None and _query_token(scope) is not None:
@@ -175,7 +181,6 @@ def _cookie_token(header: str) -> str | None:
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
     """403; a WebSocket is refused before it is accepted."""
-    _logger.warning("refused %s: %s", scope.get("client"), why)
     if scope["type"] == "websocket":
         await receive()  # websocket.connect
         await send({"type": "websocket.close", "code": 1008})

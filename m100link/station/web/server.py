@@ -19,7 +19,6 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
-from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from m100link.agent.agent import Station
@@ -29,7 +28,9 @@ from m100link.station.ros.dji_sdk import DjiSdk
 from m100link.station.ros.graph import Graph
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.node_2015 import Node
+from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import App, Gate
+from m100link.station.web.logs import SparingLogger
 from m100link.station.web.protocol import HEADERS, HttpConnection, WebSocketConnection
 
 if TYPE_CHECKING:
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
     from m100link.station.config import Settings
 
 __all__ = ["Bridge", "Server", "listen"]
-
-_logger = logging.getLogger("m100link.station")
 
 PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
 _POLICY_VIOLATION = 1008
@@ -71,6 +70,7 @@ class Bridge:
         self._station = station
         self._limits = limits or Limits()
         self._max_clients = max_clients
+        self._log = SparingLogger(logging.getLogger("m100link.station"))
         self.graph = Graph()
         self.clients = Clients(station, self.graph)
         Node(station, self.graph, self.clients)
@@ -82,19 +82,16 @@ class Bridge:
         if pages is not None:
             if not pages.is_dir():
                 raise UsageError(f"{pages} is no folder")
-            routes.append(Mount("/", StaticFiles(directory=pages, html=True)))
+            routes.append(Mount("/", PublicFiles(directory=pages, html=True)))
         else:
             routes.append(Route("/", self._greet))
         self._app = Starlette(routes=routes)
 
     def app(self, settings: Settings) -> App:
         """The application behind its gate."""
-        hosts = set(settings.allow_host)
-        if settings.host not in ("0.0.0.0", "::"):
-            hosts.add(f"[{settings.host}]" if ":" in settings.host else settings.host)
         return Gate(
             self._app,
-            hosts=hosts,
+            hosts=settings.host_names(),
             origins=settings.allow_origin,
             token=settings.access_token(),
         )
@@ -115,7 +112,7 @@ class Bridge:
 
     async def _serve(self, websocket: WebSocket) -> None:
         if len(self.graph.sessions) >= self._max_clients:
-            _logger.warning("a client was refused: %d are connected", len(self.graph.sessions))
+            self._log.warning("a client was refused: %d are connected", len(self.graph.sessions))
             await websocket.close(_POLICY_VIOLATION)
             return
         peer = websocket.client
@@ -124,7 +121,7 @@ class Bridge:
         session = Client(self.graph, name, limits=self._limits, on_output=wake.set)
         try:
             await websocket.accept()
-            _logger.info("%s connected", name)
+            self._log.info("%s connected", name)
             writing = asyncio.create_task(self._write(websocket, session, wake))
             reading = asyncio.create_task(self._read(websocket, session))
             try:
@@ -139,7 +136,7 @@ class Bridge:
             pass
         finally:
             session.close(self._station.now)
-            _logger.info("%s has gone (%d messages dropped)", name, session.dropped)
+            self._log.info("%s has gone (%d messages dropped)", name, session.dropped)
 
     async def _read(self, websocket: WebSocket, session: Client) -> None:
         while True:
@@ -170,7 +167,7 @@ class Bridge:
                 sent += 1
                 if not sent % _FRAMES_IN_A_ROW:
                     await asyncio.sleep(0)  # the loop that flies has its turn in between
-            _logger.warning("%s is disconnected: %s", session.name, session.close_reason)
+            self._log.warning("%s is disconnected: %s", session.name, session.close_reason)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(1.0):
                     await websocket.close(_POLICY_VIOLATION, session.close_reason[:120])

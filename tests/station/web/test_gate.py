@@ -167,7 +167,9 @@ def test_hosts_and_addresses() -> None:
     assert host_of("Name:1") == "name"
     assert is_loopback("127.0.0.1")
     assert is_loopback("::1")
+    assert is_loopback("127.0.0.2")
     assert not is_loopback("0.0.0.0")
+    assert not is_loopback("127.example.com")
 
 
 NAVIGATION = (("sec-fetch-mode", "navigate"), ("sec-fetch-dest", "document"))
@@ -220,3 +222,13 @@ async def test_a_page_allowed_by_name_is_judged_by_its_origin() -> None:
     page = ("origin", "http://127.0.0.1:8000")
     visit = Visit(origins=["http://127.0.0.1:8000"])
     assert await visit.ask(HERE, page, ("sec-fetch-site", "same-site"))
+
+
+async def test_a_flood_of_refusals_is_a_few_lines_and_a_number(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    visit = Visit()
+    for _ in range(1000):
+        await visit.ask(HERE, ("origin", "http://evil.example"), kind="http")
+    assert 1 <= len(caplog.records) <= 20
+    assert visit.gate.refused == 1000

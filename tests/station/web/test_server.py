@@ -299,9 +299,14 @@ async def test_pages_of_a_folder_are_served_and_nothing_outside_it(tmp_path: Pat
     (tmp_path / "pages").mkdir()
     (tmp_path / "pages" / "page.html").write_text("<p>page</p>")
     (tmp_path / "secret").write_text("secret")
+    for name in (".env", ".git/config", "more/.env"):
+        (tmp_path / "pages" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "pages" / name).write_text("secret")
+    (tmp_path / "pages" / "link").symlink_to(tmp_path / "pages" / ".env")
     async with station(pages=tmp_path / "pages") as one:
         assert "<p>page</p>" in await get(one.ports[0], "/page.html")
-        for path in ("/../secret", "/%2e%2e/secret", "/..%2fsecret"):
+        inside = ("/.env", "/%2eenv", "/.git/config", "/more/.env", "/more/../.env", "/link")
+        for path in ("/../secret", "/%2e%2e/secret", "/..%2fsecret", *inside):
             answer = await get(one.ports[0], path)
             assert answer.startswith("HTTP/1.1 404")
         assert (await get(one.ports[0], "/health")).startswith("HTTP/1.1 200")

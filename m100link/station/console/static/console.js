@@ -37,6 +37,7 @@ class Steering {
     const knob = pad.querySelector(".stick");
     knob.addEventListener("pointerdown", (e) => this.grab(e, knob));
     knob.addEventListener("pointermove", (e) => this.stick && this.move(e, knob));
+    pad.addEventListener("contextmenu", () => this.rest());
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"])
       knob.addEventListener(end, () => this.drop(knob));
     setInterval(() => this.tick(), BEAT_MS);
@@ -48,7 +49,8 @@ class Steering {
   }
 
   keyDown(event) {
-    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    // While Cmd is held macOS tells no page that a key came up: whatever is held ends here.
+    if (event.ctrlKey || event.altKey || event.metaKey) return this.rest();
     if (KEYS[event.code]) {
       event.preventDefault();
       if (event.repeat || this.held.has(event.code)) return;
