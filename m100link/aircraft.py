@@ -91,7 +91,8 @@ class Aircraft:
         self._control: Control | None = None
         self._task_sequences = task_sequences()
         self.state = AircraftState(self._clock)
-        self.authority = Authority(self._authority_changed)
+        self.authority = Authority()
+        self.authority.subscribe(self._authority_changed)
         self.telemetry_mismatches = 0
         self._device_clock: DeviceClock | None = None
         self._handlers: dict[tuple[int, int], Callable[[Frame, float], None]] = {
@@ -462,7 +463,6 @@ class Aircraft:
         self.authority.feed(AuthorityInput.LINK_LOST)
 
     def _authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
-        _logger.debug("authority: %s -> %s", before.value, after.value)
         if self._control is not None:
             self._control.authority_changed(before, after, self.authority.reason)
 

@@ -44,6 +44,10 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
 
 from __future__ import annotations
 
+from copy import copy
+from enum import StrEnum
+from typing import Self
+
 __all__ = [
     "AckTimeout",
     "ActivationRefused",
@@ -63,6 +67,7 @@ __all__ = [
     "LinkClosed",
     "LinkError",
     "LinkLost",
+    "LossReason",
     "M100Error",
     "NoAircraft",
     "NoAnswer",
@@ -108,6 +113,12 @@ class M100Error(Exception):
         if self.remedy:
             text += f"\n  what to do:   {self.remedy}"
         return text
+
+    def again(self) -> Self:
+        """The same error, to be raised in another place: one exception object has one traceback."""
+        fresh = copy(self)
+        fresh.__cause__ = self.__cause__
+        return fresh
 
     def __reduce__(self) -> tuple[object, ...]:
         # Subclasses take keyword arguments that the default pickling would lose.
@@ -384,15 +395,31 @@ class NoAuthority(AuthorityError):
     """Movement or a task was asked for without control authority; nothing was sent."""
 
 
+class LossReason(StrEnum):
+    """Who or what took authority away."""
+
+    NONE = ""  # nothing was lost
+    MODE_SWITCH = "mode_switch"  # the pilot left F
+    APP = "app"  # the app on the mobile device
+    RELEASED = "released"  # we gave it back
+    LINK = "link"  # nobody can be heard
+    UNKNOWN = "unknown"  # a notification alone does not say
+
+
 class AuthorityLost(AuthorityError):
     """Authority went away during control.
 
     Attributes:
-        reason: ``"mode_switch"``, ``"app"``, ``"released"``, ``"link"`` or ``"unknown"``.
+        reason: Who or what took it; compares equal to its string, such as ``"mode_switch"``.
     """
 
     def __init__(
-        self, seen: str, *, reason: str = "unknown", cause: str = "", remedy: str = ""
+        self,
+        seen: str,
+        *,
+        reason: LossReason = LossReason.UNKNOWN,
+        cause: str = "",
+        remedy: str = "",
     ) -> None:
         super().__init__(seen, cause=cause, remedy=remedy)
         self.reason = reason

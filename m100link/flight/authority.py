@@ -7,12 +7,16 @@ that is not in the table cannot happen or changes nothing: :meth:`Authority.feed
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
 from enum import Enum
 
+from m100link.errors import LossReason
 from m100link.protocol.records import ControlDevice, Device, RcMode, RemoteControl
 
 __all__ = ["TRANSITIONS", "Authority", "AuthorityInput", "AuthorityState"]
+
+_logger = logging.getLogger("m100link.flight")
 
 
 class AuthorityState(Enum):
@@ -87,12 +91,12 @@ TRANSITIONS: dict[AuthorityState, dict[AuthorityInput, AuthorityState]] = {
 """State, input, next state."""
 
 _REASONS = {
-    _I.NOTIFIED: "unknown",
-    _I.RC_LEFT_F: "mode_switch",
-    _I.DEVICE_RC: "mode_switch",
-    _I.DEVICE_APP: "app",
-    _I.LINK_LOST: "link",
-    _I.RELEASED: "released",
+    _I.NOTIFIED: LossReason.UNKNOWN,
+    _I.RC_LEFT_F: LossReason.MODE_SWITCH,
+    _I.DEVICE_RC: LossReason.MODE_SWITCH,
+    _I.DEVICE_APP: LossReason.APP,
+    _I.LINK_LOST: LossReason.LINK,
+    _I.RELEASED: LossReason.RELEASED,
 }
 
 
@@ -106,41 +110,55 @@ _DEVICE_INPUTS: dict[Device | None, AuthorityInput] = {
 class Authority:
     """The authority of one connection: its state, how it came to it, and who wants to know.
 
-    Args:
-        on_change: Called after each change with the old and the new state.
-
     Attributes:
         state: The present state.
-        reason: Why it was paused or lost: ``"mode_switch"``, ``"app"``, ``"link"``, ``"released"``
-            or ``"unknown"``; an empty string otherwise.
+        reason: Why it was paused, lost or given back.
     """
 
-    def __init__(
-        self, on_change: Callable[[AuthorityState, AuthorityState], None] | None = None
-    ) -> None:
+    def __init__(self) -> None:
         self.state = AuthorityState.NONE
-        self.reason = ""
-        self._on_change = on_change
+        self.reason = LossReason.NONE
+        self._listeners: list[Callable[[AuthorityState, AuthorityState], None]] = []
         self._waiters: list[tuple[AuthorityState, asyncio.Future[None]]] = []
         self._was_in_f: bool | None = None
         self._was_ours = False
+
+    def subscribe(
+        self, listener: Callable[[AuthorityState, AuthorityState], None]
+    ) -> Callable[[], None]:
+        """Call ``listener`` after each change with the old and the new state.
+
+        Returns:
+            What ends that; may be called any number of times.
+        """
+        self._listeners.append(listener)
+
+        def unsubscribe() -> None:
+            if listener in self._listeners:
+                self._listeners.remove(listener)
+
+        return unsubscribe
 
     def feed(self, what: AuthorityInput) -> bool:
         """Something happened. Returns whether the state changed."""
         before = self.state
         after = TRANSITIONS[before].get(what)
         if after is None:
-            if before in (_S.PAUSED, _S.LOST) and self.reason == "unknown":
+            if before in (_S.PAUSED, _S.LOST) and self.reason is LossReason.UNKNOWN:
                 self.reason = _REASONS.get(what, self.reason)
             return False
         self.state = after
-        self.reason = _REASONS.get(what, "") if after in (_S.PAUSED, _S.LOST, _S.NONE) else ""
+        is_gone = after in (_S.PAUSED, _S.LOST, _S.NONE)
+        self.reason = _REASONS.get(what, LossReason.NONE) if is_gone else LossReason.NONE
         for wanted, waiter in self._waiters:
             if wanted is after and not waiter.done():
                 waiter.set_result(None)
-        if self._on_change is not None and after is not before:
-            self._on_change(before, after)
-        return after is not before
+        if after is before:
+            return False
+        _logger.debug("authority: %s -> %s", before.value, after.value)
+        for listener in tuple(self._listeners):
+            listener(before, after)
+        return True
 
     def observe_remote_control(self, rc: RemoteControl) -> None:
         """Cross-check with the mode switch.
@@ -152,8 +170,8 @@ class Authority:
         is_in_f = rc.mode_switch is RcMode.F
         if is_in_f != self._was_in_f and self._was_in_f is not None:
             self.feed(_I.RC_IN_F if is_in_f else _I.RC_LEFT_F)
-        elif self.reason == "unknown" and not is_in_f:
-            self.reason = "mode_switch"
+        elif self.reason is LossReason.UNKNOWN and not is_in_f:
+            self.reason = LossReason.MODE_SWITCH
         self._was_in_f = is_in_f
 
     def observe_control_device(self, item: ControlDevice) -> None:

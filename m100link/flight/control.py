@@ -15,6 +15,7 @@ import anyio
 from m100link.errors import (
     AuthorityLost,
     LinkError,
+    LossReason,
     M100Error,
     NoAuthority,
     TaskRefused,
@@ -175,7 +176,9 @@ class Control:
                 self._setpoints.silence()
             self._scope.cancel()
 
-    def authority_changed(self, before: AuthorityState, after: AuthorityState, reason: str) -> None:
+    def authority_changed(
+        self, before: AuthorityState, after: AuthorityState, reason: LossReason
+    ) -> None:
         """Called by the aircraft after each change of authority."""
         if self._is_over or self._is_stopping:
             return

@@ -6,7 +6,7 @@ import asyncio
 import logging
 from typing import TYPE_CHECKING
 
-from m100link.errors import AckTimeout, AuthorityLost, AuthorityRefused, M100Error
+from m100link.errors import AckTimeout, AuthorityLost, AuthorityRefused, LossReason, M100Error
 from m100link.flight.authority import AuthorityInput, AuthorityState
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
@@ -110,35 +110,35 @@ async def explained_loss(commander: Commander, loss: AuthorityLost) -> Authority
 
     The notification does not say who took control and overtakes the items that do (2.2.3.2).
     """
-    if loss.reason != "unknown":
+    if loss.reason is not LossReason.UNKNOWN:
         return loss
     authority = commander.authority
     clock = asyncio.get_running_loop().time
     deadline = clock() + _EXPLANATION_S
-    while authority.reason == "unknown" and clock() < deadline:  # noqa: ASYNC110 (15 times)
+    while authority.reason is LossReason.UNKNOWN and clock() < deadline:  # noqa: ASYNC110 (15 times)
         await asyncio.sleep(_EXPLANATION_STEP_S)
-    if authority.reason not in ("", "unknown"):
+    if authority.reason not in (LossReason.NONE, LossReason.UNKNOWN):
         return authority_lost(authority.reason)
     remote_control = commander.state.remote_control
     if remote_control is None or not remote_control.is_in_f:
         return loss
     return AuthorityLost(
         "authority passed away while the mode switch is still in F",
-        reason="unknown",
+        reason=LossReason.UNKNOWN,
         cause="the mobile app took control, or the aircraft itself: remote controller lost, "
         "API control switched off",
         remedy="ask the pilot; the CTRL_DEVICE item would tell (0 Hz by default, PC assistant)",
     )
 
 
-def authority_lost(reason: str) -> AuthorityLost:
+def authority_lost(reason: LossReason) -> AuthorityLost:
     """The error for a loss of authority with that reason."""
     meaning, remedy = {
-        "mode_switch": (
+        LossReason.MODE_SWITCH: (
             "the pilot moved the mode switch out of F",
             "the pilot has the aircraft; back in F, start a new control block",
         ),
-        "app": (
+        LossReason.APP: (
             "the mobile app took control",
             "let the app release control, then start a new control block",
         ),

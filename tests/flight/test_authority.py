@@ -162,7 +162,8 @@ def test_nothing_but_an_ack_or_the_pilots_return_gives_authority() -> None:
 
 def test_each_change_is_reported_once_and_no_change_is_not() -> None:
     seen: list[tuple[AuthorityState, AuthorityState]] = []
-    authority = Authority(lambda before, after: seen.append((before, after)))
+    authority = Authority()
+    unsubscribe = authority.subscribe(lambda before, after: seen.append((before, after)))
     for what in (I.OBTAIN, I.OBTAIN, I.OBTAINED, I.NOTIFIED, I.RC_LEFT_F, I.RC_IN_F, I.RC_IN_F):
         authority.feed(what)
     assert seen == [
@@ -171,6 +172,25 @@ def test_each_change_is_reported_once_and_no_change_is_not() -> None:
         (S.HELD, S.PAUSED),
         (S.PAUSED, S.HELD),
     ]
+    unsubscribe()
+    unsubscribe()
+    authority.feed(I.RELEASE)
+    assert len(seen) == 4
+
+
+def test_a_listener_that_leaves_while_it_is_told_does_not_cost_the_next_its_news() -> None:
+    authority = Authority()
+    seen: list[str] = []
+
+    def leave(before: AuthorityState, after: AuthorityState) -> None:
+        seen.append("first")
+        unsubscribe()
+
+    unsubscribe = authority.subscribe(leave)
+    authority.subscribe(lambda before, after: seen.append("second"))
+    authority.feed(I.OBTAIN)
+    authority.feed(I.OBTAINED)
+    assert seen == ["first", "second", "second"]
 
 
 # -- cross-checks ---------------------------------------------------------------------------------
