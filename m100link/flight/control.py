@@ -270,7 +270,8 @@ class Control:
             setpoint: What to fly.
             lifetime: Seconds after which it is not repeated any more; then the mode's neutral is
                 sent for 0.3 s, then nothing.
-            rate_hz: Repetitions per second, at most 50.
+            rate_hz: Repetitions per second, at most 50; another setpoint and the neutral do not
+                wait for it.
 
         Raises:
             NoAuthority: Authority is not held, is paused, or a task is flying the aircraft.

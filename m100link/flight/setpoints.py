@@ -19,22 +19,25 @@ SETPOINT_LIFETIME = 0.2
 NEUTRAL_TIME = 0.3
 """Seconds of neutral after a setpoint expired; then silence, on which the aircraft hovers."""
 
-_SLACK = 0.1
-"""Part of a period by which a program that ticks itself may be early or late on our grid."""
+_PERIOD = 1.0 / MAX_RATE_HZ
+"""Shortest time between two frames, on average."""
+
+_SLACK = 0.1 * _PERIOD
+"""By how much a program that ticks itself may be early or late on our grid, s."""
 
 
 class SetpointLoop:
     """Sends the present setpoint at a steady rate until it expires.
 
-    A setpoint goes out at once when the last transmission is a period ago, else at the end of that
-    period, and is repeated each period until it is renewed, replaced, or expires. After expiry: the
-    mode's neutral for a moment, then silence. Nothing older than its lifetime is ever repeated.
+    Time is cut into periods of 20 ms, and no period gets two frames, however often the program
+    sends: faster than 50 Hz the autopilot is said to ignore commands at random. A setpoint that
+    differs from the last frame goes out at once, or when the present period ends. It is repeated at
+    the rate asked for until it is renewed, replaced, or expires; then the mode's neutral goes out
+    at 50 Hz for a moment, then nothing. Nothing older than its lifetime is ever repeated.
 
-    Time is cut into periods, and no period gets two frames, however often the program sends: faster
-    than 50 Hz the autopilot is said to ignore commands at random. A program that ticks at the same
-    rate jitters around our grid; so what comes a little early goes out at once, and while a
-    program renews, repeating waits that little for it. Otherwise every frame would carry the
-    value of the tick before.
+    A program that ticks at the same rate jitters around our grid; so what comes a little early goes
+    out at once, and while a program renews, repeating waits that little for it. Otherwise every
+    frame would carry the value of the tick before.
 
     Args:
         send: Puts a setpoint on the line.
@@ -47,12 +50,13 @@ class SetpointLoop:
     def __init__(self, send: Callable[[Setpoint], bool]) -> None:
         self._send = send
         self._loop = asyncio.get_running_loop()
-        self._period = 1.0 / MAX_RATE_HZ
         self._setpoint: Setpoint | None = None
+        self._frame: Setpoint | None = None  # what went out last, None before and in silence
+        self._slot = float("-inf")  # where the last frame stands on the grid
+        self._period = _PERIOD  # between repetitions of the same setpoint
         self._expires_at = 0.0
         self._silent_at = 0.0
-        self._next_at = float("-inf")
-        self._is_renewed = False
+        self._is_renewed = False  # by the program, since the last frame
         self._news = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
         self.sent = 0
@@ -63,9 +67,7 @@ class SetpointLoop:
         """What is being sent, None in silence."""
         return self._setpoint
 
-    def set(
-        self, setpoint: Setpoint, *, lifetime: float, period: float = 1.0 / MAX_RATE_HZ
-    ) -> None:
+    def set(self, setpoint: Setpoint, *, lifetime: float, period: float = _PERIOD) -> None:
         """Send this from now on, for its lifetime."""
         now = self._loop.time()
         self._setpoint = setpoint
@@ -76,19 +78,29 @@ class SetpointLoop:
         self._send_if_due(now)
 
     def _send_if_due(self, now: float) -> None:
-        """Send now unless this period has had its frame; the task sends it when the next begins."""
+        """Send now unless its time is still to come; then the task does it."""
         assert self._setpoint is not None
-        if now >= self._next_at - _SLACK * self._period:
+        if now >= self._due_at() - _SLACK:
             self._transmit(self._setpoint, now)
         if self._task is None or self._task.done():  # done: somebody cancelled every task
             self._task = asyncio.create_task(self._run(), name="m100link setpoints")
         self._news.set()
+
+    @property
+    def _is_news(self) -> bool:
+        """Whether the aircraft was told something else, or nothing."""
+        return self._setpoint != self._frame
+
+    def _due_at(self) -> float:
+        """When the present setpoint goes out next."""
+        return self._slot + (_PERIOD if self._is_news else self._period)
 
     def neutralise(self) -> None:
         """Replace the setpoint by its neutral, which then falls silent by itself."""
         if self._setpoint is not None:
             now = self._loop.time()
             self._setpoint = self._setpoint.neutral()
+            self._period = _PERIOD
             self._expires_at = now
             self._silent_at = now + NEUTRAL_TIME
             self._is_renewed = False
@@ -96,11 +108,11 @@ class SetpointLoop:
 
     def silence(self) -> None:
         """Send nothing more until the next setpoint."""
-        self._setpoint = None
+        self._setpoint = self._frame = None
 
     async def stop(self) -> None:
         """End the task."""
-        self._setpoint = None
+        self.silence()
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait([self._task])
@@ -108,38 +120,49 @@ class SetpointLoop:
 
     def _transmit(self, setpoint: Setpoint, now: float) -> None:
         # The grid is kept through small lateness and taken up anew after a gap: no drift, no burst.
-        is_on_grid = abs(now - self._next_at) < self._period / 2
-        self._next_at = (self._next_at if is_on_grid else now) + self._period
+        for slot in (self._slot + self._period, self._slot + _PERIOD):
+            if abs(now - slot) < _PERIOD / 2:
+                self._slot = slot
+                break
+        else:
+            self._slot = now
+        self._frame = setpoint
         self.sent += 1
         self._send(setpoint)
 
     async def _run(self) -> None:
         with Alarm() as alarm:
             while True:
+                now = self._loop.time()
+                self._expire(now)
                 if self._setpoint is None:
                     self._news.clear()
                     await self._news.wait()
                     continue
-                due = self._next_at + (_SLACK * self._period if self._is_renewed else 0.0)
-                if self._loop.time() < due:
-                    await alarm.sleep_until(due)
+                due_at = self._due_at()
+                if self._is_renewed and not self._is_news:
+                    due_at += _SLACK
+                if now < due_at:
+                    # News must not wait for the end of a long period: look once in a short one.
+                    free_at = self._slot + _PERIOD
+                    look_at = free_at if free_at > now else now + _PERIOD
+                    await alarm.sleep_until(min(due_at, look_at))
                     continue  # the program may have sent one itself meanwhile
                 self._is_renewed = False
-                self._repeat(self._loop.time())
+                self._transmit(self._setpoint, now)
                 # A send that blocks for longer than a period must not starve the other tasks.
                 await asyncio.sleep(0)
 
-    def _repeat(self, now: float) -> None:
-        setpoint = self._setpoint
-        assert setpoint is not None
-        if now < self._expires_at:
-            self._transmit(setpoint, now)
-        elif now < self._silent_at:
-            neutral = setpoint.neutral()
-            if setpoint != neutral:
+    def _expire(self, now: float) -> None:
+        """Go from the setpoint to its neutral, and from there to silence, when it is time."""
+        if self._setpoint is None:
+            return
+        if now >= self._silent_at:
+            self.silence()
+        elif now >= self._expires_at:
+            neutral = self._setpoint.neutral()
+            if self._setpoint != neutral:
                 self.expired += 1
                 self._setpoint = neutral
+                self._period = _PERIOD
                 _logger.warning("a setpoint was not renewed in time: sending neutral")
-            self._transmit(neutral, now)
-        else:
-            self._setpoint = None

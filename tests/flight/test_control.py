@@ -202,6 +202,30 @@ async def test_hold_may_be_given_a_longer_life(flying: tuple[Rig, Control]) -> N
     assert 19 <= sum(move.roll_or_x == 2.0 for move in flown.moves) <= 21
 
 
+@pytest.mark.parametrize("rate_hz", [0.5, 2.0, 10.0])
+async def test_leaving_a_hold_at_a_slow_rate_sends_neutral_at_once(
+    flying: tuple[Rig, Control], rate_hz: float
+) -> None:
+    flown, control = flying
+    async with control.hold(NORTH, rate_hz=rate_hz, lifetime=1.0):
+        await asyncio.sleep(0.7)
+    flown.moves.clear()
+    await asyncio.sleep(1.0)
+    assert len(flown.moves) >= 14
+    flown.assert_stopped_in_order()
+
+
+async def test_a_halt_does_not_wait_for_the_rate_of_what_it_ends(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+    control.send(NORTH, rate_hz=1, lifetime=0.9)
+    await asyncio.sleep(0.1)
+    control.send(NORTH.neutral())
+    await asyncio.sleep(0.022)
+    assert flown.is_neutral(flown.moves[-1])
+
+
 async def test_hold_that_fails_inside_leaves_neutral(flying: tuple[Rig, Control]) -> None:
     flown, control = flying
     with pytest.raises(ZeroDivisionError):

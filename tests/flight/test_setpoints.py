@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator
 from itertools import pairwise
+from random import Random
 
 import pytest
 
@@ -238,6 +239,80 @@ async def test_a_slower_rate_is_kept(rig: Rig) -> None:
     await asyncio.sleep(1.95)
     assert len(rig.frames) == 20
     assert rig.gaps == pytest.approx([0.1] * 19, abs=0.011)
+
+
+@pytest.mark.parametrize("period", [0.021, 0.1, 0.5, 1.0, 10.0])
+async def test_at_a_slow_rate_a_newer_setpoint_goes_out_one_50_hz_period_after_the_last(
+    rig: Rig, period: float
+) -> None:
+    rig.setpoints.set(NORTH, lifetime=0.9, period=period)
+    await asyncio.sleep(0.001)
+    rig.setpoints.set(STILL, lifetime=0.9, period=period)
+    await asyncio.sleep(PERIOD)
+    assert rig.frames == [(0.0, NORTH), (pytest.approx(PERIOD), STILL)]
+
+
+async def test_at_a_slow_rate_a_newer_setpoint_goes_out_at_once_when_the_line_is_free(
+    rig: Rig,
+) -> None:
+    rig.setpoints.set(NORTH, lifetime=0.9, period=1.0)
+    await asyncio.sleep(0.301)
+    rig.setpoints.set(EAST, lifetime=0.9, period=1.0)
+    assert rig.frames == [(0.0, NORTH), (pytest.approx(0.301), EAST)]
+
+
+@pytest.mark.parametrize("period", [0.021, 0.1, 0.5, 1.0, 10.0])
+@pytest.mark.parametrize("after", [0.0, 0.001, 0.07, 0.15])
+async def test_at_a_slow_rate_neutral_is_sent_at_50_hz_from_when_it_is_asked_for(
+    rig: Rig, period: float, after: float
+) -> None:
+    rig.setpoints.set(NORTH, lifetime=0.9, period=period)
+    await asyncio.sleep(after)
+    last, at = rig.times[-1], rig.loop.time()
+    rig.setpoints.neutralise()
+    await asyncio.sleep(1.0)
+    neutrals = [time for time, setpoint in rig.frames if setpoint == STILL]
+    assert neutrals[0] == pytest.approx(max(at, last + PERIOD), abs=0.1 * PERIOD)
+    assert neutrals[-1] < at + NEUTRAL_TIME + 1e-9
+    assert len(neutrals) >= NEUTRAL_TIME / PERIOD - 1
+
+
+@pytest.mark.parametrize("period", [0.021, 0.1, 0.5, 1.0, 10.0])
+async def test_at_a_slow_rate_expiry_is_not_late(rig: Rig, period: float) -> None:
+    rig.setpoints.set(NORTH, lifetime=0.2, period=period)
+    await asyncio.sleep(20.0)
+    neutrals = [time for time, setpoint in rig.frames if setpoint == STILL]
+    assert 0.2 <= neutrals[0] <= 0.2 + PERIOD
+    assert neutrals[-1] < 0.2 + NEUTRAL_TIME
+    assert len(neutrals) >= NEUTRAL_TIME / PERIOD - 1
+    assert rig.setpoints.expired == 1
+
+
+async def test_at_a_slow_rate_renewing_the_same_setpoint_does_not_raise_the_rate(rig: Rig) -> None:
+    for _ in range(200):
+        rig.setpoints.set(NORTH, lifetime=0.2, period=0.1)
+        await asyncio.sleep(0.01)
+    assert len(rig.frames) in (20, 21)
+
+
+async def test_any_mixture_of_rates_stays_below_50_hz_and_hears_the_newest(rig: Rig) -> None:
+    random = Random(3)
+    for _ in range(3000):
+        speed = random.randrange(4)
+        wanted = Setpoint.velocity(north=speed, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+        period = random.choice([PERIOD, 0.025, 0.1, 0.5, 2.0])
+        rig.setpoints.set(wanted, lifetime=random.uniform(0.01, 1.0), period=period)
+        await asyncio.sleep(random.choice([0.0, 0.003, 0.02, 0.021, 0.2]))
+        if random.random() < 0.1:
+            rig.setpoints.neutralise()
+            wanted = STILL
+        at = rig.loop.time()
+        await asyncio.sleep(random.choice([0.0, 0.03]))
+        if rig.loop.time() > at:
+            assert rig.frames[-1][1] in (wanted, STILL)
+    for first, last in zip(rig.times, rig.times[100:], strict=False):
+        assert last - first >= 100 * PERIOD - 1.0 * PERIOD
+    assert min(rig.gaps) >= 0.5 * PERIOD - 1e-9
 
 
 async def test_stop_ends_the_task_and_may_be_called_twice(rig: Rig) -> None:
