@@ -10,7 +10,7 @@ from m100link.link import Link
 from m100link.protocol.firmware import profile
 
 if TYPE_CHECKING:
-    from m100link.agent.agent import Connect
+    from m100link.agent.connection import Connect
     from m100link.sim.ports.driver import Driver
 
 __all__ = ["by_driver", "by_url"]

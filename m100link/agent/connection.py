@@ -9,9 +9,11 @@ from enum import Enum
 from m100link.agent.journal import Journal
 from m100link.aircraft import Aircraft
 from m100link.errors import LinkError, M100Error
-from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.commands.activation import Version
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Newest
 
-__all__ = ["Connect", "Connected", "Connection"]
+__all__ = ["Connect", "Connection", "ConnectionState"]
 
 RECONNECT_PAUSE = 1.0
 """Seconds between two attempts to open the line."""
@@ -23,72 +25,78 @@ Connect = Callable[[], Awaitable[Aircraft]]
 """Opens the aircraft; raises :class:`M100Error` when it cannot."""
 
 
-class Connection(Enum):
+class ConnectionState(Enum):
     """State of the line."""
 
-    CONNECTING = "connecting"
-    CONNECTED = "connected"
-    LOST = "lost"
+    CONNECTING = "connecting"  # being opened, for the first time or again
+    CONNECTED = "connected"  # the aircraft answered
+    LOST = "lost"  # it was connected; the next attempt comes after a pause
 
 
-class Connected(Journal):
+class Connection:
     """Keeps an aircraft connected.
 
     Args:
         connect: Opens the aircraft.
-        credentials: What activation needs; without them the station can only watch.
+        journal: Where it is told what happens.
 
     Attributes:
         aircraft: The aircraft while it is connected, else None.
-        connection: State of the line.
-        connection_error: Why it is not connected.
+        state: State of the line.
+        version: What the connected aircraft answered when it was opened.
+        error: Why it is not connected.
         round_trip: Seconds for a question to the aircraft and its answer, None when unanswered.
         on_aircraft: Called when the aircraft was connected, and with None when it was lost.
+        on_sample: Called with each telemetry package.
     """
 
-    def __init__(self, connect: Connect, credentials: Credentials | None) -> None:
-        super().__init__()
+    def __init__(self, connect: Connect, journal: Journal) -> None:
         self._connect = connect
-        self.credentials = credentials
+        self._journal = journal
+        self._clock = asyncio.get_running_loop().time
         self.aircraft: Aircraft | None = None
-        self.connection = Connection.CONNECTING
-        self.connection_error: M100Error | None = None
+        self.state = ConnectionState.CONNECTING
+        self.version: Version | None = None
+        self.error: M100Error | None = None
         self.round_trip: float | None = None
         self.on_aircraft: list[Callable[[Aircraft | None], None]] = []
+        self.on_sample: list[Callable[[Sample], None]] = []
 
-    async def _keep_connected(self) -> None:
+    async def keep(self) -> None:
+        """Open the line again and again, until cancelled."""
         while True:
-            self.connection = Connection.CONNECTING
+            self.state = ConnectionState.CONNECTING
             try:
                 aircraft = await self._connect()
             except M100Error as error:
-                if str(error) != str(self.connection_error):
-                    self.note(f"not connected: {error.seen}", "warning")
-                self.connection_error = error
-                await asyncio.sleep(RECONNECT_PAUSE)
-                continue
-            await self._stay_connected(aircraft)
+                is_news = str(error) != str(self.error)
+                self.error = error
+                if is_news:
+                    self._journal.note(f"not connected: {error.seen}", "warning")
+            else:
+                await self._watch(aircraft)
             await asyncio.sleep(RECONNECT_PAUSE)
 
-    async def _stay_connected(self, aircraft: Aircraft) -> None:
+    async def _watch(self, aircraft: Aircraft) -> None:
         try:
             version = await aircraft.version()
-            self.aircraft, self.connection_error = aircraft, None
-            self.connection = Connection.CONNECTED
-            self.note(f"connected to {aircraft.link.name}: {version.name} ({aircraft.firmware})")
-            if version.is_activated and self.credentials is not None:
-                # As DJI's node does: an aircraft that is active needs no new activation.
-                aircraft.use_key(self.credentials)
+            self.aircraft, self.version, self.error = aircraft, version, None
+            self.state = ConnectionState.CONNECTED
+            self._journal.note(
+                f"connected to {aircraft.link.name}: {version.name} ({aircraft.firmware})"
+            )
             self._tell_aircraft(aircraft)
-            async with aircraft.telemetry() as samples:
-                async for _ in samples:
-                    pass
+            async with aircraft.telemetry(policy=Newest(50)) as samples:
+                async for sample in samples:
+                    for callback in self.on_sample:
+                        callback(sample)
         except M100Error as error:
-            self.connection_error = error
-            self.note(f"connection lost: {error.seen}", "error")
+            self.error = error
         finally:
-            self.connection = Connection.LOST
+            self.state = ConnectionState.LOST
             self.aircraft, self.round_trip = None, None
+            if self.error is not None:
+                self._journal.note(f"connection lost: {self.error.seen}", "error")
             self._tell_aircraft(None)
             await aircraft.aclose()
 
@@ -96,16 +104,17 @@ class Connected(Journal):
         for callback in self.on_aircraft:
             callback(aircraft)
 
-    async def _measure(self) -> None:
+    async def measure(self) -> None:
+        """Measure the round trip again and again, until cancelled."""
         while True:
             await asyncio.sleep(ROUND_TRIP_INTERVAL)
             aircraft = self.aircraft
             if aircraft is None:
                 continue
-            asked_at = self.now
+            asked_at = self._clock()
             try:
                 await aircraft.version()
-                self.round_trip = self.now - asked_at
+                self.round_trip = self._clock() - asked_at
             except M100Error:
                 self.round_trip = None
 
@@ -116,9 +125,9 @@ class Connected(Journal):
             LinkError: It is not connected; the error says why.
         """
         if self.aircraft is None:
-            why = f": {self.connection_error.seen}" if self.connection_error else ""
+            why = f": {self.error.seen}" if self.error else ""
             raise LinkError(
                 f"the aircraft is not connected{why}",
-                remedy=self.connection_error.remedy if self.connection_error else "",
+                remedy=self.error.remedy if self.error else "",
             )
         return self.aircraft

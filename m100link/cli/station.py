@@ -171,9 +171,9 @@ async def _serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
     async with running(settings, with_console=with_console) as station:
-        for event in station.station.events:
+        for event in station.agent.journal.events:
             _tell(event)
-        station.station.on_event.append(_tell)
+        station.agent.journal.on_event.append(_tell)
         _announce(settings, station, as_json=options.json_output)
         if station.console_port is not None and open_browser:
             await asyncio.to_thread(webbrowser.open, _console_url(settings, station))

@@ -8,8 +8,9 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 
-from m100link.agent.agent import Connect, Station
+from m100link.agent.agent import Agent
 from m100link.agent.connect import by_driver, by_url
+from m100link.agent.connection import Connect
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
 from m100link.sim.ports.driver import Driver
@@ -26,14 +27,14 @@ class Running:
     """A station that runs.
 
     Attributes:
-        station: The aircraft and its lease.
+        agent: The aircraft and its lease.
         bridge: What rosbridge clients reach.
         ports: Ports of rosbridge, in the order of the settings.
         console_port: Port of the console, None without it.
         virtual: The virtual aircraft that it brought, or None.
     """
 
-    station: Station
+    agent: Agent
     bridge: Bridge
     ports: list[int]
     console_port: int | None
@@ -86,20 +87,20 @@ async def running(
         sockets = [listen(settings.host, port) for port in (settings.port, *settings.also_ports)]
         for one in sockets:
             stack.callback(one.close)
-        station = await stack.enter_async_context(Station(connect, credentials=credentials))
-        bridge = Bridge(station, max_clients=settings.max_clients, pages=settings.pages)
+        agent = await stack.enter_async_context(Agent(connect, credentials=credentials))
+        bridge = Bridge(agent, max_clients=settings.max_clients, pages=settings.pages)
         server = Server.make(bridge.app(settings), settings)
         await stack.enter_async_context(_serving(server, sockets))
         console_port = None
         if with_console:
-            console_port = await _add_console(stack, station, settings, virtual)
+            console_port = await _add_console(stack, agent, settings, virtual)
         yield Running(
-            station, bridge, [one.getsockname()[1] for one in sockets], console_port, virtual
+            agent, bridge, [one.getsockname()[1] for one in sockets], console_port, virtual
         )
 
 
 async def _add_console(
-    stack: AsyncExitStack, station: Station, settings: Settings, virtual: VirtualAircraft | None
+    stack: AsyncExitStack, agent: Agent, settings: Settings, virtual: VirtualAircraft | None
 ) -> int:
     try:
         from m100link.station.console.app import console_app
@@ -110,7 +111,7 @@ async def _add_console(
         ) from None
     listening = listen(settings.host, settings.console_port)
     stack.callback(listening.close)
-    app = console_app(station, settings, virtual)
+    app = console_app(agent, settings, virtual)
     server = Server.make(app, settings, lifespan="on")
     await stack.enter_async_context(_serving(server, [listening]))
     port: int = listening.getsockname()[1]

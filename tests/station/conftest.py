@@ -10,8 +10,9 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.agent.agent import Connection, Station
+from m100link.agent.agent import Agent
 from m100link.agent.connect import by_driver
+from m100link.agent.connection import ConnectionState
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -36,7 +37,7 @@ class FakeClient:
         self.inbox: list[Any] = []
 
     def send(self, op: str, **fields: Any) -> None:
-        self.session.receive(json.dumps({"op": op, **fields}), self._rig.station.now)
+        self.session.receive(json.dumps({"op": op, **fields}), self._rig.agent.now)
 
     def publish(self, topic: str, **message: float) -> None:
         kind = self._rig.graph.topics[topic].type.name
@@ -51,7 +52,7 @@ class FakeClient:
         self.send("call_service", service=service, args=args)
 
     def read(self) -> list[Any]:
-        self.session.advance(self._rig.station.now)
+        self.session.advance(self._rig.agent.now)
         while (frame := self.session.next_frame()) is not None:
             assert isinstance(frame, str)
             self.inbox.append(json.loads(frame))
@@ -71,7 +72,7 @@ class FakeClient:
         ]
 
     def leave(self) -> None:
-        self.session.close(self._rig.station.now)
+        self.session.close(self._rig.agent.now)
 
 
 class Rig:
@@ -80,16 +81,16 @@ class Rig:
     def __init__(self, aircraft: VirtualAircraft) -> None:
         self.aircraft = aircraft
         self.driver = Driver(aircraft)
-        self.station = Station(by_driver(self.driver), credentials=aircraft.credentials)
+        self.agent = Agent(by_driver(self.driver), credentials=aircraft.credentials)
         self.graph = Graph()
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Rig]:
-        async with self.station:
-            clients = Clients(self.station, self.graph)
-            Node(self.station, self.graph, clients)
-            DjiSdk(self.station, self.graph, clients)
-            await self.until(lambda: self.station.connection is Connection.CONNECTED)
+        async with self.agent:
+            clients = Clients(self.agent, self.graph)
+            Node(self.agent, self.graph, clients)
+            DjiSdk(self.agent, self.graph, clients)
+            await self.until(lambda: self.agent.connection.state is ConnectionState.CONNECTED)
             yield self
         self.driver.stop()
 
@@ -102,23 +103,23 @@ class Rig:
                 await anyio.sleep(0.01)
 
     async def activated(self) -> None:
-        await self.station.activate()
+        await self.agent.activate()
 
     async def open(self, name: str = "page") -> FakeClient:
         """A client that activated and opened control."""
-        if not (self.station.aircraft and self.station.aircraft.is_activated):
+        if not (self.agent.connection.aircraft and self.agent.connection.aircraft.is_activated):
             await self.activated()
         client = self.client(name)
         client.subscribe("/nav_open_close_status")
         client.publish("/nav_open_close_request", data=1)
-        await self.until(lambda: self.station.has_authority)
+        await self.until(lambda: self.agent.holding.has_authority)
         return client
 
     async def airborne(self, name: str = "page") -> FakeClient:
         client = await self.open(name)
         client.publish("/sdk_request_cmd", data=4)
-        await self.until(lambda: self.station.task is not None)
-        await self.until(lambda: self.station.task is None)
+        await self.until(lambda: self.agent.holding.task is not None)
+        await self.until(lambda: self.agent.holding.task is None)
         assert self.aircraft.height > 1.0
         return client
 

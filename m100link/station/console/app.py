@@ -25,7 +25,7 @@ from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import App, Gate
 
 if TYPE_CHECKING:
-    from m100link.agent.agent import Station
+    from m100link.agent.agent import Agent
     from m100link.sim.virtual import VirtualAircraft
     from m100link.station.config import Settings
 
@@ -42,8 +42,8 @@ _MAX_TABS = 32
 class Tabs:
     """The tabs that are open, by the secret part of their socket's address."""
 
-    def __init__(self, station: Station) -> None:
-        self._station = station
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
         self._count = 0
         self.tabs: dict[str, Tab] = {}
         self._connected: set[str] = set()
@@ -52,7 +52,7 @@ class Tabs:
         """A new tab."""
         self._count += 1
         key = secrets.token_urlsafe(16)
-        tab = Tab(self._station, f"console {self._count}")
+        tab = Tab(self._agent, f"console {self._count}")
         self.tabs[key] = tab
         return key, tab
 
@@ -98,15 +98,15 @@ class Tabs:
     async def _write(self, websocket: WebSocket) -> None:
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                await websocket.send_json(live(self._station.aircraft, self._station.now))
+                await websocket.send_json(live(self._agent.connection.aircraft, self._agent.now))
                 await asyncio.sleep(LIVE_INTERVAL)
 
 
-def console_app(station: Station, settings: Settings, virtual: VirtualAircraft | None) -> App:
+def console_app(agent: Agent, settings: Settings, virtual: VirtualAircraft | None) -> App:
     """The application behind its gate.
 
     Args:
-        station: The aircraft and its lease.
+        agent: The aircraft and its lease.
         settings: Who may connect, and the folder with tiles.
         virtual: The virtual aircraft, for the panel that plays pilot and weather.
 
@@ -114,7 +114,7 @@ def console_app(station: Station, settings: Settings, virtual: VirtualAircraft |
         UsageError: The folder with tiles does not exist.
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    tabs = Tabs(station)
+    tabs = Tabs(agent)
     app.router.routes.append(WebSocketRoute("/steer/{key}", tabs.serve))
     app.mount("/console", StaticFiles(directory=STATIC))
     if settings.tiles is not None:
@@ -125,7 +125,7 @@ def console_app(station: Station, settings: Settings, virtual: VirtualAircraft |
     def page(client: Client) -> None:
         key, tab = tabs.open()
         client.on_delete(lambda: tabs.close(key))
-        Page(station, tab, virtual).build(key, has_tiles=settings.tiles is not None)
+        Page(agent, tab, virtual).build(key, has_tiles=settings.tiles is not None)
 
     ui.page("/", title="m100link")(page)
     ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
-from m100link.agent.agent import Connection, Station
+from m100link.agent.agent import Agent
+from m100link.agent.connection import ConnectionState
 from m100link.agent.lease import LeaseHeld
 from m100link.errors import M100Error
 from m100link.protocol.commands.control import Task
@@ -41,13 +42,13 @@ class Page:
     """One tab's page.
 
     Args:
-        station: The aircraft and its lease.
+        agent: The aircraft and its lease.
         tab: Who looks at it.
         virtual: The virtual aircraft, or None.
     """
 
-    def __init__(self, station: Station, tab: Tab, virtual: VirtualAircraft | None) -> None:
-        self._station, self._tab, self._virtual = station, tab, virtual
+    def __init__(self, agent: Agent, tab: Tab, virtual: VirtualAircraft | None) -> None:
+        self._agent, self._tab, self._virtual = agent, tab, virtual
         self._fields: dict[str, tuple[Any, Any, Any]] = {}
         self._numbers: dict[str, Any] = {}
         self._buttons: dict[str, Any] = {}
@@ -190,7 +191,7 @@ class Page:
 
         async def clicked() -> None:
             # The page goes on while the aircraft flies.
-            self._station.spawn(self._tab.attempt(work), f"{name} of {self._tab.name}")
+            self._agent.background.spawn(self._tab.attempt(work), f"{name} of {self._tab.name}")
             await asyncio.sleep(0)
 
         button.on("held" if hold else "click", clicked)
@@ -228,7 +229,7 @@ class Page:
         if self._wants_dialog:
             self._wants_dialog = False
             self._ask_take_over()
-        aircraft = self._station.aircraft
+        aircraft = self._agent.connection.aircraft
         for field in FIELDS:
             row, value, note = self._fields[field.name]
             reading = read(field, aircraft)
@@ -247,56 +248,56 @@ class Page:
             )
 
     def _update_banner(self) -> None:
-        station, tab = self._station, self._tab
-        holder = station.desk.holder(station.now)
+        agent, tab = self._agent, self._tab
+        holder = agent.desk.holder(agent.now)
         if holder is None:
             text, kind = "Nobody has control here: the pilot flies", ""
         elif not tab.has_lease:
             text, kind = f"{holder.name} has control", "theirs"
-        elif station.has_authority:
+        elif agent.holding.has_authority:
             text, kind = "You have control", "mine"
         else:
             text, kind = "You hold the lease, but the aircraft obeys the pilot", "theirs"
         self._banner.set_text(text)
         self._banner.classes(replace=f"banner grow {kind}")
-        is_pilot = tab.has_lease and station.has_authority
+        is_pilot = tab.has_lease and agent.holding.has_authority
         for name in ("take_off", "land", "go_home", "simple_task"):
-            _enable(self._buttons[name], is_pilot and station.task is None)
+            _enable(self._buttons[name], is_pilot and agent.holding.task is None)
         _enable(self._buttons["release"], tab.has_lease)
-        _enable(self._buttons["obtain"], not is_pilot and station.aircraft is not None)
-        _enable(self._buttons["activate"], station.aircraft is not None)
-        task = station.task or ("simple task" if station.is_flying_pattern else "")
+        _enable(self._buttons["obtain"], not is_pilot and agent.connection.aircraft is not None)
+        _enable(self._buttons["activate"], agent.connection.aircraft is not None)
+        task = agent.holding.task or ("simple task" if agent.holding.pattern else "")
         self._task.set_text(f"flying: {task}" if task else "")
         self._problem.set_text(tab.problem)
         self._activation.set_text(self._activation_text())
 
     def _activation_text(self) -> str:
-        station = self._station
-        if station.activation_error is not None:
-            return f"Activation: {station.activation_error}"
-        if station.aircraft is not None and station.aircraft.is_activated:
+        agent = self._agent
+        if agent.activation.error is not None:
+            return f"Activation: {agent.activation.error}"
+        if agent.connection.aircraft is not None and agent.connection.aircraft.is_activated:
             return "Activation: active"
-        if station.activation is not None:
-            return f"Activation: {station.activation.meaning}"
+        if agent.activation.code is not None:
+            return f"Activation: {agent.activation.code.meaning}"
         return "Activation: not done"
 
     def _update_link(self) -> None:
-        station, numbers = self._station, self._numbers
-        numbers["connection"].set_text(station.connection.value)
-        error = station.connection_error
-        shown = error if station.connection is not Connection.CONNECTED else None
+        agent, numbers = self._agent, self._numbers
+        numbers["connection"].set_text(agent.connection.state.value)
+        error = agent.connection.error
+        shown = error if agent.connection.state is not ConnectionState.CONNECTED else None
         self._reason.set_text(str(shown) if shown is not None else "")
-        holder = station.desk.holder(station.now)
-        remaining = station.desk.remaining(station.now)
+        holder = agent.desk.holder(agent.now)
+        remaining = agent.desk.remaining(agent.now)
         numbers["clients"].set_text(f"{holder.name}, {remaining:.0f} s" if holder else "free")
-        aircraft = station.aircraft
+        aircraft = agent.connection.aircraft
         if aircraft is None:
             for name in ("firmware", "aircraft_ms", "age", "discards", "late", "dropped"):
                 numbers[name].set_text("–")
             return
         link = aircraft.statistics()
         numbers["firmware"].set_text(str(aircraft.firmware))
-        trip = station.round_trip
+        trip = agent.connection.round_trip
         numbers["aircraft_ms"].set_text("no answer" if trip is None else f"{1000 * trip:.0f} ms")
         age = aircraft.state.newest_age
         numbers["age"].set_text("never" if age is None else f"{age:.2f} s ago")
@@ -306,7 +307,7 @@ class Page:
         numbers["mismatches"].set_text(str(aircraft.telemetry_mismatches))
 
     def _update_events(self) -> None:
-        for event in self._station.events:
+        for event in self._agent.journal.events:
             if event.number > self._last_event:
                 self._last_event = event.number
                 self._events.push(f"{event.at:9.1f}  {event.text}", classes=event.level)

@@ -13,12 +13,12 @@ import math
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from m100link.agent.agent import Station
+from m100link.agent.agent import Agent
 from m100link.agent.lease import Lease, TakeOver
+from m100link.agent.patterns import pattern
 from m100link.agent.steering import setpoint_of
 from m100link.errors import M100Error
 from m100link.protocol.commands.control import Task
-from m100link.station.ros.patterns import pattern
 
 __all__ = ["BEAT_LIFETIME", "Tab"]
 
@@ -33,7 +33,7 @@ class Tab:
     """What one tab may do, and has.
 
     Args:
-        station: The aircraft.
+        agent: The aircraft.
         name: Who it is, for the banner.
 
     Attributes:
@@ -44,8 +44,8 @@ class Tab:
         refused: Messages that could not be used.
     """
 
-    def __init__(self, station: Station, name: str) -> None:
-        self._station = station
+    def __init__(self, agent: Agent, name: str) -> None:
+        self._agent = agent
         self.name = name
         self.lease: Lease | None = None
         self.problem = ""
@@ -57,7 +57,7 @@ class Tab:
     @property
     def has_lease(self) -> bool:
         """Whether this tab may steer."""
-        return self.lease is not None and self._station.desk.holder(self._station.now) == self.lease
+        return self.lease is not None and self._agent.desk.holder(self._agent.now) == self.lease
 
     @property
     def token(self) -> str:
@@ -78,7 +78,7 @@ class Tab:
 
     async def activate(self) -> None:
         """Activate the aircraft."""
-        await self._station.activate(self.token or None)
+        await self._agent.activate(self.token or None)
 
     async def obtain(self) -> None:
         """Take the lease and control authority.
@@ -87,44 +87,44 @@ class Tab:
             LeaseHeld: Another client has the lease; see :meth:`ask_take_over`.
         """
         if not self.has_lease:
-            self.lease = self._station.desk.acquire(self.name, self._station.now)
+            self.lease = self._agent.desk.acquire(self.name, self._agent.now)
         try:
-            await self._station.obtain(self.token)
+            await self._agent.obtain(self.token)
         except M100Error:
             self.let_go()
             raise
 
     def ask_take_over(self) -> TakeOver:
         """First step of a take-over."""
-        return self._station.desk.ask_take_over(self.name, self._station.now)
+        return self._agent.desk.ask_take_over(self.name, self._agent.now)
 
     async def confirm_take_over(self, wanted: TakeOver) -> None:
         """Second step: take the lease, and authority if the station does not hold it."""
-        self.lease = self._station.desk.confirm(wanted.token, self._station.now)
-        await self._station.obtain(self.token)
+        self.lease = self._agent.desk.confirm(wanted.token, self._agent.now)
+        await self._agent.obtain(self.token)
 
     async def release(self) -> None:
         """Give authority and lease back."""
-        await self._station.release(self.token)
+        await self._agent.release(self.token)
         self.let_go()
 
     def let_go(self) -> None:
         """Give the lease back, if this tab has it; motion stops."""
         if self.has_lease:
-            self._station.desk.release(self.token, self._station.now)
+            self._agent.desk.release(self.token, self._agent.now)
         self.lease = None
 
     async def fly(self, task: Task) -> None:
         """Take off, land or go home."""
-        await self._station.fly(self.token, task)
+        await self._agent.fly(self.token, task)
 
     async def simple_task(self, number: int) -> None:
         """Fly a simple task."""
-        self._station.start_pattern(self.token, f"simple task {number}", pattern(number))
+        self._agent.start_pattern(self.token, f"simple task {number}", pattern(number))
 
     async def stop(self) -> None:
         """Stop. Any tab may."""
-        await self._station.stop()
+        await self._agent.stop()
 
     # -- what its socket says --------------------------------------------------------------------
 
@@ -140,11 +140,11 @@ class Tab:
             return None
         self._last_number = number
         if self.has_lease:
-            self._station.desk.renew(self.token, self._station.now)
+            self._agent.desk.renew(self.token, self._agent.now)
             if message["op"] == "beat":
                 self._steer(message)
             elif message["op"] == "rest":
-                self._station.halt()
+                self._agent.halt()
         return {"op": "echo", "at": message["at"]}
 
     def _steer(self, message: dict[str, Any]) -> None:
@@ -152,16 +152,16 @@ class Tab:
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]
             )
-            self._station.steer(self.token, setpoint, BEAT_LIFETIME)
+            self._agent.steer(self.token, setpoint, BEAT_LIFETIME)
             self.beats += 1
             self.problem = ""
         except M100Error as error:
             self.refused += 1
             self.problem = str(error)
-            now = self._station.now
+            now = self._agent.now
             if now - self._complained_at >= _COMPLAINT_PAUSE:
                 self._complained_at = now
-                self._station.note(f"{self.name}: {error.seen}", "warning")
+                self._agent.journal.note(f"{self.name}: {error.seen}", "warning")
 
     def lost(self) -> None:
         """The socket is gone: stop, and let others have control."""

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from m100link.agent.agent import Station
+from m100link.agent.agent import Agent
 from m100link.aircraft import Aircraft
 from m100link.errors import BadSetpoint, CommandRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
@@ -80,13 +80,13 @@ class DjiSdk:
     """Topics and services under ``/dji_sdk``.
 
     Args:
-        station: The aircraft and its lease.
+        agent: The aircraft and its lease.
         graph: Where the topics are offered.
         clients: Who holds the lease.
     """
 
-    def __init__(self, station: Station, graph: Graph, clients: Clients) -> None:
-        self._station, self._graph, self._clients = station, graph, clients
+    def __init__(self, agent: Agent, graph: Graph, clients: Clients) -> None:
+        self._agent, self._graph, self._clients = agent, graph, clients
         self._sequence = 0
         self._origin: tuple[LocalFrame, float] | None = None
         self._watching: asyncio.Task[None] | None = None
@@ -96,7 +96,7 @@ class DjiSdk:
         self._add_services()
         self._from_mobile = graph.add_topic("/dji_sdk/from_mobile_data", "dji_sdk/MobileData")
         self._mobile: asyncio.Task[None] | None = None
-        station.on_aircraft.append(self._aircraft_changed)
+        agent.connection.on_aircraft.append(self._aircraft_changed)
 
     # -- telemetry -------------------------------------------------------------------------------
 
@@ -124,8 +124,8 @@ class DjiSdk:
                 task.cancel()
         self._watching = self._mobile = None
         if aircraft is not None:
-            self._watching = self._station.spawn(self._watch(aircraft), "dji_sdk topics")
-            self._mobile = self._station.spawn(self._watch_mobile(aircraft), "mobile data")
+            self._watching = self._agent.background.spawn(self._watch(aircraft), "dji_sdk topics")
+            self._mobile = self._agent.background.spawn(self._watch_mobile(aircraft), "mobile data")
 
     async def _watch(self, aircraft: Aircraft) -> None:
         async with aircraft.telemetry(policy=Newest(20)) as samples:
@@ -140,7 +140,7 @@ class DjiSdk:
     async def _watch_mobile(self, aircraft: Aircraft) -> None:
         async with aircraft.from_mobile() as messages:
             async for data in messages:
-                self._graph.publish(self._from_mobile, {"data": data}, self._station.now)
+                self._graph.publish(self._from_mobile, {"data": data}, self._agent.now)
 
     def _header(self, frame: str) -> Message:
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
@@ -293,7 +293,7 @@ class DjiSdk:
                         raise UsageError("the fifth axis is the control flag, 0 to 255")
                     flag = int(axes[4])
                 setpoint = joy_setpoint(flag, axes[0], axes[1], axes[2], axes[3])
-                self._station.steer(self._clients.held_token(session), setpoint)
+                self._agent.steer(self._clients.held_token(session), setpoint)
             except M100Error as error:
                 self._clients.complain(session, error)
 
@@ -328,11 +328,11 @@ class DjiSdk:
             except M100Error as error:
                 call.fail(str(error))
 
-        return lambda call: void(self._station.spawn(answer(call), name))
+        return lambda call: void(self._agent.background.spawn(answer(call), name))
 
     async def _activate(self, call: Call) -> Message:
         lease = self._clients.lease(call.session)
-        await self._station.activate(lease.token if lease is not None else None)
+        await self._agent.activate(lease.token if lease is not None else None)
         return {"result": True, "cmd_set": 0, "cmd_id": 1}
 
     async def _authority(self, call: Call) -> Message:
@@ -342,11 +342,11 @@ class DjiSdk:
         token = self._clients.token(call.session)
         try:
             if wanted:
-                await self._station.obtain(token)
+                await self._agent.obtain(token)
             else:
-                await self._station.release(token)
+                await self._agent.release(token)
         finally:
-            if not self._station.has_authority:
+            if not self._agent.holding.has_authority:
                 self._clients.let_go(call.session)
         return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
 
@@ -354,9 +354,10 @@ class DjiSdk:
         number = call.request["task"]
         if number not in Task.__members__.values():
             raise UsageError("tasks are 4 (take-off), 6 (landing) and 1 (go-home)")
-        work = self._station.fly(self._clients.held_token(call.session), Task(number))
-        flying = self._station.spawn(work, f"task {number}")
-        accepted = self._station.spawn(self._station.accepted.wait(), "acceptance")
+        begun = asyncio.Event()
+        work = self._agent.fly(self._clients.held_token(call.session), Task(number), begun.set)
+        flying = self._agent.background.spawn(work, f"task {number}")
+        accepted = self._agent.background.spawn(begun.wait(), "acceptance")
         await asyncio.wait((flying, accepted), return_when=asyncio.FIRST_COMPLETED)
         accepted.cancel()
         if flying.done():
@@ -364,7 +365,7 @@ class DjiSdk:
         return {"result": True, "cmd_set": 1, "cmd_id": 1, "ack_data": 2}
 
     async def _version(self, call: Call) -> Message:
-        version = await self._station.require_aircraft().version()
+        version = await self._agent.connection.require_aircraft().version()
         numbers = version.name.rpartition("-")[2].split(".")
         packed = 0
         for number in numbers:
@@ -372,7 +373,7 @@ class DjiSdk:
         return {"version": packed & 0xFFFFFFFF, "hardware": version.name}
 
     async def _set_origin(self, call: Call) -> Message:
-        position = self._station.require_aircraft().state.fresh(Position, within=1.0)
+        position = self._agent.connection.require_aircraft().state.fresh(Position, within=1.0)
         if position is None:
             return {"result": False}
         has_fix = position.gps_health is None or position.gps_health >= _GPS_GOOD
@@ -383,7 +384,7 @@ class DjiSdk:
 
     async def _send_to_mobile(self, call: Call) -> Message:
         self._clients.held_token(call.session)
-        await self._station.require_aircraft().send_to_mobile(call.request["data"])
+        await self._agent.connection.require_aircraft().send_to_mobile(call.request["data"])
         return {"result": True}
 
 

@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Coroutine
 from typing import Any
 
-from m100link.agent.agent import Station
+from m100link.agent.agent import Agent
 from m100link.agent.lease import Lease, LeaseRefused
 from m100link.errors import M100Error, NoAuthority
 from m100link.station.ros.graph import Call, Graph, Listener
@@ -27,16 +27,16 @@ class Clients:
     """Which rosbridge client holds the lease.
 
     Args:
-        station: The station.
+        agent: The aircraft and its lease.
         graph: Where the clients are.
     """
 
-    def __init__(self, station: Station, graph: Graph) -> None:
-        self._station = station
+    def __init__(self, agent: Agent, graph: Graph) -> None:
+        self._agent = agent
         self._graph = graph
         graph.on_leave(self._left)
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
-        station.spawn(self._keep_renewing(), "renewal")
+        agent.background.spawn(self._keep_renewing(), "renewal")
 
     def lease(self, session: Listener) -> Lease | None:
         """The lease in force of that client."""
@@ -44,7 +44,7 @@ class Clients:
         return held if held is not None and held == self._holder() else None
 
     def _holder(self) -> Lease | None:
-        return self._station.desk.holder(self._station.now)
+        return self._agent.desk.holder(self._agent.now)
 
     def token(self, session: Listener) -> str:
         """The token of that client's lease, which is taken now if it is free.
@@ -54,7 +54,7 @@ class Clients:
         """
         held = self.lease(session)
         if held is None:
-            held = self._station.desk.acquire(session.name, self._station.now)
+            held = self._agent.desk.acquire(session.name, self._agent.now)
             session.data[_LEASE] = held
         return held.token
 
@@ -78,11 +78,11 @@ class Clients:
         held = self.lease(session)
         session.data.pop(_LEASE, None)
         if held is not None:
-            self._station.desk.release(held.token, self._station.now)
+            self._agent.desk.release(held.token, self._agent.now)
 
     def complain(self, session: Listener, error: Exception) -> None:
         """Tell a client what is wrong, at most once a second: keys repeat thirty times."""
-        now = self._station.now
+        now = self._agent.now
         if now - session.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
             session.data[_COMPLAINED_AT] = now
             session.status("error", str(error))
@@ -96,7 +96,7 @@ class Clients:
             except M100Error as error:
                 session.status("error", str(error))
 
-        self._station.spawn(guarded(), f"{name} for {session.name}")
+        self._agent.background.spawn(guarded(), f"{name} for {session.name}")
 
     def _left(self, session: Listener, now: float) -> None:
         self.let_go(session)
@@ -109,7 +109,7 @@ class Clients:
                 if held is None:
                     continue
                 try:
-                    self._station.desk.renew(held.token, self._station.now)
+                    self._agent.desk.renew(held.token, self._agent.now)
                 except LeaseRefused as error:
                     del session.data[_LEASE]
                     session.status("error", str(error))
@@ -138,14 +138,14 @@ class Clients:
             )
 
     def _respond(self, call: Call, token: str = "", message: str = "") -> None:
-        holder, desk = self._holder(), self._station.desk
+        holder, desk = self._holder(), self._agent.desk
         call.respond(
             {
                 "success": True,
                 "message": message,
                 "token": token,
                 "holder": holder.name if holder else "",
-                "remaining": desk.remaining(self._station.now),
+                "remaining": desk.remaining(self._agent.now),
             }
         )
 
@@ -154,22 +154,22 @@ class Clients:
 
     def _acquire(self, call: Call) -> None:
         name = call.request["name"] or call.session.name
-        lease = self._station.desk.acquire(name, self._station.now)
+        lease = self._agent.desk.acquire(name, self._agent.now)
         call.session.data[_LEASE] = lease
         self._respond(call, lease.token)
 
     def _renew(self, call: Call) -> None:
-        lease = self._station.desk.renew(call.request["token"], self._station.now)
+        lease = self._agent.desk.renew(call.request["token"], self._agent.now)
         call.session.data[_LEASE] = lease
         self._respond(call, lease.token)
 
     def _release(self, call: Call) -> None:
-        self._station.desk.release(call.request["token"], self._station.now)
+        self._agent.desk.release(call.request["token"], self._agent.now)
         self._respond(call)
 
     def _ask_take_over(self, call: Call) -> None:
         name = call.request["name"] or call.session.name
-        wanted = self._station.desk.ask_take_over(name, self._station.now)
+        wanted = self._agent.desk.ask_take_over(name, self._agent.now)
         self._respond(
             call,
             wanted.token,
@@ -177,6 +177,6 @@ class Clients:
         )
 
     def _confirm(self, call: Call) -> None:
-        lease = self._station.desk.confirm(call.request["token"], self._station.now)
+        lease = self._agent.desk.confirm(call.request["token"], self._agent.now)
         call.session.data[_LEASE] = lease
         self._respond(call, lease.token)

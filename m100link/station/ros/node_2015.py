@@ -24,8 +24,9 @@ from __future__ import annotations
 import asyncio
 import math
 
-from m100link.agent.agent import Station
+from m100link.agent.agent import Agent
 from m100link.agent.lease import LeaseHeld
+from m100link.agent.patterns import pattern
 from m100link.agent.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.aircraft import Aircraft
 from m100link.errors import (
@@ -46,7 +47,6 @@ from m100link.protocol.records import Battery, FlightStatus
 from m100link.station.ros.graph import Graph, Listener, Publication
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
-from m100link.station.ros.patterns import pattern
 from m100link.telemetry.subscription import Newest
 
 __all__ = ["PRESS_LIFETIME", "REPEAT_LIFETIME", "Node"]
@@ -71,13 +71,13 @@ class Node:
     """The topics of 2015.
 
     Args:
-        station: The aircraft and its lease.
+        agent: The aircraft and its lease.
         graph: Where the topics are offered.
         clients: Who holds the lease.
     """
 
-    def __init__(self, station: Station, graph: Graph, clients: Clients) -> None:
-        self._station, self._graph, self._clients = station, graph, clients
+    def __init__(self, agent: Agent, graph: Graph, clients: Clients) -> None:
+        self._agent, self._graph, self._clients = agent, graph, clients
         number = "std_msgs/Float32"
         graph.add_topic("/sdk_request_cmd", number, self._on_command)
         graph.add_topic("/nav_open_close_request", number, self._on_open_close)
@@ -90,18 +90,18 @@ class Node:
         self._flight_status = graph.add_topic("/flight_status", number)
         self._activation = graph.add_topic("/activation_status", number)
         self._test_fre = graph.add_topic("/test_fre", number)
-        station.on_aircraft.append(self._aircraft_changed)
-        station.on_activation_code.append(self._activation_code)
-        station.on_authority_lost.append(self._authority_lost)
+        agent.connection.on_aircraft.append(self._aircraft_changed)
+        agent.activation.on_code.append(self._activation_code)
+        agent.holding.on_lost.append(self._authority_lost)
         self._watching: asyncio.Task[None] | None = None
-        station.spawn(self._publish_each_second(), "1 Hz topics")
+        agent.background.spawn(self._publish_each_second(), "1 Hz topics")
 
     # -- what the node publishes -----------------------------------------------------------------
 
     async def _publish_each_second(self) -> None:
         while True:
             await asyncio.sleep(1.0)
-            aircraft, now = self._station.aircraft, self._station.now
+            aircraft, now = self._agent.connection.aircraft, self._agent.now
             status = aircraft and aircraft.state.fresh(FlightStatus, within=_STALE)
             battery = aircraft and aircraft.state.fresh(Battery, within=_STALE)
             self._graph.publish(
@@ -116,7 +116,7 @@ class Node:
             self._watching.cancel()
             self._watching = None
         if aircraft is not None:
-            self._watching = self._station.spawn(self._watch(aircraft), "/test_fre")
+            self._watching = self._agent.background.spawn(self._watch(aircraft), "/test_fre")
 
     async def _watch(self, aircraft: Aircraft) -> None:
         async with aircraft.telemetry(policy=Newest(50)) as samples:
@@ -130,13 +130,13 @@ class Node:
         self._tell_activation(float(code))
 
     def _tell_activation(self, number: float) -> None:
-        self._graph.publish(self._activation, {"data": number}, self._station.now)
+        self._graph.publish(self._activation, {"data": number}, self._agent.now)
 
     def _authority_lost(self, error: AuthorityLost) -> None:
         self._tell_open_close(_CLOSED_BY_APP)
 
     def _tell_open_close(self, number: float) -> None:
-        self._graph.publish(self._open_close, {"data": number}, self._station.now)
+        self._graph.publish(self._open_close, {"data": number}, self._agent.now)
 
     # -- what the node is asked ------------------------------------------------------------------
 
@@ -146,7 +146,7 @@ class Node:
     async def _activate(self, session: Listener) -> None:
         lease = self._clients.lease(session)
         try:
-            await self._station.activate(lease.token if lease is not None else None)
+            await self._agent.activate(lease.token if lease is not None else None)
         except ActivationRefused:
             pass  # its code was published, and the reason is in the events
         except CommandRefused:
@@ -163,10 +163,10 @@ class Node:
         try:
             token = self._clients.token(session)
             if wanted:
-                await self._station.obtain(token)
+                await self._agent.obtain(token)
                 self._tell_open_close(float(AuthorityCode.OBTAINED))
             else:
-                await self._station.release(token)
+                await self._agent.release(token)
                 self._clients.let_go(session)
                 self._tell_open_close(float(AuthorityCode.RELEASED))
         except AuthorityRefused as error:
@@ -176,7 +176,7 @@ class Node:
         except LeaseHeld:
             # Only this client is refused; the others still see it open.
             refused = Publication(self._open_close, {"data": float(AuthorityCode.NOT_IN_F)})
-            session.deliver_alone(refused, self._station.now)
+            session.deliver_alone(refused, self._agent.now)
             raise
         except _NEEDS_MORE:
             self._clients.let_go(session)
@@ -197,7 +197,7 @@ class Node:
                 cause="the document allows these three; no firmware carries out the others",
             )
         try:
-            await self._station.fly(self._clients.held_token(session), Task(number))
+            await self._agent.fly(self._clients.held_token(session), Task(number))
         except _NEEDS_MORE:
             self._tell_activation(NO_AUTHORITY)
             raise
@@ -218,7 +218,7 @@ class Node:
             session.data[_LAST] = (mode, values)
             is_short = is_repeated or not any(values)  # zeros need no lifetime: they stop
             lifetime = REPEAT_LIFETIME if is_short else PRESS_LIFETIME
-            self._station.steer(self._clients.held_token(session), setpoint, lifetime)
+            self._agent.steer(self._clients.held_token(session), setpoint, lifetime)
         except M100Error as error:
             self._clients.complain(session, error)
 
@@ -231,16 +231,16 @@ class Node:
         number = int(data)
         if number < 0:
             if self._clients.lease(session) is not None:
-                self._station.halt("its client stopped it")
+                self._agent.halt("its client stopped it")
         elif number == 5:
             await self._activate(session)
         elif number == 6:
-            version = await self._station.require_aircraft().version()
-            self._station.note(f"version: {version.name} (CRC {version.crc:08X})")
+            version = await self._agent.connection.require_aircraft().version()
+            self._agent.journal.note(f"version: {version.name} (CRC {version.crc:08X})")
         else:
             fly = pattern(number)
             token = self._clients.held_token(session)
-            self._station.start_pattern(token, f"simple task {number}", fly)
+            self._agent.start_pattern(token, f"simple task {number}", fly)
 
 
 def _byte(data: float) -> int:

@@ -21,7 +21,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from m100link.agent.agent import Station
+from m100link.agent.agent import Agent
 from m100link.errors import PortBusy, PortFailed, UsageError
 from m100link.station.ros.client import Client, Limits
 from m100link.station.ros.dji_sdk import DjiSdk
@@ -49,7 +49,7 @@ class Bridge:
     """Everything that rosbridge clients reach: topics, services, sockets.
 
     Args:
-        station: The aircraft and its lease.
+        agent: The aircraft and its lease.
         limits: What one client may use.
         max_clients: Clients at once.
         pages: Folder with web pages to serve on the same port.
@@ -61,20 +61,20 @@ class Bridge:
 
     def __init__(
         self,
-        station: Station,
+        agent: Agent,
         *,
         limits: Limits | None = None,
         max_clients: int = 32,
         pages: Path | None = None,
     ) -> None:
-        self._station = station
+        self._agent = agent
         self._limits = limits or Limits()
         self._max_clients = max_clients
         self._log = SparingLogger(logging.getLogger("m100link.station"))
         self.graph = Graph()
-        self.clients = Clients(station, self.graph)
-        Node(station, self.graph, self.clients)
-        DjiSdk(station, self.graph, self.clients)
+        self.clients = Clients(agent, self.graph)
+        Node(agent, self.graph, self.clients)
+        DjiSdk(agent, self.graph, self.clients)
         routes: list[BaseRoute] = [
             WebSocketRoute("/{path:path}", self._serve),
             Route("/health", self._health),
@@ -100,10 +100,10 @@ class Bridge:
         return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")
 
     async def _health(self, request: Request) -> Response:
-        is_connected = self._station.aircraft is not None
+        is_connected = self._agent.connection.aircraft is not None
         report = {
-            "connection": self._station.connection.value,
-            "error": str(self._station.connection_error or ""),
+            "connection": self._agent.connection.state.value,
+            "error": str(self._agent.connection.error or ""),
             "clients": len(self.graph.sessions),
         }
         return JSONResponse(report, status_code=200 if is_connected else 503)
@@ -128,14 +128,14 @@ class Bridge:
                 await asyncio.wait((writing, reading), return_when=asyncio.FIRST_COMPLETED)
             finally:
                 # The motion stops now, not when the tasks have ended.
-                session.close(self._station.now)
+                session.close(self._agent.now)
                 for task in (writing, reading):
                     task.cancel()
                 await asyncio.gather(writing, reading, return_exceptions=True)
         except WebSocketDisconnect:
             pass
         finally:
-            session.close(self._station.now)
+            session.close(self._agent.now)
             self._log.info("%s has gone (%d messages dropped)", name, session.dropped)
 
     async def _read(self, websocket: WebSocket, session: Client) -> None:
@@ -144,7 +144,7 @@ class Bridge:
             if message["type"] == "websocket.disconnect":
                 return
             data = message.get("text")
-            session.receive(message.get("bytes", b"") if data is None else data, self._station.now)
+            session.receive(message.get("bytes", b"") if data is None else data, self._agent.now)
             # Frames may wait in a row: others have their turn between them.
             await asyncio.sleep(0)
 
@@ -155,7 +155,7 @@ class Bridge:
             sent = 0
             while session.close_reason is None:
                 wake.clear()
-                session.advance(self._station.now)
+                session.advance(self._agent.now)
                 frame = session.next_frame()
                 if frame is None:
                     await self._wait(session, wake)

@@ -25,7 +25,7 @@ class Browser:
 
     def __init__(self, rig: Rig, name: str = "tab") -> None:
         self.rig = rig
-        self.tab = Tab(rig.station, name)
+        self.tab = Tab(rig.agent, name)
         self.count = 0
 
     def say(self, op: str, **fields: Any) -> dict[str, Any] | None:
@@ -72,7 +72,7 @@ async def test_a_whole_flight(rig: Rig) -> None:
     await keep_alive(browser, browser.tab.fly(Task.LAND))
     await browser.tab.release()
     assert rig.aircraft.height == pytest.approx(0, abs=0.05)
-    assert not rig.station.has_authority
+    assert not rig.agent.holding.has_authority
 
 
 async def test_a_beat_is_on_the_line_at_once(rig: Rig) -> None:
@@ -87,9 +87,9 @@ async def test_a_beat_is_on_the_line_at_once(rig: Rig) -> None:
 async def test_300_ms_without_a_beat_stop_the_motion(rig: Rig) -> None:
     browser = await airborne(rig)
     await browser.hold(1.0, x=-4)
-    last_beat = rig.station.now - 0.05
+    last_beat = rig.agent.now - 0.05
     await rig.until(lambda: rig.moves[-1].pitch_or_y == 0, within=1.0)
-    assert rig.station.now - last_beat == pytest.approx(BEAT_LIFETIME, abs=0.03)
+    assert rig.agent.now - last_beat == pytest.approx(BEAT_LIFETIME, abs=0.03)
 
 
 async def test_a_rest_stops_at_once(rig: Rig) -> None:
@@ -106,15 +106,15 @@ async def test_a_lost_socket_stops_at_once_and_frees_control(rig: Rig) -> None:
     browser.tab.lost()
     await anyio.sleep(0.03)
     assert rig.moves[-1].pitch_or_y == 0
-    await rig.until(lambda: not rig.station.has_authority, within=1.0)
+    await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
 
 
 async def test_a_tab_that_is_silent_loses_its_lease(rig: Rig) -> None:
     browser = await airborne(rig)
     await anyio.sleep(2.9)
-    assert rig.station.desk.holder(rig.station.now) == browser.tab.lease
+    assert rig.agent.desk.holder(rig.agent.now) == browser.tab.lease
     await rig.until(lambda: not browser.tab.has_lease, within=0.3)
-    await rig.until(lambda: not rig.station.has_authority, within=1.0)
+    await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
     browser.beat(x=-4)
     await anyio.sleep(0.1)
     assert all(move.pitch_or_y == 0 for move in rig.moves)
@@ -156,7 +156,7 @@ async def test_a_take_over_stops_the_motion_and_keeps_authority(rig: Rig) -> Non
     browser.beat(x=-4)
     await anyio.sleep(0.03)
     assert rig.moves[-1].pitch_or_y == 0
-    assert rig.station.has_authority
+    assert rig.agent.holding.has_authority
     other.beat(y=2)
     await anyio.sleep(0.03)
     assert rig.moves[-1].roll_or_x == 2
@@ -171,7 +171,7 @@ async def test_stop_ends_a_task_by_giving_authority_back(rig: Rig) -> None:
         await anyio.sleep(2.0)
         await Browser(rig, "anybody").tab.stop()
     assert "control ended" in browser.tab.problem
-    assert not rig.station.has_authority
+    assert not rig.agent.holding.has_authority
 
 
 async def test_problems_are_kept_for_the_operator(rig: Rig) -> None:
@@ -211,7 +211,7 @@ def test_nonsense_is_nothing(text: str | bytes) -> None:
 
 
 async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
-    aircraft = rig.station.aircraft
+    aircraft = rig.agent.connection.aircraft
     assert aircraft is not None
     await anyio.sleep(1.5)
     readings = {field.name: read(field, aircraft) for field in FIELDS}
@@ -226,6 +226,6 @@ async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
     await anyio.sleep(2.0)
     readings = {field.name: read(field, aircraft) for field in FIELDS}
     assert readings["battery"].is_stale
-    assert "att" not in live(aircraft, rig.station.now)
+    assert "att" not in live(aircraft, rig.agent.now)
     assert read(FIELDS[0], None).is_stale
     assert live(None, 1.0) == {"op": "live", "t": 1.0}

@@ -107,11 +107,11 @@ async def test_services_activate_obtain_fly_and_release(rig: Rig) -> None:
         before = len(client.answers())
         await rig.until(lambda n=before: len(client.answers()) > n)  # type: ignore[misc]
         assert client.answers()[-1]["result"] is True
-    assert rig.station.task == "take off"  # answered when accepted, not when done
+    assert rig.agent.holding.task == "take off"  # answered when accepted, not when done
     client.call("/dji_sdk/drone_task_control", task=6)
     await rig.until(lambda: len(client.answers()) == 4)
     assert client.answers()[-1]["result"] is False  # one task at a time
-    await rig.until(lambda: rig.station.task is None)
+    await rig.until(lambda: rig.agent.holding.task is None)
     client.publish("/dji_sdk/flight_control_setpoint_ENUvelocity_yawrate")
     joy = {"axes": [1.0, 0.0, 0.0, 0.0]}
     topic = "/dji_sdk/flight_control_setpoint_ENUvelocity_yawrate"
@@ -123,7 +123,7 @@ async def test_services_activate_obtain_fly_and_release(rig: Rig) -> None:
     assert abs(north) < 0.1
     client.call("/dji_sdk/sdk_control_authority", control_enable=0)
     await rig.until(lambda: len(client.answers()) == 5)
-    assert not rig.station.has_authority
+    assert not rig.agent.holding.has_authority
 
 
 async def test_a_program_that_stops_publishing_stops_moving(rig: Rig) -> None:
@@ -131,9 +131,9 @@ async def test_a_program_that_stops_publishing_stops_moving(rig: Rig) -> None:
     topic = "/dji_sdk/flight_control_setpoint_generic"
     page.send("advertise", topic=topic, type="sensor_msgs/Joy")
     page.send("publish", topic=topic, msg={"axes": [1.0, 0.0, 0.0, 0.0, 0x48]})
-    sent_at = rig.station.now
+    sent_at = rig.agent.now
     await rig.until(lambda: bool(rig.moves) and rig.moves[-1].pitch_or_y == 0, within=1.0)
-    assert rig.station.now - sent_at == pytest.approx(0.2, abs=0.04)
+    assert rig.agent.now - sent_at == pytest.approx(0.2, abs=0.04)
 
 
 @pytest.mark.parametrize(

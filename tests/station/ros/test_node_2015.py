@@ -7,7 +7,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.agent.agent import Connection
+from m100link.agent.connection import ConnectionState
 from m100link.protocol.commands.control import StartTask
 from m100link.sim.vehicle.mobile import MobileApp
 from m100link.station.ros.node_2015 import PRESS_LIFETIME, REPEAT_LIFETIME
@@ -62,7 +62,7 @@ async def test_activation_tells_why_not(rig: Rig, app: MobileApp, code: int) -> 
     page.subscribe("/activation_status")
     page.publish("/sdk_request_activation", data=1)
     await rig.until(lambda: code in page.values("/activation_status"))
-    assert rig.station.activation_error is not None
+    assert rig.agent.activation.error is not None
 
 
 async def test_without_activation_8_says_that_something_is_missing(rig: Rig) -> None:
@@ -71,7 +71,7 @@ async def test_without_activation_8_says_that_something_is_missing(rig: Rig) -> 
     page.publish("/nav_open_close_request", data=1)
     await rig.until(lambda: page.values("/activation_status") == [8])
     assert page.values("/nav_open_close_status") == []
-    assert rig.station.desk.holder(rig.station.now) is None
+    assert rig.agent.desk.holder(rig.agent.now) is None
 
 
 async def test_open_and_close(rig: Rig) -> None:
@@ -79,8 +79,8 @@ async def test_open_and_close(rig: Rig) -> None:
     assert page.values("/nav_open_close_status") == [2]
     page.publish("/nav_open_close_request", data=0)
     await rig.until(lambda: page.values("/nav_open_close_status") == [2, 1])
-    assert not rig.station.has_authority
-    assert rig.station.desk.holder(rig.station.now) is None
+    assert not rig.agent.holding.has_authority
+    assert rig.agent.desk.holder(rig.agent.now) is None
 
 
 async def test_open_is_refused_out_of_f(rig: Rig) -> None:
@@ -99,8 +99,8 @@ async def test_take_off_and_landing(rig: Rig) -> None:
     page.subscribe("/flight_status")
     await anyio.sleep(1.1)
     page.publish("/sdk_request_cmd", data=6)
-    await rig.until(lambda: rig.station.task is not None)
-    await rig.until(lambda: rig.station.task is None)
+    await rig.until(lambda: rig.agent.holding.task is not None)
+    await rig.until(lambda: rig.agent.holding.task is None)
     await anyio.sleep(1.1)
     seen = page.values("/flight_status")
     assert seen[0] == 3
@@ -112,7 +112,7 @@ async def test_a_second_command_while_one_runs_is_told_and_not_sent(rig: Rig) ->
     page = await rig.open()
     page.publish("/sdk_request_cmd", data=4)
     page.publish("/sdk_request_cmd", data=6)
-    await rig.until(lambda: rig.station.task is None)
+    await rig.until(lambda: rig.agent.holding.task is None)
     await anyio.sleep(1.0)
     sent = [one.command for one in rig.aircraft.autopilot.received_commands]
     assert [c.task for c in sent if isinstance(c, StartTask)] == [4]
@@ -207,9 +207,9 @@ async def test_a_page_that_hangs_stops_within_the_lifetime(
     for _ in range(1 + repeats):
         page.publish("/sdk_request_ctrl", **(ZERO | {"x": -4}))
         await anyio.sleep(0.033)
-    hung_at = rig.station.now - 0.033
+    hung_at = rig.agent.now - 0.033
     await rig.until(lambda: rig.moves[-1].pitch_or_y == 0)
-    assert rig.station.now - hung_at == pytest.approx(lifetime, abs=0.035)
+    assert rig.agent.now - hung_at == pytest.approx(lifetime, abs=0.035)
     await anyio.sleep(1.0)
     count = len(rig.moves)
     await anyio.sleep(1.0)
@@ -232,7 +232,7 @@ async def test_a_lost_socket_stops_at_once_and_gives_control_back(rig: Rig) -> N
     page.leave()
     await anyio.sleep(0.03)
     assert rig.moves[-1].pitch_or_y == 0
-    await rig.until(lambda: not rig.station.has_authority, within=1.0)
+    await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
     assert rig.aircraft.height > 1.0  # it hovers
 
 
@@ -250,7 +250,7 @@ async def test_the_next_client_gets_authority_although_the_last_is_still_giving_
     await rig.until(lambda: len(other.values("/nav_open_close_status")) == 2)
     await anyio.sleep(2.0)
     assert other.values("/nav_open_close_status") == [2, 2]
-    assert rig.station.has_authority
+    assert rig.agent.holding.has_authority
     other.publish("/sdk_request_ctrl", **(ZERO | {"y": 2}))
     await anyio.sleep(0.1)
     assert rig.moves[-1].roll_or_x == 2
@@ -271,12 +271,12 @@ async def test_another_client_cannot_steer_open_or_stop(rig: Rig) -> None:
     assert other.values("/nav_open_close_status") == [0, 0]
     assert page.values("/nav_open_close_status") == [2]  # the first sees no change
     assert rig.moves == []
-    assert rig.station.task is None
-    assert rig.station.has_authority
+    assert rig.agent.holding.task is None
+    assert rig.agent.holding.has_authority
     assert all("first has control" in text for text in other.statuses())
     other.leave()
     await anyio.sleep(0.5)
-    assert rig.station.has_authority
+    assert rig.agent.holding.has_authority
 
 
 async def test_modes_other_than_1_and_2_change_nothing(rig: Rig) -> None:
@@ -317,7 +317,7 @@ async def test_the_pilot_takes_over_and_gives_back(rig: Rig) -> None:
     await anyio.sleep(1.0)
     assert len(rig.moves) <= count + 1
     rig.aircraft.return_to_f()
-    await rig.until(lambda: rig.station.has_authority, within=2.0)  # without a new request
+    await rig.until(lambda: rig.agent.holding.has_authority, within=2.0)  # without a new request
     page.publish("/sdk_request_ctrl", **(ZERO | {"x": -4}))
     await anyio.sleep(0.1)
     assert len(rig.moves) > count + 1
@@ -329,7 +329,7 @@ async def test_the_app_takes_over_for_good(rig: Rig) -> None:
     await rig.until(lambda: page.values("/nav_open_close_status")[-1] == 4, within=1.0)
     rig.aircraft.app_releases_control()
     await anyio.sleep(3.0)
-    assert not rig.station.has_authority
+    assert not rig.agent.holding.has_authority
 
 
 async def test_simple_task_0_flies_its_legs_and_stops(rig: Rig) -> None:
@@ -350,18 +350,18 @@ async def test_simple_task_0_flies_its_legs_and_stops(rig: Rig) -> None:
         (0x0A, 2, 0, 0, 0),
         (0x0A, 0, 0, 0, 0),
     ]
-    assert not rig.station.is_flying_pattern
+    assert rig.agent.holding.pattern is None
 
 
 async def test_simple_task_4_takes_off_flies_and_comes_home(rig: Rig) -> None:
     page = await rig.open()
     page.publish("/sdk_request_simple_task", data=4)
     await anyio.sleep(1.0)
-    assert rig.station.is_flying_pattern
-    await rig.until(lambda: not rig.station.is_flying_pattern, within=200.0)
+    assert rig.agent.holding.pattern is not None
+    await rig.until(lambda: rig.agent.holding.pattern is None, within=200.0)
     assert rig.aircraft.height == pytest.approx(0.0, abs=0.1)
     assert {move.control_flag for move in rig.moves} == {0x0A, 0x48}
-    assert rig.station.events[-1].text == "simple task 4 is done"
+    assert rig.agent.journal.events[-1].text == "simple task 4 is done"
 
 
 async def test_a_key_ends_a_simple_task(rig: Rig) -> None:
@@ -369,9 +369,9 @@ async def test_a_key_ends_a_simple_task(rig: Rig) -> None:
     page.publish("/sdk_request_simple_task", data=1)
     await anyio.sleep(1.0)
     page.publish("/sdk_request_ctrl", **ZERO)  # letting go is no steering
-    assert rig.station.is_flying_pattern
+    assert rig.agent.holding.pattern is not None
     page.publish("/sdk_request_ctrl", **(ZERO | {"y": 2}))
-    await rig.until(lambda: not rig.station.is_flying_pattern, within=0.1)
+    await rig.until(lambda: rig.agent.holding.pattern is None, within=0.1)
     await anyio.sleep(0.1)
     assert flown(rig.moves)[-1] == (0x0A, 2, 0, 0, 0)
 
@@ -391,7 +391,7 @@ async def test_other_simple_tasks_are_refused(rig: Rig, number: int | None) -> N
     page.publish("/sdk_request_simple_task", data=number)  # type: ignore[arg-type]
     await anyio.sleep(0.5)
     assert len(page.statuses()) == 1
-    assert not rig.station.is_flying_pattern
+    assert rig.agent.holding.pattern is None
 
 
 async def test_simple_tasks_5_and_6_activate_and_ask_for_the_version(rig: Rig) -> None:
@@ -400,7 +400,7 @@ async def test_simple_tasks_5_and_6_activate_and_ask_for_the_version(rig: Rig) -
     page.publish("/sdk_request_simple_task", data=6)
     page.publish("/sdk_request_simple_task", data=5)
     await rig.until(lambda: 0 in page.values("/activation_status"))
-    assert any(event.text.startswith("version: ") for event in rig.station.events)
+    assert any(event.text.startswith("version: ") for event in rig.agent.journal.events)
 
 
 async def test_test_fre_follows_the_control_device_item(rig: Rig) -> None:
@@ -417,10 +417,10 @@ async def test_test_fre_follows_the_control_device_item(rig: Rig) -> None:
 async def test_the_line_is_opened_again_after_a_loss(rig: Rig) -> None:
     page = await rig.airborne()
     rig.aircraft.unplug()
-    await rig.until(lambda: rig.station.connection is not Connection.CONNECTED, within=1.0)
-    await rig.until(lambda: not rig.station.has_authority, within=1.0)
+    await rig.until(lambda: rig.agent.connection.state is not ConnectionState.CONNECTED, within=1.0)
+    await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
     rig.aircraft.replug()
-    await rig.until(lambda: rig.station.connection is Connection.CONNECTED, within=5.0)
+    await rig.until(lambda: rig.agent.connection.state is ConnectionState.CONNECTED, within=5.0)
     # The aircraft is active still: the key is in use without a new activation.
     page.publish("/nav_open_close_request", data=1)
     await rig.until(lambda: page.values("/nav_open_close_status") == [2, 2])

@@ -38,7 +38,7 @@ def anyio_backend() -> str:
 async def station(**options: Any) -> AsyncIterator[Running]:
     virtual = VirtualAircraft(seed=5)
     async with running(Settings(sim=True, port=0, **options), virtual=virtual) as one:
-        await until(lambda: one.station.aircraft is not None)
+        await until(lambda: one.agent.connection.aircraft is not None)
         yield one
 
 
@@ -67,9 +67,9 @@ async def receive(client: ClientConnection, within: float = 5.0) -> Any:
 
 
 async def opened(one: Running, client: ClientConnection) -> None:
-    await one.station.activate()
+    await one.agent.activate()
     await publish(client, "/nav_open_close_request", "std_msgs/Float32", data=1)
-    await until(lambda: one.station.has_authority)
+    await until(lambda: one.agent.holding.has_authority)
 
 
 async def test_a_client_sees_telemetry_and_flies() -> None:
@@ -83,7 +83,7 @@ async def test_a_client_sees_telemetry_and_flies() -> None:
             async with asyncio.timeout(15):
                 while (await receive(watcher))["msg"] != {"data": 3.0}:
                     pass
-        await until(lambda: not one.station.has_authority)
+        await until(lambda: not one.agent.holding.has_authority)
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ async def test_more_clients_than_allowed_are_refused() -> None:
 
 async def test_a_replayed_lease_is_refused() -> None:
     async with station() as one, connect(address(one)) as first, connect(address(one)) as second:
-        await one.station.activate()
+        await one.agent.activate()
 
         async def lease(client: ClientConnection, **args: str) -> Any:
             await send(client, "call_service", service="/m100link/lease", args=args)
@@ -288,11 +288,11 @@ async def test_a_replayed_lease_is_refused() -> None:
         again = await lease(second, action="confirm", token=asked["token"])
         assert not again["success"]
         await publish(second, "/nav_open_close_request", "std_msgs/Float32", data=1)
-        await until(lambda: one.station.has_authority)
+        await until(lambda: one.agent.holding.has_authority)
         await publish(first, "/sdk_request_cmd", "std_msgs/Float32", data=4)
         while "second has control" not in (await receive(first)).get("msg", ""):
             pass
-        assert one.station.task is None
+        assert one.agent.holding.task is None
 
 
 async def test_pages_of_a_folder_are_served_and_nothing_outside_it(tmp_path: Path) -> None:
@@ -328,8 +328,8 @@ async def test_a_socket_that_is_cut_stops_the_motion() -> None:
         client = await connect(address(one))
         await opened(one, client)
         await publish(client, "/sdk_request_cmd", "std_msgs/Float32", data=4)
-        await until(lambda: one.station.task is not None)
-        await until(lambda: one.station.task is None, within=20)
+        await until(lambda: one.agent.holding.task is not None)
+        await until(lambda: one.agent.holding.task is None, within=20)
         assert one.virtual is not None
         moves = one.virtual.autopilot.received_movements
         await publish(client, "/sdk_request_ctrl", "geometry_msgs/Quaternion", x=-4)
@@ -338,4 +338,4 @@ async def test_a_socket_that_is_cut_stops_the_motion() -> None:
         client.transport.abort()
         await until(lambda: moves[-1].pitch_or_y == 0)
         assert asyncio.get_running_loop().time() - cut_at < 0.3
-        await until(lambda: not one.station.has_authority)
+        await until(lambda: not one.agent.holding.has_authority)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from m100link.agent.agent import Pattern
+from m100link.agent.flying import Pattern
 from m100link.agent.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.errors import UsageError
 from m100link.flight.control import Control

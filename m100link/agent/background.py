@@ -1,0 +1,45 @@
+"""Tasks that run beside the one that started them, and end with their owner."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Coroutine
+from typing import Any
+
+from m100link.errors import M100Error
+
+__all__ = ["BackgroundTasks"]
+
+_logger = logging.getLogger("m100link.agent")
+
+
+class BackgroundTasks:
+    """The tasks of one owner. An error that is not one of this package is logged, never lost.
+
+    Errors of this package are left to whoever started the task: it has told them, or awaits it.
+    """
+
+    def __init__(self) -> None:
+        self._tasks: set[asyncio.Task[Any]] = set()
+
+    def spawn(self, work: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
+        """Run something in a task of that name."""
+        task = asyncio.create_task(work, name=f"m100link: {name}")
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+        return task
+
+    def _done(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.discard(task)
+        if task.cancelled():
+            return
+        error = task.exception()
+        if error is not None and not isinstance(error, M100Error):
+            _logger.error("%s ended by an error", task.get_name(), exc_info=error)
+
+    async def end(self) -> None:
+        """Cancel every task and wait for its end."""
+        for task in list(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)

@@ -1,0 +1,195 @@
+"""What is flown with control authority in hand: a setpoint, a task, or a program."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import anyio
+
+from m100link.agent.background import BackgroundTasks
+from m100link.agent.journal import Journal
+from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
+from m100link.flight.control import Control
+from m100link.protocol.commands.control import Task
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = ["SETPOINT_LIFETIME", "Flying", "Pattern"]
+
+SETPOINT_LIFETIME = 0.2
+"""Seconds that a setpoint of a program lasts when it is not renewed."""
+
+_AT_ONCE = 1e-3
+
+Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, None]]
+"""A program that flies: takes the control and what sends a setpoint."""
+
+
+def _ignore() -> None:
+    """Nobody wants to know that a task was accepted."""
+
+
+class Flying:
+    """What flies during one control block; made when it is entered, ended before it is left.
+
+    Args:
+        control: The block.
+        journal: Where it is told what happens.
+        background: Where tasks and programs run.
+
+    Attributes:
+        task: Name of the task that was asked of the aircraft and has not ended, or None.
+    """
+
+    def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
+        self._control = control
+        self._journal = journal
+        self._background = background
+        self.task: str | None = None
+        # The setpoint to neutralise when motion has to stop; None when nothing was sent.
+        self._last: Setpoint | None = None
+        self._running_task: asyncio.Task[None] | None = None
+        self._pattern: tuple[str, asyncio.Task[None]] | None = None
+        self._is_ended = False
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether setpoints and tasks are obeyed now."""
+        return not self._is_ended and self._control.has_authority
+
+    @property
+    def pattern(self) -> str | None:
+        """Name of the program that flies the aircraft, or None."""
+        return self._pattern[0] if self._pattern is not None else None
+
+    # -- setpoints -------------------------------------------------------------------------------
+
+    def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
+        """Fly this setpoint until it is renewed or its lifetime ends. Ends a program.
+
+        Letting go of a stick is no steering: a neutral setpoint leaves a program alone.
+
+        Raises:
+            NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
+        """
+        if self._pattern is not None:
+            if setpoint == setpoint.neutral():
+                return
+            self._end_pattern("the stick was moved")
+        self._send(setpoint, lifetime)
+
+    def _send(self, setpoint: Setpoint, lifetime: float) -> None:
+        try:
+            self._control.send(setpoint, lifetime=lifetime)
+        except M100Error as error:
+            self.halt(error.seen)  # what flew until now is not wanted any more
+            raise
+        self._last = setpoint
+
+    def halt(self, why: str = "") -> None:
+        """Stop moving: end a program, replace the setpoint in force by its neutral.
+
+        A take-off, landing or go-home goes on in the autopilot.
+        """
+        self._end_pattern(why)
+        last, self._last = self._last, None
+        if last is None:
+            return
+        try:
+            self._control.send(last.neutral(), lifetime=_AT_ONCE)
+        except GuardRefused:
+            # Guards do not keep it from stopping.
+            self._background.spawn(self._control.stop(), "neutral")
+        except M100Error:
+            pass  # without authority nothing moves
+
+    # -- tasks -----------------------------------------------------------------------------------
+
+    async def fly(self, task: Task, accepted: Callable[[], None] = _ignore) -> None:
+        """Take off, land or go home; done when seen to be done.
+
+        Args:
+            task: Which of them.
+            accepted: Called when the aircraft has begun.
+
+        Raises:
+            NoAuthority, TaskRefused, TaskFailed, NotObserved, AckTimeout: See each class.
+        """
+        name = task.name.lower().replace("_", " ")
+        if self.task is not None:
+            raise TaskRefused(
+                f"{name} was asked for during {self.task}", remedy="wait for its end, or stop it"
+            )
+        self._end_pattern(f"{name} was asked for")
+        self.task, self._last = name, None
+        work = self._running_task = self._background.spawn(self._fly(task, name, accepted), name)
+        try:
+            await asyncio.shield(work)
+        except asyncio.CancelledError:
+            if work.cancelled():
+                raise NoAuthority(f"{name}: control ended before it was seen to end") from None
+            raise
+
+    async def _fly(self, task: Task, name: str, accepted: Callable[[], None]) -> None:
+        control = self._control
+        run = {Task.TAKE_OFF: control.take_off, Task.LAND: control.land}.get(task, control.go_home)
+        has_begun = False
+
+        def progress(_: object) -> None:
+            nonlocal has_begun
+            if not has_begun:
+                has_begun = True
+                accepted()
+
+        outcome, level = f"{name} is done", "info"
+        try:
+            self._journal.note(f"{name} begins")
+            await run(progress=progress)
+        except M100Error as error:
+            outcome, level = f"{name}: {error.seen}", "error"
+            raise
+        except asyncio.CancelledError:
+            outcome, level = f"{name} is not watched any more", "warning"
+            raise
+        finally:
+            self.task = self._running_task = None
+            self._journal.note(outcome, level)
+
+    # -- programs --------------------------------------------------------------------------------
+
+    def start_pattern(self, name: str, fly: Pattern) -> None:
+        """Let a program fly, until it ends, the stick is moved, or anything stops it."""
+        self._end_pattern("another one begins")
+        self._pattern = (name, self._background.spawn(self._run_pattern(name, fly), name))
+
+    async def _run_pattern(self, name: str, fly: Pattern) -> None:
+        def send(setpoint: Setpoint) -> None:
+            self._send(setpoint, SETPOINT_LIFETIME)
+
+        outcome, level = f"{name} is done", "info"
+        try:
+            self._journal.note(f"{name} begins")
+            await fly(self._control, send)
+        except M100Error as error:
+            outcome, level = f"{name} ended: {error.seen}", "error"
+        # A setpoint that was refused has ended the program already, and said so.
+        if self._pattern is not None and self._pattern[1] is asyncio.current_task():
+            self._pattern = None
+            self._journal.note(outcome, level)
+
+    def _end_pattern(self, why: str) -> None:
+        pattern, self._pattern = self._pattern, None
+        if pattern is not None:
+            name, work = pattern
+            work.cancel()
+            self._journal.note(f"{name} ended: {why}")
+
+    async def end(self) -> None:
+        """Control ends: so does what was using it."""
+        self._is_ended = True
+        self._end_pattern("control ended")
+        if self._running_task is not None:
+            self._running_task.cancel()
+            with anyio.CancelScope(shield=True):  # a lost authority cancels this block, too
+                await asyncio.wait([self._running_task])
