@@ -33,7 +33,7 @@ from m100link.protocol.commands.activation import (
 )
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
 from m100link.protocol.firmware import FirmwareProfile, profile
-from m100link.protocol.records import RECORDS
+from m100link.protocol.items import ITEMS
 from m100link.requests import Requests
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
@@ -343,12 +343,13 @@ class Aircraft:
         """
         wanted = 0
         for record in records:
-            if record not in RECORDS:
+            item = next((item for item in ITEMS if item.record is record), None)
+            if item is None:
                 raise UsageError(
-                    f"{record!r} is no telemetry record",
+                    f"{record!r} is not a telemetry record",
                     remedy="use m100link.Attitude, m100link.Position, …",
                 )
-            wanted |= 1 << RECORDS.index(record)
+            wanted |= 1 << item.bit
         if rate_hz is not None and not rate_hz > 0:
             raise UsageError(f"a rate of {rate_hz} Hz is no rate")
         return self._telemetry.subscribe(

@@ -25,6 +25,7 @@ import re
 from collections.abc import Iterable, Sequence
 from enum import Enum
 from pathlib import Path
+from struct import calcsize
 from typing import Any
 
 from docutils import nodes
@@ -39,8 +40,8 @@ from m100link.link.url import EXAMPLES
 from m100link.protocol import codes, firmware, setpoint
 from m100link.protocol.command import Notification, Request
 from m100link.protocol.commands.registry import COMMANDS
+from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import telemetry_size
-from m100link.protocol.records import RECORDS
 from m100link.wire import Discard
 
 PROFILES = tuple(firmware.PROFILES.values())
@@ -131,7 +132,7 @@ class ProfileTable(TableDirective):
         """One row per attribute in which a profile can differ."""
         yield "", *(f"``{profile.name}``" for profile in PROFILES)
         for field in dataclasses.fields(firmware.FirmwareProfile):
-            if field.name not in ("name", "items"):
+            if field.init and field.name not in ("name", "items"):
                 values = (getattr(profile, field.name) for profile in PROFILES)
                 yield f"``{field.name}``", *(_value(field.name, value) for value in values)
 
@@ -152,11 +153,11 @@ class ItemTable(TableDirective):
     def rows(self) -> Iterable[Sequence[str]]:
         """One row per item in the order of the flag bits, and the whole."""
         yield "Bit", "Item", "Record", *(f"``{profile.name}``" for profile in PROFILES)
-        for bit, name in enumerate(firmware.ITEM_NAMES):
-            sizes = (str(profile.items[bit].size) for profile in PROFILES)
-            yield str(bit), f"``{name}``", f"``{RECORDS[bit].__name__}``", *sizes
-        everything = (1 << len(firmware.ITEM_NAMES)) - 1
-        totals = (str(telemetry_size(everything, profile)) for profile in PROFILES)
+        for item in ITEMS:
+            layouts = (profile.items.get(item.name) for profile in PROFILES)
+            sizes = ("—" if layout is None else str(layout.size) for layout in layouts)
+            yield str(item.bit), f"``{item.name}``", f"``{item.record.__name__}``", *sizes
+        totals = (str(telemetry_size(profile.item_flags, profile)) for profile in PROFILES)
         yield "", "all, with the flag word", "", *totals
 
 
@@ -172,11 +173,11 @@ class ItemFields(TableDirective):
         """One row per field, with its offset inside the item."""
         yield "Item", "Offset", "Type", "Field"
         profile = firmware.profile(self.arguments[0])
-        for name, layout in zip(firmware.ITEM_NAMES, profile.items, strict=True):
+        for name, layout in profile.items.items():
             counted = re.findall(r"(\d*)([a-zA-Z])", layout.format)
             letters = "".join(letter * int(count or 1) for count, letter in counted)
             for index, (letter, field) in enumerate(zip(letters, layout.fields, strict=True)):
-                offset = firmware.ItemLayout(letters[:index], ()).size
+                offset = calcsize("<" + letters[:index])
                 item = f"``{name}``" if index == 0 else ""
                 yield item, str(offset), _C_TYPES[letter], f"``{field}``"
 

@@ -11,8 +11,7 @@ from rich.table import Table
 
 from m100link.aircraft import ActivationProgress, Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, print_json, run_async
-from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.records import RECORDS
+from m100link.protocol.items import BY_RECORD
 
 __all__ = ["activate", "info"]
 
@@ -63,11 +62,11 @@ async def _info(url: str, link: LinkOptions, seconds: float, as_json: bool) -> i
 
 def _rates(aircraft: Aircraft) -> dict[str, float | None]:
     rates = {}
-    for name, record in zip(ITEM_NAMES, RECORDS, strict=True):
+    for record, item in BY_RECORD.items():
         statistics = aircraft.state.statistics(record)
         if statistics.count:
             rate = statistics.rate_hz
-            rates[name] = None if rate is None else round(rate, 1)
+            rates[item.name] = None if rate is None else round(rate, 1)
     return rates
 
 

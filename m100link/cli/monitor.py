@@ -12,9 +12,8 @@ from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import LinkOptions, Url, out, print_json, run_async
-from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
-    RECORDS,
     Acceleration,
     AngularVelocity,
     Attitude,
@@ -72,12 +71,12 @@ async def _print_lines(aircraft: Aircraft) -> None:
         await asyncio.sleep(1.0)
         print_json(
             {
-                name: {
+                item.name: {
                     "age_s": round(aircraft.state.age(record) or 0.0, 3),
                     "rate_hz": round(aircraft.state.statistics(record).rate_hz or 0.0, 1),
                     "value": value._asdict(),
                 }
-                for name, record in zip(ITEM_NAMES, RECORDS, strict=True)
+                for record, item in BY_RECORD.items()
                 if (value := aircraft.state.get(record)) is not None
             }
         )
@@ -101,16 +100,16 @@ def _table(aircraft: Aircraft) -> Table:
     for title in ("item", "value", "age", "Hz", "jitter"):
         table.add_column(title, justify="left" if title in ("item", "value") else "right")
     table.columns[1].min_width = 56
-    for name, record in zip(ITEM_NAMES, RECORDS, strict=True):
+    for record, item in BY_RECORD.items():
         value, age = aircraft.state.get(record), aircraft.state.age(record)
         statistics = aircraft.state.statistics(record)
         if value is None or age is None:
-            table.add_row(f"[dim]{name}[/]", "[dim]never received[/]", "", "", "")
+            table.add_row(f"[dim]{item.name}[/]", "[dim]never received[/]", "", "", "")
             continue
         style = "dim" if age > _STALE_S else ""
         rate = statistics.rate_hz
         table.add_row(
-            name,
+            item.name,
             describe(value),
             f"{age * 1000:.0f} ms" if age < _STALE_S else f"[red]{age:.1f} s[/]",
             "" if rate is None else f"{rate:.1f}",

@@ -19,8 +19,7 @@ from m100link.cli.canvas import line_plot
 from m100link.cli.common import ExitCode, LinkOptions, Url, complain, out, print_json, run_async
 from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
-from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.records import RECORDS
+from m100link.protocol.items import BY_RECORD
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Lossless
 
@@ -146,9 +145,9 @@ async def _hz(url: str, link: LinkOptions, duration: float, as_json: bool) -> No
 
 def _rates(aircraft: Aircraft) -> dict[str, Any]:
     items = {}
-    for name, record in zip(ITEM_NAMES, RECORDS, strict=True):
+    for record, item in BY_RECORD.items():
         statistics = aircraft.state.statistics(record)
-        items[name] = {
+        items[item.name] = {
             "count": statistics.count,
             "rate_hz": statistics.rate_hz,
             "jitter_s": statistics.jitter_s,
@@ -212,7 +211,7 @@ def plot(
         duration: Seconds to plot live.
     """
     wanted = fields or ("position.height_m",)
-    known = columns_of(RECORDS)
+    known = columns_of(BY_RECORD)
     for field in wanted:
         if field not in known:
             return complain(

@@ -7,40 +7,23 @@ taken and why. Nothing here decides anything: code asks the profile.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from struct import Struct
 
 from m100link.errors import UsageError
+from m100link.protocol.items import BY_NAME, ItemLayout, layouts
 
 __all__ = [
     "FIRMWARE_1_0",
     "FIRMWARE_1_0_DOCUMENT",
     "FIRMWARE_2_3",
     "FIRMWARE_3_1",
-    "ITEM_NAMES",
     "PROFILES",
     "FirmwareProfile",
     "FlagBit0",
-    "ItemLayout",
     "profile",
 ]
-
-ITEM_NAMES = (
-    "time",
-    "quaternion",
-    "acceleration",
-    "velocity",
-    "angular_velocity",
-    "position",
-    "magnetometer",
-    "rc",
-    "gimbal",
-    "flight_status",
-    "battery",
-    "control_device",
-)
-"""The telemetry items in the order of their flag bits (document 2.2.3.1)."""
 
 
 class FlagBit0(Enum):
@@ -50,27 +33,13 @@ class FlagBit0(Enum):
     STABLE_MODE = "stable mode: 1 brakes smoothly and holds the place"
 
 
-@dataclass(frozen=True, slots=True)
-class ItemLayout:
-    """Bytes of one telemetry item: little-endian, packed.
-
-    Attributes:
-        format: Format characters of :mod:`struct`, without byte order.
-        fields: Name per value, in wire order.
-    """
-
-    format: str
-    fields: tuple[str, ...]
-
-    @property
-    def size(self) -> int:
-        """Bytes on the wire."""
-        return Struct("<" + self.format).size
-
-
-@dataclass(frozen=True, slots=True)
+# Equal to itself only: what is worked out of a profile is kept under it, and looked up per frame.
+@dataclass(frozen=True, slots=True, eq=False)
 class FirmwareProfile:
     """Everything in which one firmware differs from another.
+
+    A profile for another firmware is made of one of these with :func:`dataclasses.replace`, and
+    goes wherever the name of one goes.
 
     Attributes:
         name: ``"1.0"``, ``"2.3"``, ``"3.1"`` or ``"1.0-document"``.
@@ -80,7 +49,7 @@ class FirmwareProfile:
         activation_version: Version word of the activation request; None leaves it to the developer.
         has_level: The activation request carries the authorization level.
         tick_hz: Ticks per second of the telemetry clock (errata 42).
-        items: Layout per telemetry item, in flag-bit order.
+        items: Layout per telemetry item, by name; an item that is left out is not sent.
         throttle_before_yaw: Order of the last two movement values. The document prints yaw first,
             every program that DJI shipped sends throttle first (errata 1).
         flag_bit0: Meaning of bit 0 of the control flag.
@@ -91,6 +60,10 @@ class FirmwareProfile:
         ioc_must_be_off: IOC forbids authority.
         has_rates_command: 0x00/0x10, telemetry rates from the serial side.
         has_arm_command: 0x01/0x05, motors on and off.
+        item_flags: The bits of its items in the flag word of telemetry.
+
+    Raises:
+        UsageError: An item that does not exist, or fields that it does not have.
     """
 
     name: str
@@ -100,7 +73,7 @@ class FirmwareProfile:
     activation_version: int | None
     has_level: bool
     tick_hz: int
-    items: tuple[ItemLayout, ...]
+    items: Mapping[str, ItemLayout]
     throttle_before_yaw: bool
     flag_bit0: FlagBit0
     tilt_frame_selectable: bool
@@ -109,46 +82,25 @@ class FirmwareProfile:
     ioc_must_be_off: bool
     has_rates_command: bool
     has_arm_command: bool
+    item_flags: int = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        flags = 0
+        for name, layout in self.items.items():
+            item = BY_NAME.get(name)
+            if item is None:
+                raise UsageError(
+                    f"no telemetry item is called {name!r}", remedy=f"items: {', '.join(BY_NAME)}"
+                )
+            item.check(layout)
+            flags |= 1 << item.bit
+        in_order = {name: self.items[name] for name in BY_NAME if name in self.items}
+        object.__setattr__(self, "items", in_order)
+        object.__setattr__(self, "item_flags", flags)
 
     def __str__(self) -> str:
         return self.name
 
-
-_XYZ = ("x", "y", "z")
-_ITEMS_1_0 = (
-    ItemLayout("I", ("tick",)),
-    ItemLayout("4f", ("q0", "q1", "q2", "q3")),
-    ItemLayout("3f", _XYZ),
-    ItemLayout("3f", _XYZ),
-    ItemLayout("3f", _XYZ),
-    ItemLayout("2d2fB", ("latitude_rad", "longitude_rad", "altitude", "height", "gps_health")),
-    ItemLayout("3h", _XYZ),
-    ItemLayout("6h", ("roll", "pitch", "yaw", "throttle", "mode", "gear")),
-    ItemLayout("3f", ("roll", "pitch", "yaw")),
-    ItemLayout("B", ("status",)),
-    ItemLayout("B", ("percent",)),
-    ItemLayout("B", ("control",)),
-)
-
-
-def _with(items: tuple[ItemLayout, ...], **changes: ItemLayout) -> tuple[ItemLayout, ...]:
-    changed = dict(zip(ITEM_NAMES, items, strict=True)) | changes
-    return tuple(changed.values())
-
-
-_ITEMS_2_3 = _with(_ITEMS_1_0, velocity=ItemLayout("3fB", (*_XYZ, "status")))
-_ITEMS_3_1 = _with(
-    _ITEMS_2_3,
-    time=ItemLayout("2IB", ("tick", "nanoseconds", "sync")),
-    gimbal=ItemLayout("3fB", ("roll", "pitch", "yaw", "limits")),
-    control_device=ItemLayout("2B", ("mode", "control")),
-)
-_ITEMS_1_0_DOCUMENT = _with(
-    _ITEMS_1_0,
-    position=ItemLayout("2d2f", ("longitude_rad", "latitude_rad", "altitude", "height")),
-    magnetometer=ItemLayout("3f", _XYZ),
-    rc=ItemLayout("5h", ("roll", "pitch", "yaw", "throttle", "mode")),
-)
 
 FIRMWARE_1_0 = FirmwareProfile(
     name="1.0",
@@ -158,7 +110,7 @@ FIRMWARE_1_0 = FirmwareProfile(
     activation_version=None,
     has_level=True,
     tick_hz=600,
-    items=_ITEMS_1_0,
+    items=layouts("1.0"),
     throttle_before_yaw=True,
     flag_bit0=FlagBit0.YAW_FRAME,
     tilt_frame_selectable=False,
@@ -175,7 +127,7 @@ FIRMWARE_2_3 = replace(
     summary="September 2015 to early 2016: velocity status byte, authority takes two requests",
     version_name="SDK-v1.0 BETA M100-02.03.10.00",
     activation_version=0x02030A00,
-    items=_ITEMS_2_3,
+    items=layouts("1.0", "2.3"),
     tilt_frame_selectable=True,
     authority_requests=2,
 )
@@ -189,7 +141,7 @@ FIRMWARE_3_1 = replace(
     activation_version=0x03010A00,
     has_level=False,
     tick_hz=400,
-    items=_ITEMS_3_1,
+    items=layouts("1.0", "2.3", "3.1"),
     flag_bit0=FlagBit0.STABLE_MODE,
     needs_f_toggle=False,
     ioc_must_be_off=False,
@@ -202,7 +154,7 @@ FIRMWARE_1_0_DOCUMENT = replace(
     name="1.0-document",
     summary="the V1.0.1 document's tables to the letter, to study it and old logs; "
     "no aircraft is known to speak it, so do not fly with it",
-    items=_ITEMS_1_0_DOCUMENT,
+    items=layouts("1.0", "1.0-document"),
     throttle_before_yaw=False,
 )
 

@@ -1,59 +1,45 @@
 """Telemetry packages: a flag word and the items whose bits are set (document 2.2.3.1).
 
-Items follow in bit order and without gaps, so their places depend on the flags. Sizes and fields
-per firmware stand in :mod:`m100link.protocol.firmware`; here they become the records of
-:mod:`m100link.protocol.records`, when they are asked for.
+Items follow in bit order and without gaps, so their places depend on the flags. Their layouts stand
+in :mod:`m100link.protocol.items`; here they become the records of :mod:`m100link.protocol.records`,
+when they are asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from operator import itemgetter
 from struct import Struct
 from typing import Any, TypeVar
 
 from m100link.errors import LayoutMismatch
-from m100link.protocol.firmware import ITEM_NAMES, PROFILES, FirmwareProfile, ItemLayout
-from m100link.protocol.records import ALL_ITEMS, RECORDS, RecordViews, Time
+from m100link.protocol.firmware import PROFILES, FirmwareProfile
+from m100link.protocol.items import BY_RECORD, ITEMS, Item, ItemLayout
+from m100link.protocol.records import RecordViews
 
 __all__ = ["TelemetryPacket", "encode_telemetry", "fitting_profiles", "telemetry_size"]
 
 
-_INDEX: dict[type[Any], int] = {record: index for index, record in enumerate(RECORDS)}
-
-# Wire name of each record field, in the record's order; a layout may lack some or reorder them.
-_WIRE_FIELDS: tuple[tuple[str, ...], ...] = (
-    ("tick", "nanoseconds", "sync"),
-    ("q0", "q1", "q2", "q3"),
-    ("x", "y", "z"),
-    ("x", "y", "z", "status"),
-    ("x", "y", "z"),
-    ("latitude_rad", "longitude_rad", "altitude", "height", "gps_health"),
-    ("x", "y", "z"),
-    ("roll", "pitch", "yaw", "throttle", "mode", "gear"),
-    ("roll", "pitch", "yaw", "limits"),
-    ("status",),
-    ("percent",),
-    ("control", "mode"),
-)
+_BITS = {record: item.bit for record, item in BY_RECORD.items()}
 
 R = TypeVar("R", bound=tuple[Any, ...])
 _Values = tuple[Any, ...]
 _Pick = Callable[[_Values], _Values]
 _new = tuple.__new__
 
-_LACKING, _TICK_HZ = -2, -1  # behind unpacked values stand None and the tick rate
+# Behind the unpacked values stand what a layout lacks, None, and what the profile itself says.
+_FROM_PROFILE = tuple(dict.fromkeys(name for item in ITEMS for name in item.profile_fields))
+_LACKING = -1 - len(_FROM_PROFILE)
 
 
-def _picker(index: int, layout: ItemLayout, start: int) -> _Pick:
+def _picker(item: Item, layout: ItemLayout, start: int) -> _Pick:
     """How the fields of a record are picked out of unpacked values, those of the item at start."""
     places = [
         start + layout.fields.index(name) if name in layout.fields else _LACKING
-        for name in _WIRE_FIELDS[index]
+        for name in item.fields
     ]
-    if RECORDS[index] is Time:
-        places.append(_TICK_HZ)
+    places += [_FROM_PROFILE.index(name) - len(_FROM_PROFILE) for name in item.profile_fields]
     first, end = places[0], places[0] + len(places)
     if places == list(range(first, end)):
         return itemgetter(slice(first, end))
@@ -75,36 +61,43 @@ class _Plan:
     __slots__ = ("extras", "items", "pack", "records", "size", "unpack")
 
     def __init__(self, flags: int, profile: FirmwareProfile) -> None:
-        self.extras = (None, profile.tick_hz)
+        self.extras = (None, *(getattr(profile, name) for name in _FROM_PROFILE))
         self.items: dict[int, tuple[int, Callable[[bytes, int], _Values], _Pick]] = {}
         self.records: list[tuple[type[Any], _Pick]] = []
         whole, start = Struct("<H"), 1
-        for index, layout in enumerate(profile.items):
-            if flags >> index & 1:
+        for item in ITEMS:
+            if flags >> item.bit & 1:
+                layout = profile.items[item.name]
                 alone = Struct("<" + layout.format)
-                self.items[index] = (whole.size, alone.unpack_from, _picker(index, layout, 0))
-                self.records.append((RECORDS[index], _picker(index, layout, start)))
+                self.items[item.bit] = (whole.size, alone.unpack_from, _picker(item, layout, 0))
+                self.records.append((item.record, _picker(item, layout, start)))
                 whole = Struct(whole.format + layout.format)
                 start += len(layout.fields)
         self.size, self.pack, self.unpack = whole.size, whole.pack, whole.unpack
 
 
 @lru_cache(maxsize=4 * 4096)
-def _plan(flags: int, profile_name: str) -> _Plan:
-    return _Plan(flags, PROFILES[profile_name])
+def _plan(flags: int, profile: FirmwareProfile) -> _Plan:
+    """The plan for flags that are all among ``profile.item_flags``."""
+    return _Plan(flags, profile)
 
 
 def telemetry_size(flags: int, profile: FirmwareProfile) -> int:
-    """Bytes of a telemetry value with these flags, flag word included."""
-    return _plan(flags & ALL_ITEMS, profile.name).size
+    """Bytes of a telemetry value with these flags, flag word included.
+
+    Bits of items that the firmware does not have are left out.
+    """
+    return _plan(flags & profile.item_flags, profile).size
+
+
+def _fits(value: bytes, profile: FirmwareProfile) -> bool:
+    flags = value[0] | value[1] << 8
+    return not flags & ~profile.item_flags and telemetry_size(flags, profile) == len(value)
 
 
 def fitting_profiles(value: bytes) -> list[str]:
-    """Names of the profiles under which a telemetry value has the right length."""
-    if len(value) < 2:
-        return []
-    flags = value[0] | value[1] << 8
-    return [p.name for p in PROFILES.values() if telemetry_size(flags, p) == len(value)]
+    """Names of the profiles under which a telemetry value has the right flags and length."""
+    return [p.name for p in PROFILES.values() if _fits(value, p)] if len(value) >= 2 else []
 
 
 class TelemetryPacket(RecordViews):
@@ -115,17 +108,19 @@ class TelemetryPacket(RecordViews):
         profile: Firmware profile of the sender.
 
     Raises:
-        LayoutMismatch: The length does not fit the flags under this profile, or reserved bits
-            are set. (It is also what :meth:`Command.parse` callers see as a ``ValueError``.)
+        LayoutMismatch: The length does not fit the flags under this profile, or bits are set that
+            belong to none of its items. (It is also what :meth:`Command.parse` callers see as a
+            ``ValueError``.)
     """
 
     __slots__ = ("_plan", "flags", "profile", "value")
 
     def __init__(self, value: bytes, profile: FirmwareProfile) -> None:
         size = len(value)
-        flags = value[0] | value[1] << 8 if size >= 2 else ~ALL_ITEMS
-        plan = _plan(flags & ALL_ITEMS, profile.name)
-        if flags & ~ALL_ITEMS or size != plan.size:
+        known = profile.item_flags
+        flags = value[0] | value[1] << 8 if size >= 2 else ~known
+        plan = _plan(flags & known, profile)
+        if flags & ~known or size != plan.size:
             raise _mismatch(value, profile)
         self.value = value
         self.profile = profile
@@ -140,7 +135,7 @@ class TelemetryPacket(RecordViews):
     def get(self, record: type[R]) -> R | None:
         """The record of that class, None when the packet does not carry it."""
         plan = self._plan
-        place = plan.items.get(_INDEX[record])
+        place = plan.items.get(_BITS[record])
         if place is None:
             return None
         offset, unpack, pick = place
@@ -157,10 +152,13 @@ class TelemetryPacket(RecordViews):
     def columns(self) -> tuple[str, ...]:
         """Name of each value of :meth:`row`: item and wire field, such as ``position.height``."""
         return tuple(
-            f"{ITEM_NAMES[index]}.{field}"
-            for index in self._plan.items
-            for field in self.profile.items[index].fields
+            f"{name}.{field}" for name, layout, *_ in self._layouts() for field in layout.fields
         )
+
+    def _layouts(self) -> Iterator[tuple[str, ItemLayout, _Values]]:
+        for bit, (offset, unpack, _) in self._plan.items.items():
+            name = ITEMS[bit].name
+            yield name, self.profile.items[name], unpack(self.value, offset)
 
     def records(self) -> list[Any]:
         """Every record that the packet carries, in bit order."""
@@ -171,14 +169,8 @@ class TelemetryPacket(RecordViews):
     def raw_items(self) -> dict[str, dict[str, Any]]:
         """Raw values by item name and wire field name, for dumps and golden vectors."""
         return {
-            ITEM_NAMES[index]: dict(
-                zip(
-                    self.profile.items[index].fields,
-                    unpack(self.value, offset),
-                    strict=True,
-                )
-            )
-            for index, (offset, unpack, _) in self._plan.items.items()
+            name: dict(zip(layout.fields, values, strict=True))
+            for name, layout, values in self._layouts()
         }
 
     def __repr__(self) -> str:
@@ -195,8 +187,10 @@ def _mismatch(value: bytes, profile: FirmwareProfile) -> LayoutMismatch:
             f"telemetry with flags 0x{flags:04X} takes {telemetry_size(flags, profile)} bytes "
             f"under firmware {profile}, there are {len(value)}"
         )
-        if flags > ALL_ITEMS:
-            seen = f"telemetry flags 0x{flags:04X} have reserved bits set"
+        if flags & ~profile.item_flags:
+            seen = (
+                f"telemetry flags 0x{flags:04X} have bits set that firmware {profile} has reserved"
+            )
     return LayoutMismatch(
         seen,
         cause=f"the aircraft speaks firmware {' or '.join(others)}" if others else "",
@@ -213,15 +207,15 @@ def encode_telemetry(items: Mapping[str, Sequence[float]], profile: FirmwareProf
 
     Raises:
         struct.error: Values that do not fit the layout.
-        KeyError: An item name that does not exist.
+        KeyError: An item name that does not exist under this profile.
     """
-    unknown = set(items) - set(ITEM_NAMES)
+    unknown = set(items) - set(profile.items)
     if unknown:
         raise KeyError(unknown.pop())
     flags = 0
     values: list[float] = []
-    for bit, name in enumerate(ITEM_NAMES):
-        if name in items:
-            flags |= 1 << bit
-            values += items[name]
-    return _plan(flags, profile.name).pack(flags, *values)
+    for item in ITEMS:
+        if item.name in items:
+            flags |= 1 << item.bit
+            values += items[item.name]
+    return _plan(flags, profile).pack(flags, *values)

@@ -9,15 +9,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
-from m100link.protocol.firmware import ITEM_NAMES
-
 __all__ = [
-    "ALL_ITEMS",
-    "RECORDS",
-    "RECORD_NAMES",
     "Acceleration",
     "AngularVelocity",
     "Attitude",
@@ -27,7 +22,6 @@ __all__ = [
     "FlightPhase",
     "FlightStatus",
     "Gimbal",
-    "ItemFlag",
     "Magnetometer",
     "Position",
     "RcMode",
@@ -39,26 +33,6 @@ __all__ = [
 ]
 
 R = TypeVar("R", bound=tuple[Any, ...])
-
-
-class ItemFlag(IntFlag):
-    """Presence bits of the flag word."""
-
-    TIME = 1 << 0
-    QUATERNION = 1 << 1
-    ACCELERATION = 1 << 2
-    VELOCITY = 1 << 3
-    ANGULAR_VELOCITY = 1 << 4
-    POSITION = 1 << 5
-    MAGNETOMETER = 1 << 6
-    RC = 1 << 7
-    GIMBAL = 1 << 8
-    FLIGHT_STATUS = 1 << 9
-    BATTERY = 1 << 10
-    CONTROL_DEVICE = 1 << 11
-
-
-ALL_ITEMS = (1 << len(ITEM_NAMES)) - 1
 
 
 class Time(NamedTuple):
@@ -389,25 +363,6 @@ Record = (
     | ControlDevice
 )
 """Any telemetry record."""
-
-RECORDS: tuple[type[Any], ...] = (
-    Time,
-    Attitude,
-    Acceleration,
-    Velocity,
-    AngularVelocity,
-    Position,
-    Magnetometer,
-    RemoteControl,
-    Gimbal,
-    FlightStatus,
-    Battery,
-    ControlDevice,
-)
-"""Record class per item, in the order of the flag bits."""
-
-RECORD_NAMES: dict[type[Any], str] = dict(zip(RECORDS, ITEM_NAMES, strict=True))
-"""Item name per record class."""
 
 
 class RecordViews(ABC):

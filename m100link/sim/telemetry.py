@@ -13,7 +13,8 @@ from __future__ import annotations
 from struct import Struct
 
 from m100link.protocol.commands.monitor import PushTelemetry
-from m100link.protocol.firmware import ITEM_NAMES, FirmwareProfile
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.items import ITEMS
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
 from m100link.sim.vehicle.sensors import Sensors
 from m100link.wire.crc import frame_crc32, header_crc16_of_word, sequence_crc16
@@ -32,11 +33,7 @@ class _Plan:
 
     def __init__(self, flags: int, profile: FirmwareProfile, sensors: Sensors) -> None:
         self.flags = flags
-        items = [
-            (name, layout)
-            for bit, (name, layout) in enumerate(zip(ITEM_NAMES, profile.items, strict=True))
-            if flags >> bit & 1
-        ]
+        items = [(item.name, profile.items[item.name]) for item in ITEMS if flags >> item.bit & 1]
         self.readers = [sensors.reader(name, layout) for name, layout in items]
         body = Struct("<QHH2sH" + "".join(layout.format for _, layout in items))
         self.pack = body.pack
@@ -71,10 +68,11 @@ class TelemetryPusher:
 
     def _plan_of(self, tick: int) -> _Plan | None:
         flags = 0
-        for bit, name in enumerate(ITEM_NAMES):
-            rate = self.rates_hz.get(name, 0)
+        for item in ITEMS:
+            rate = self.rates_hz.get(item.name, 0)
             if rate and tick % (STEPS_PER_SECOND // rate) == 0:
-                flags |= 1 << bit
+                flags |= 1 << item.bit
+        flags &= self._profile.item_flags
         if not flags:
             return None
         plan = self._plans.get(flags)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from m100link.protocol.firmware import ITEM_NAMES
-from m100link.protocol.records import RECORDS, RecordViews
+from m100link.protocol.items import BY_RECORD, ITEMS
+from m100link.protocol.records import RecordViews
 from m100link.telemetry.sample import Sample
 
 __all__ = ["AircraftState", "ItemStatistics"]
@@ -47,8 +47,8 @@ class AircraftState(RecordViews):
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._samples: list[Sample | None] = [None] * len(ITEM_NAMES)
-        self._longest_gaps = [0.0] * len(ITEM_NAMES)
+        self._samples: list[Sample | None] = [None] * len(ITEMS)
+        self._longest_gaps = [0.0] * len(ITEMS)
         self._counts: dict[int, int] = {}  # packages per flag word; few flag words ever occur
         self._recent: deque[tuple[float, int]] = deque(maxlen=512)
         self._newest_at: float | None = None
@@ -68,12 +68,12 @@ class AircraftState(RecordViews):
 
     def get(self, record: type[R]) -> R | None:
         """The newest record of that class, None when it never arrived."""
-        sample = self._samples[RECORDS.index(record)]
+        sample = self._samples[BY_RECORD[record].bit]
         return None if sample is None else sample.get(record)
 
     def received_at(self, record: type[Any]) -> float | None:
         """When the newest record arrived, on the event loop's clock."""
-        sample = self._samples[RECORDS.index(record)]
+        sample = self._samples[BY_RECORD[record].bit]
         return None if sample is None else sample.received_at
 
     def age(self, record: type[Any]) -> float | None:
@@ -93,19 +93,19 @@ class AircraftState(RecordViews):
 
     def statistics(self, record: type[Any]) -> ItemStatistics:
         """Measured rate, jitter and longest gap of an item."""
-        index = RECORDS.index(record)
-        arrivals = [at for at, flags in self._recent if flags >> index & 1]
+        item = BY_RECORD[record]
+        arrivals = [at for at, flags in self._recent if flags >> item.bit & 1]
         if arrivals:
             oldest = arrivals[-1] - _WINDOW_S
             arrivals = [at for at in arrivals if at >= oldest]
         gaps = [later - earlier for earlier, later in pairwise(arrivals)]
         mean = sum(gaps) / len(gaps) if gaps else 0.0
         return ItemStatistics(
-            name=ITEM_NAMES[index],
-            count=sum(count for flags, count in self._counts.items() if flags >> index & 1),
+            name=item.name,
+            count=sum(count for flags, count in self._counts.items() if flags >> item.bit & 1),
             rate_hz=1 / mean if mean > 0 else None,
             jitter_s=sum(abs(gap - mean) for gap in gaps) / len(gaps) if len(gaps) > 1 else None,
-            longest_gap_s=self._longest_gaps[index],
+            longest_gap_s=self._longest_gaps[item.bit],
         )
 
     def situation(self) -> dict[str, object]:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.items import BY_NAME
 from m100link.sim.vehicle.mobile import DEMO_APP_ID
 from tests.cli.conftest import ROOT, Simulator, process
 from tests.waiting import PATIENCE
@@ -183,7 +183,7 @@ def test_monitor_prints_one_object_per_second_and_ends_by_itself(simulator: Simu
     lines = outcome.objects
     assert 1 <= len(lines) <= 2, "the machine may be late, not early"
     for line in lines:
-        assert set(line) < set(ITEM_NAMES)
+        assert set(line) < set(BY_NAME)
         assert 0 <= line["quaternion"]["age_s"] < 1.0
         assert line["quaternion"]["rate_hz"] == NEARLY_100
         attitude = line["quaternion"]["value"]

@@ -40,7 +40,7 @@ from m100link.protocol import (
     profile,
 )
 from m100link.protocol.commands.registry import COMMANDS, address_of
-from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.items import BY_NAME
 from m100link.session import SessionMode
 
 FIRMWARE = profile("3.1")
@@ -60,7 +60,7 @@ COMMAND = st.one_of(
     ),
     st.builds(
         SetTelemetryRates,
-        st.dictionaries(st.sampled_from(ITEM_NAMES), st.sampled_from((0, 1, 10, 50, 100))),
+        st.dictionaries(st.sampled_from(list(BY_NAME)), st.sampled_from((0, 1, 10, 50, 100))),
     ),
     st.builds(SendToMobile, st.binary(min_size=1, max_size=100)),
     st.builds(RequestAuthority, st.booleans()),

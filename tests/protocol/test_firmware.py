@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from m100link.errors import UsageError
-from m100link.protocol import PROFILES, FirmwareProfile, profile
-from m100link.protocol.firmware import ITEM_NAMES, FlagBit0
+from m100link.errors import LayoutMismatch, UsageError
+from m100link.protocol import (
+    PROFILES,
+    Battery,
+    FirmwareProfile,
+    TelemetryPacket,
+    encode_telemetry,
+    profile,
+)
+from m100link.protocol.firmware import FlagBit0
+from m100link.protocol.items import ItemLayout
+from m100link.protocol.packet import telemetry_size
 
 # Bytes per item on the wire, in flag-bit order, and their sum with the flag word.
 SIZES = {
@@ -24,19 +35,9 @@ def test_there_are_four_profiles() -> None:
 @pytest.mark.parametrize("name", SIZES)
 def test_items_have_the_sizes_of_their_firmware(name: str) -> None:
     sizes, total = SIZES[name]
-    items = PROFILES[name].items
+    items = PROFILES[name].items.values()
     assert [item.size for item in items] == sizes
     assert 2 + sum(item.size for item in items) == total
-    assert len(ITEM_NAMES) == len(items) == 12
-
-
-def test_every_value_of_a_layout_has_a_name() -> None:
-    from struct import Struct
-
-    for firmware in PROFILES.values():
-        for item in firmware.items:
-            values = Struct("<" + item.format).unpack(bytes(item.size))
-            assert len(values) == len(item.fields) == len(set(item.fields))
 
 
 def test_activation_words_and_acks_differ_by_firmware() -> None:
@@ -73,3 +74,45 @@ def test_a_profile_is_found_by_name_or_is_itself() -> None:
 def test_an_unknown_profile_lists_those_that_exist() -> None:
     with pytest.raises(UsageError, match=r"'4\.0'.*\n.*1\.0, 2\.3, 3\.1, 1\.0-document"):
         profile("4.0")
+
+
+# -- a profile of one's own ------------------------------------------------------------------------
+
+
+def test_a_profile_of_ones_own_is_usable_without_being_listed() -> None:
+    items = dict(profile("3.1").items)
+    del items["magnetometer"]
+    items["battery"] = ItemLayout("2xB", ("percent",))
+    own = replace(profile("3.1"), name="3.2", items=items, tick_hz=1000)
+    value = encode_telemetry({"time": [500, 0, 0], "battery": [55]}, own)
+    packet = TelemetryPacket(value, own)
+    assert packet.battery == Battery(55)
+    assert packet.time is not None
+    assert packet.time.seconds == 0.5
+    assert telemetry_size(0xFFFF, own) == telemetry_size(0xFFFF, profile("3.1")) - 6 + 2
+    with pytest.raises(LayoutMismatch, match=r"firmware 3\.2"):
+        TelemetryPacket((1 << 6).to_bytes(2, "little") + bytes(6), own)
+    with pytest.raises(KeyError, match="magnetometer"):
+        encode_telemetry({"magnetometer": [1, 2, 3]}, own)
+
+
+def test_two_profiles_of_one_name_are_two_profiles() -> None:
+    longer = replace(
+        profile("3.1"), items={**profile("3.1").items, "battery": ItemLayout("xB", ("percent",))}
+    )
+    assert telemetry_size(1 << 10, profile("3.1")) == 3
+    assert telemetry_size(1 << 10, longer) == 4
+
+
+@pytest.mark.parametrize(
+    ("items", "seen"),
+    [
+        ({"speed": ItemLayout("f", ("x",))}, r"'speed'.*\n.*velocity"),
+        ({"battery": ItemLayout("f", ("volts",))}, r"battery.*volts.*\n.*percent"),
+    ],
+)
+def test_a_profile_with_items_that_do_not_exist_is_refused(
+    items: dict[str, ItemLayout], seen: str
+) -> None:
+    with pytest.raises(UsageError, match=seen):
+        replace(profile("3.1"), items=items)

@@ -33,9 +33,8 @@ from m100link.protocol import (
     encode_telemetry,
     profile,
 )
-from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.items import BY_RECORD, ITEMS
 from m100link.protocol.packet import fitting_profiles, telemetry_size
-from m100link.protocol.records import RECORDS, ItemFlag
 from tests.support import load_vectors
 
 VECTORS = load_vectors("telemetry")
@@ -66,11 +65,11 @@ def test_golden_records_carry_the_raw_values(vector: dict[str, Any]) -> None:
     found = TelemetryPacket(bytes.fromhex(vector["value"]), profile(vector["firmware"]))
     records = found.records()
     assert [type(record) for record in records] == [
-        record for name, record in zip(ITEM_NAMES, RECORDS, strict=True) if name in vector["items"]
+        item.record for item in ITEMS if item.name in vector["items"]
     ]
     for record in records:
         assert found.get(type(record)) == record
-        name = ITEM_NAMES[RECORDS.index(type(record))]
+        name = BY_RECORD[type(record)].name
         wanted = sorted(vector["items"][name].values())
         carried = [value for value in record if value is not None]
         if name == "time":
@@ -89,24 +88,19 @@ def test_all_items_together_have_the_size_of_their_firmware(firmware: str, total
 @given(FLAGS, FIRMWARES)
 def test_items_follow_in_bit_order_without_gaps(flags: int, firmware: FirmwareProfile) -> None:
     offset, wanted = 2, {}
-    for bit, (name, item) in enumerate(zip(ITEM_NAMES, firmware.items, strict=True)):
-        if flags >> bit & 1:
-            wanted[name] = offset
-            offset += item.size
+    for item in ITEMS:
+        if flags >> item.bit & 1:
+            wanted[item.name] = offset
+            offset += firmware.items[item.name].size
     assert telemetry_size(flags, firmware) == offset
     # Every byte holds its own place, so an item read from elsewhere shows other bytes.
     value = struct.pack("<H", flags) + bytes(range(2, offset))
     items = TelemetryPacket(value, firmware).raw_items()
     assert list(items) == list(wanted)
     for name, at in wanted.items():
-        item = firmware.items[ITEM_NAMES.index(name)]
-        raw = struct.pack("<" + item.format, *items[name].values())
-        assert raw == bytes(range(at, at + item.size))
-
-
-def test_flag_bits_are_those_of_the_document() -> None:
-    assert [flag.name.lower() for flag in ItemFlag if flag.name] == list(ITEM_NAMES)
-    assert [int(flag) for flag in ItemFlag] == [1 << bit for bit in range(12)]
+        layout = firmware.items[name]
+        raw = struct.pack("<" + layout.format, *items[name].values())
+        assert raw == bytes(range(at, at + layout.size))
 
 
 def test_the_document_profile_reads_longitude_first_and_lacks_what_its_table_lacks() -> None:
@@ -141,7 +135,7 @@ def test_a_packet_without_an_item_answers_none() -> None:
     ]
     assert views == [None] * 12
     assert empty.records() == []
-    assert [empty.get(record) for record in RECORDS] == [None] * 12
+    assert [empty.get(item.record) for item in ITEMS] == [None] * 12
 
 
 def test_a_packet_shows_its_records() -> None:
@@ -370,7 +364,7 @@ def test_records_and_single_reads_agree(flags: int, data: st.DataObject) -> None
     size = telemetry_size(flags, firmware) - 2
     value = struct.pack("<H", flags) + bytes(n * 37 & 0x3F for n in range(size))
     found = TelemetryPacket(value, firmware)
-    single = [record for kind in RECORDS if (record := found.get(kind)) is not None]
+    single = [record for kind in BY_RECORD if (record := found.get(kind)) is not None]
     assert found.records() == single
     assert all(type(a) is type(b) for a, b in zip(found.records(), single, strict=True))
 

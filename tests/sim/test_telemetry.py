@@ -12,7 +12,7 @@ import pytest
 from geographiclib.geodesic import Geodesic
 
 from m100link.protocol import PROFILES, Setpoint, SetTelemetryRates, TelemetryPacket
-from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.items import BY_NAME, ITEMS
 from m100link.protocol.packet import encode_telemetry
 from m100link.sim import DEFAULT_RATES_HZ, AssistantSettings, VirtualAircraft
 from m100link.sim.autopilot import Autopilot
@@ -21,14 +21,14 @@ from m100link.wire import FrameDecoder, encode_frame
 
 from .host import Host, aircraft
 
-ALL = dict.fromkeys(ITEM_NAMES, 100)
+ALL = dict.fromkeys(BY_NAME, 100)
 NORTH_EAST = Setpoint.velocity(north=4, east=3, up=1, yaw_deg=60)
 
 
 def counts(host: Host) -> Counter[str]:
     found: Counter[str] = Counter()
     for packet in host.packets():
-        for bit, name in enumerate(ITEM_NAMES):
+        for bit, name in enumerate(BY_NAME):
             found[name] += packet.flags >> bit & 1
     return found
 
@@ -57,7 +57,7 @@ def test_default_rates_over_a_simulated_minute(firmware: str) -> None:
 def test_packets_go_out_at_the_highest_rate_and_carry_what_is_due(
     rates: dict[str, int], packets: int
 ) -> None:
-    all_rates = dict.fromkeys(ITEM_NAMES, 0) | rates
+    all_rates = dict.fromkeys(BY_NAME, 0) | rates
     host = Host(aircraft(assistant={"rates_hz": all_rates}))
     host.wait(10.0)
     assert len(host.packets()) == 10 * packets
@@ -150,12 +150,13 @@ def test_the_quick_encoder_agrees_with_the_ordinary_one(firmware: str) -> None:
     host = wild(firmware)
     sensors, pusher = host.autopilot.vehicle.sensors, host.autopilot._telemetry
     random = Random(3)
-    for flags in [0xFFF, *(1 << bit for bit in range(12)), *random.sample(range(1, 0xFFF), 200)]:
-        names = [name for bit, name in enumerate(ITEM_NAMES) if flags >> bit & 1]
-        pusher.set_rates({name: 100 if name in names else 0 for name in ITEM_NAMES})
+    every = host.profile.item_flags
+    single = [1 << item.bit for item in ITEMS if every >> item.bit & 1]
+    for flags in [every, *single, *random.sample(range(1, every), 200)]:
+        names = [item.name for item in ITEMS if flags >> item.bit & 1]
+        pusher.set_rates({name: 100 if name in names else 0 for name in BY_NAME})
         sequence = random.randrange(65536)
-        layouts: dict[str, Any] = dict(zip(ITEM_NAMES, host.profile.items, strict=True))
-        items = {name: sensors.reader(name, layouts[name])() for name in names}
+        items = {name: sensors.reader(name, host.profile.items[name])() for name in names}
         value = encode_telemetry(items, host.profile)
         expected = encode_frame(b"\x02\x00" + value, session=0, sequence=sequence)
         assert pusher.frame(sequence) == expected

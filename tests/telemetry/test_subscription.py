@@ -32,7 +32,7 @@ from m100link import (
     Velocity,
 )
 from m100link.protocol.firmware import FIRMWARE_1_0
-from m100link.protocol.records import RECORDS
+from m100link.protocol.items import BY_RECORD
 from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 from tests.rig import FIRMWARES, rig
@@ -147,7 +147,7 @@ async def test_a_rate_that_is_no_rate_is_refused(rate: float) -> None:
 
 async def test_only_records_can_be_asked_for() -> None:
     async with rig(activated=False) as flown:
-        with pytest.raises(UsageError, match="no telemetry record"):
+        with pytest.raises(UsageError, match="not a telemetry record"):
             flown.aircraft.telemetry(int)
 
 
@@ -326,7 +326,7 @@ async def test_every_item_arrives_with_its_rate_and_age(firmware: str) -> None:
         flown.virtual.set_rates(magnetometer=10, control_device=50)
         await asyncio.sleep(5.0)
         state = flown.aircraft.state
-        rates = {record: state.statistics(record).rate_hz for record in RECORDS}
+        rates = {record: state.statistics(record).rate_hz for record in BY_RECORD}
         expected = {
             Time: 100,
             Attitude: 100,

@@ -19,9 +19,9 @@ from m100link.protocol.firmware import (
     FIRMWARE_1_0,
     FIRMWARE_2_3,
     FIRMWARE_3_1,
-    ITEM_NAMES,
     FirmwareProfile,
 )
+from m100link.protocol.items import BY_NAME
 from m100link.wire.cipher import Key
 from m100link.wire.crc import frame_crc32
 
@@ -245,30 +245,30 @@ class SetTelemetryRates(Request[RatesCode]):
     rates_hz: dict[str, int] = field(default_factory=dict)
 
     def value(self, profile: FirmwareProfile) -> bytes:
-        """16 bytes, one per item, the last four zero."""
+        """16 bytes: one per item, then zeros."""
         for name, rate in self.rates_hz.items():
-            if name not in ITEM_NAMES:
+            if name not in BY_NAME:
                 raise UsageError(
                     f"no telemetry item is called {name!r}",
-                    remedy=f"items: {', '.join(ITEM_NAMES)}",
+                    remedy=f"items: {', '.join(BY_NAME)}",
                 )
             if rate not in RATES_HZ:
                 raise UsageError(f"{name} cannot be sent at {rate} Hz", remedy=f"rates: {RATES_HZ}")
         codes = [
             RATES_HZ.index(self.rates_hz[name]) if name in self.rates_hz else KEEP_RATE
-            for name in ITEM_NAMES
+            for name in BY_NAME
         ]
-        return bytes(codes) + bytes(4)
+        return bytes(codes).ljust(16, b"\0")
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """16 bytes with codes 0 to 5."""
         if len(value) != 16:
             raise ValueError(f"the rates take 16 bytes, there are {len(value)}")
-        codes = value[: len(ITEM_NAMES)]
+        codes = value[: len(BY_NAME)]
         if max(codes) > KEEP_RATE:
             raise ValueError(f"rate code {max(codes)} does not exist")
-        pairs = zip(ITEM_NAMES, codes, strict=True)
+        pairs = zip(BY_NAME, codes, strict=True)
         return cls({name: RATES_HZ[code] for name, code in pairs if code != KEEP_RATE})
 
 

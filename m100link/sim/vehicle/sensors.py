@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from random import Random
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from m100link.geodesy import LocalFrame
-from m100link.protocol.firmware import FirmwareProfile, ItemLayout
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.items import BY_NAME, ItemLayout
 from m100link.protocol.records import Device
 from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
@@ -23,7 +24,7 @@ from m100link.sim.vehicle.settings import AircraftSettings
 __all__ = ["Sensors"]
 
 Values = tuple[float, ...]
-"""The fields of one item, in wire order."""
+"""The fields of one item."""
 
 # Standard deviations with noise = 1: decent sensors, well fused.
 _ACCELERATION_NOISE = 0.05
@@ -60,7 +61,7 @@ def noise_source(random: Random) -> _Noise:
 
 
 class Sensors:
-    """What the aircraft believes about itself: the values of every item, in wire order."""
+    """What the aircraft believes about itself: the values of every item, in its record's order."""
 
     def __init__(
         self,
@@ -90,7 +91,7 @@ class Sensors:
     def reader(self, name: str, layout: ItemLayout) -> Callable[[], Values]:
         """The function that reads one item as its layout wants it."""
         read: Callable[[], Values] = getattr(self, f"_read_{name}")
-        usual = self._FIELDS[name]
+        usual = BY_NAME[name].fields
         if layout.fields == usual:
             return read
         # A layout that leaves out (1.0 has no status byte) or reorders (1.0-document).
@@ -99,21 +100,6 @@ class Sensors:
             count = len(places)
             return lambda: read()[:count]
         return lambda: tuple([read()[place] for place in places])
-
-    _FIELDS: ClassVar[dict[str, tuple[str, ...]]] = {
-        "time": ("tick", "nanoseconds", "sync"),
-        "quaternion": ("q0", "q1", "q2", "q3"),
-        "acceleration": ("x", "y", "z"),
-        "velocity": ("x", "y", "z", "status"),
-        "angular_velocity": ("x", "y", "z"),
-        "position": ("latitude_rad", "longitude_rad", "altitude", "height", "gps_health"),
-        "magnetometer": ("x", "y", "z"),
-        "rc": ("roll", "pitch", "yaw", "throttle", "mode", "gear"),
-        "gimbal": ("roll", "pitch", "yaw", "limits"),
-        "flight_status": ("status",),
-        "battery": ("percent",),
-        "control_device": ("mode", "control"),
-    }
 
     def _read_time(self) -> Values:
         # Nobody published how the nanoseconds of 3.1 relate to the tick; here they count the
@@ -227,4 +213,4 @@ class Sensors:
         mode = 0
         if authority.device is Device.ONBOARD and flight.setpoint is not None:
             mode = flight.setpoint.mode.number
-        return mode, control
+        return control, mode

@@ -12,25 +12,12 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from m100link.protocol.commands.activation import RATES_HZ
-from m100link.protocol.firmware import ITEM_NAMES
+from m100link.protocol.items import BY_NAME, ITEMS
 from m100link.sim.vehicle.dynamics import Airframe
 
 __all__ = ["DEFAULT_RATES_HZ", "AircraftSettings", "AssistantSettings", "Undecodable"]
 
-DEFAULT_RATES_HZ: dict[str, int] = {
-    "time": 100,
-    "quaternion": 100,
-    "acceleration": 100,
-    "velocity": 100,
-    "angular_velocity": 100,
-    "position": 100,
-    "magnetometer": 0,
-    "rc": 50,
-    "gimbal": 50,
-    "flight_status": 10,
-    "battery": 1,
-    "control_device": 0,
-}
+DEFAULT_RATES_HZ: dict[str, int] = {item.name: item.rate_hz for item in ITEMS}
 """Default frequency of each telemetry item (document 2.2.3.1)."""
 
 
@@ -53,8 +40,8 @@ class AssistantSettings:
     def __post_init__(self) -> None:
         """Complete the rates with the defaults and check them."""
         for name, rate in self.rates_hz.items():
-            if name not in ITEM_NAMES:
-                raise ValueError(f"no telemetry item is called {name!r}: {', '.join(ITEM_NAMES)}")
+            if name not in BY_NAME:
+                raise ValueError(f"no telemetry item is called {name!r}: {', '.join(BY_NAME)}")
             if rate not in RATES_HZ:
                 raise ValueError(f"{name} cannot be sent at {rate} Hz: {RATES_HZ}")
         if self.baud_rate <= 0:
