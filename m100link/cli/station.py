@@ -184,10 +184,8 @@ async def _serve(
 
 def _console_url(settings: Settings, running: Running) -> str:
     scheme = "http" if settings.tls_cert is None else "https"
-    token = settings.access_token()
-    query = f"/?token={token}" if token else "/"
     assert running.console_port is not None
-    return f"{scheme}://{settings.authority(running.console_port)}{query}"
+    return f"{scheme}://{settings.authority(running.console_port)}{running.console_path()}"
 
 
 def _announce(settings: Settings, running: Running, *, as_json: bool) -> None:

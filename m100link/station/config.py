@@ -13,6 +13,7 @@ from typing import Any
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
 from m100link.station.launch import read_launch
+from m100link.station.web.access import Access
 from m100link.station.web.gate import is_loopback
 
 __all__ = ["ENVIRONMENT", "Settings", "resolve"]
@@ -139,6 +140,15 @@ class Settings:
         nearest = {"0.0.0.0": "127.0.0.1", "::": "::1"}
         named = self.allow_host[0] if self.allow_host and self.host in nearest else self.host
         return f"{_in_url(nearest.get(named, named))}:{port}"
+
+    def access(self) -> Access | None:
+        """What clients have to show; None where nothing is needed.
+
+        Raises:
+            UsageError: See :meth:`access_token`.
+        """
+        token = self.access_token()
+        return None if token is None else Access(token)
 
     def is_plain_beyond_loopback(self) -> bool:
         """Whether the token and everything else would travel readable through a network."""

@@ -17,6 +17,7 @@ from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
+from m100link.station.web.access import Access
 from m100link.station.web.server import Bridge, Server, listen
 
 __all__ = ["Running", "running"]
@@ -32,6 +33,7 @@ class Running:
         ports: Ports of rosbridge, in the order of the settings.
         console_port: Port of the console, None without it.
         virtual: The virtual aircraft that it brought, or None.
+        console_access: What browsers have to show, None where nothing is needed.
     """
 
     agent: Agent
@@ -39,6 +41,11 @@ class Running:
     ports: list[int]
     console_port: int | None
     virtual: VirtualAircraft | None
+    console_access: Access | None = None
+
+    def console_path(self) -> str:
+        """Path that opens the console in a browser, with a code that works once where needed."""
+        return "/" if self.console_access is None else f"/?code={self.console_access.new_code()}"
 
 
 def _virtual(credentials: Credentials | None) -> VirtualAircraft:
@@ -91,17 +98,22 @@ async def running(
         bridge = Bridge(agent, max_clients=settings.max_clients, pages=settings.pages)
         server = Server.make(bridge.app(settings), settings)
         await stack.enter_async_context(_serving(server, sockets))
-        console_port = None
+        console_port = access = None
         if with_console:
-            console_port = await _add_console(stack, agent, settings, virtual)
+            console_port, access = await _add_console(stack, agent, settings, virtual)
         yield Running(
-            agent, bridge, [one.getsockname()[1] for one in sockets], console_port, virtual
+            agent,
+            bridge,
+            [one.getsockname()[1] for one in sockets],
+            console_port,
+            virtual,
+            access,
         )
 
 
 async def _add_console(
     stack: AsyncExitStack, agent: Agent, settings: Settings, virtual: VirtualAircraft | None
-) -> int:
+) -> tuple[int, Access | None]:
     try:
         from m100link.station.console.app import console_app
     except ModuleNotFoundError as error:
@@ -115,7 +127,7 @@ async def _add_console(
     server = Server.make(app, settings, lifespan="on")
     await stack.enter_async_context(_serving(server, [listening]))
     port: int = listening.getsockname()[1]
-    return port
+    return port, app.access
 
 
 @asynccontextmanager

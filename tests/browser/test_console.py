@@ -11,7 +11,15 @@ from typing import Any
 
 import pytest
 
-from tests.browser.conftest import Console, console_in_browser, until
+from tests.browser.conftest import (
+    ARGUMENTS,
+    CHROMIUM,
+    Console,
+    console_in_browser,
+    playwright,
+    running_console,
+    until,
+)
 
 pytestmark = [pytest.mark.anyio, pytest.mark.timeout(180)]
 
@@ -320,3 +328,29 @@ async def test_what_the_console_answers_forbids_frames(console: Console) -> None
         with answer:
             assert answer.headers["X-Frame-Options"] == "DENY"
             assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+
+
+async def test_a_token_stands_neither_in_the_address_nor_on_a_command_line(tmp_path: Path) -> None:
+    token = "0123456789abcdefXY"
+    path = tmp_path / "token"
+    path.write_text(token)
+    path.chmod(0o600)
+    async with (
+        running_console("--token-file", str(path)) as (report, _),
+        playwright.async_playwright() as started,
+    ):
+        url = report["console"]
+        assert token not in url
+        browser = await started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        page = await browser.new_page()
+        await page.context.add_cookies([{"name": "json", "value": '{"a":1}', "url": url}])
+        await page.goto(url)
+        await page.wait_for_function("window.m100 && window.m100.socket.heardAt > 0")
+        assert page.url == url.partition("?")[0]
+        assert token not in str(await page.context.cookies())
+        assert (await page.reload()).ok
+        other = await (await browser.new_context()).new_page()
+        assert (await other.goto(url)).status == 403  # used already
+        assert (await other.goto(f"{page.url}?token={token}")).ok
+        assert other.url == page.url
+        await browser.close()

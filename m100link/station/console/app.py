@@ -22,7 +22,7 @@ from m100link.station.console.fields import live
 from m100link.station.console.page import Page
 from m100link.station.console.tab import Tab
 from m100link.station.web.files import PublicFiles
-from m100link.station.web.gate import App, Gate
+from m100link.station.web.gate import Gate
 
 if TYPE_CHECKING:
     from m100link.agent.agent import Agent
@@ -102,7 +102,7 @@ class Tabs:
                 await asyncio.sleep(LIVE_INTERVAL)
 
 
-def console_app(agent: Agent, settings: Settings, virtual: VirtualAircraft | None) -> App:
+def console_app(agent: Agent, settings: Settings, virtual: VirtualAircraft | None) -> Gate:
     """The application behind its gate.
 
     Args:
@@ -133,5 +133,5 @@ def console_app(agent: Agent, settings: Settings, virtual: VirtualAircraft | Non
         app,
         hosts=settings.host_names(),
         origins=settings.allow_origin,
-        token=settings.access_token(),
+        access=settings.access(),
     )

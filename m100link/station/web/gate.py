@@ -13,15 +13,14 @@ from __future__ import annotations
 
 import ipaddress
 import logging
-import secrets
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, unquote_plus, urlsplit
 
+from m100link.station.web.access import Access
 from m100link.station.web.logs import SparingLogger
 
-__all__ = ["COOKIE", "Gate", "host_of", "is_loopback"]
+__all__ = ["Gate", "host_of", "is_loopback"]
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -29,9 +28,8 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-COOKIE = "m100link_token"
-"""The cookie that keeps a browser's token, so that it leaves the address bar."""
-
+_MAX_FIELDS = 20
+_SECRETS = frozenset(("token", "code"))
 _FRAMES = ("iframe", "frame", "embed", "object", "fencedframe")
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 
@@ -65,9 +63,10 @@ class Gate:
         hosts: Names that this station goes by, besides those of the loopback interface.
         origins: Pages that may connect, such as ``http://127.0.0.1:8000``; ``null`` is a page
             opened from a file, and any sandboxed frame of any page.
-        token: When set, nothing works without it.
+        access: When set, nothing works without the token or what stands for it.
 
     Attributes:
+        access: As given.
         refused: Requests turned away.
     """
 
@@ -77,12 +76,12 @@ class Gate:
         *,
         hosts: Iterable[str] = (),
         origins: Iterable[str] = (),
-        token: str | None = None,
+        access: Access | None = None,
     ) -> None:
         self._app = app
         self._hosts = {*_LOOPBACK, *(host.lower() for host in hosts)}
         self._origins = {origin.rstrip("/").lower() for origin in origins}
-        self._token = token
+        self.access = access
         self.refused = 0
         self._log = SparingLogger(logging.getLogger("m100link.station"))
 
@@ -98,8 +97,9 @@ class Gate:
             self._log.warning("refused %s: %s", scope.get("client"), why)
             await _refuse(scope, receive, send, why)
             return
-        if self._token is not None and _query_token(scope) is not None:
-            send = self._with_cookie(scope, send)
+        if self.access is not None and scope.get("method") == "GET" and _has_secret(scope):
+            await _send_on(scope, send, self.access)
+            return
         await self._app(scope, receive, send)
 
     def _objection(self, scope: Scope, headers: dict[str, list[str]]) -> str | None:
@@ -111,8 +111,8 @@ class Gate:
             return "pages from elsewhere may not connect (Origin); see --allow-origin"
         if not origins and _is_fetched_elsewhere(scope, headers):
             return "from other pages this one can only be opened for itself (Sec-Fetch)"
-        if self._token is not None and not self._has_token(scope, headers):
-            return "a token is needed: ?token=…, a Bearer header or the cookie"
+        if self.access is not None:
+            return _objection_to_secret(self.access, scope, headers)
         return None
 
     def _is_welcome(self, origin: str, host: str, scope: Scope) -> bool:
@@ -121,28 +121,6 @@ class Gate:
             return True
         secure = scope["scheme"] in ("https", "wss")
         return origin == f"{'https' if secure else 'http'}://{host.lower()}"
-
-    def _has_token(self, scope: Scope, headers: dict[str, list[str]]) -> bool:
-        given = [_query_token(scope)]
-        for header in headers.get("authorization", []):
-            kind, _, value = header.partition(" ")
-            given.append(value.strip() if kind.lower() == "bearer" else None)
-        for header in headers.get("cookie", []):
-            given.append(_cookie_token(header))
-        wanted = (self._token or "").encode()
-        return any(secrets.compare_digest(one.encode(), wanted) for one in given if one is not None)
-
-    def _with_cookie(self, scope: Scope, send: Send) -> Send:
-        secure = "; Secure" if scope["scheme"] in ("https", "wss") else ""
-        cookie = f"{COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/{secure}"
-
-        async def sending(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = [*message.get("headers", []), (b"set-cookie", cookie.encode("ascii"))]
-                message = {**message, "headers": headers}
-            await send(message)
-
-        return sending
 
 
 def _headers(scope: Scope) -> dict[str, list[str]]:
@@ -166,17 +144,62 @@ def _is_fetched_elsewhere(scope: Scope, headers: dict[str, list[str]]) -> bool:
     return not is_opened or "prefetch" in purpose
 
 
-def _query_token(scope: Scope) -> str | None:
-    query = parse_qs(scope.get("query_string", b"").decode("latin-1"), max_num_fields=20)
-    return query["token"][0] if "token" in query else None
+def _is_secure(scope: Scope) -> bool:
+    return scope["scheme"] in ("https", "wss")
 
 
-def _cookie_token(header: str) -> str | None:
+def _query(scope: Scope) -> dict[str, list[str]]:
+    """Fields of the query.
+
+    Raises:
+        ValueError: There are too many.
+    """
+    text = scope.get("query_string", b"").decode("latin-1")
+    return parse_qs(text, max_num_fields=_MAX_FIELDS)
+
+
+def _has_secret(scope: Scope) -> bool:
+    return not _query(scope).keys().isdisjoint(_SECRETS)
+
+
+def _objection_to_secret(access: Access, scope: Scope, headers: dict[str, list[str]]) -> str | None:
     try:
-        cookies: SimpleCookie = SimpleCookie(header)
-    except CookieError:
+        query = _query(scope)
+    except ValueError:
+        return f"an address has at most {_MAX_FIELDS} query fields"
+    if "token" in query and access.is_token(query["token"][0]):
         return None
-    return cookies[COOKIE].value if COOKIE in cookies else None
+    for header in headers.get("authorization", []):
+        kind, _, value = header.partition(" ")
+        if kind.lower() == "bearer" and access.is_token(value.strip()):
+            return None
+    secure = _is_secure(scope)
+    if any(access.has_cookie(header, is_secure=secure) for header in headers.get("cookie", [])):
+        return None
+    # A code is used up by a page that a person opens, not by what looks at it ahead.
+    is_opened = scope.get("method") == "GET" and "sec-purpose" not in headers
+    if "code" in query and is_opened:
+        if access.redeem(query["code"][0]):
+            return None
+        return "this address was used already, or is too old: open the station with ?token=…"
+    return "a token is needed: ?token=…, a Bearer header or the cookie"
+
+
+async def _send_on(scope: Scope, send: Send, access: Access) -> None:
+    """To the same page by an address without secrets: the cookie stands for them from now on."""
+    # Two slashes, or a slash and a backslash, would begin the name of another host.
+    path = "/" + scope.get("raw_path", b"/").decode("latin-1").lstrip("/\\")
+    fields = scope["query_string"].decode("latin-1").split("&")
+    rest = "&".join(one for one in fields if unquote_plus(one.partition("=")[0]) not in _SECRETS)
+    location = f"{path}?{rest}" if rest else path
+    headers = [
+        (b"location", location.encode("latin-1")),
+        (b"set-cookie", access.set_cookie(is_secure=_is_secure(scope)).encode("ascii")),
+        (b"cache-control", b"no-store"),
+        (b"content-length", b"0"),
+    ]
+    await send({"type": "http.response.start", "status": 303, "headers": headers})
+    await send({"type": "http.response.body", "body": b""})
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:

@@ -87,13 +87,13 @@ class Bridge:
             routes.append(Route("/", self._greet))
         self._app = Starlette(routes=routes)
 
-    def app(self, settings: Settings) -> App:
+    def app(self, settings: Settings) -> Gate:
         """The application behind its gate."""
         return Gate(
             self._app,
             hosts=settings.host_names(),
             origins=settings.allow_origin,
-            token=settings.access_token(),
+            access=settings.access(),
         )
 
     async def _greet(self, request: Request) -> Response:

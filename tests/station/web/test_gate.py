@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
-from m100link.station.web.gate import COOKIE, Gate, host_of, is_loopback
+from m100link.station.web.access import CODE_LIFETIME, COOKIE, Access
+from m100link.station.web.gate import Gate, host_of, is_loopback
+from tests.station.web.test_logs import Clock
 
 pytestmark = pytest.mark.anyio
 
@@ -22,6 +24,16 @@ class Visit:
         self.is_in = False
         self.sent: list[MutableMapping[str, Any]] = []
         self.gate = Gate(self._app, **options)
+
+    @property
+    def status(self) -> int:
+        """That of the answer; 0 when the gate gave none."""
+        return int(self.sent[0].get("status", 0)) if self.sent else 0
+
+    @property
+    def headers(self) -> dict[str, str]:
+        pairs = self.sent[0]["headers"]
+        return {name.decode(): value.decode() for name, value in pairs}
 
     async def _app(self, scope: Any, receive: Any, send: Any) -> None:
         self.is_in = True
@@ -43,7 +55,7 @@ class Visit:
             "scheme": scheme,
             "headers": [(name.encode(), value.encode()) for name, value in headers],
             "query_string": query.encode(),
-            "method": method,
+            **({"method": method} if kind == "http" else {}),
             "path": path,
             "raw_path": path.encode(),
         }
@@ -123,6 +135,9 @@ async def test_pages_allowed_by_name_get_in_and_null_is_such_a_name() -> None:
     assert not await Visit(**options).ask(HERE, *two)
 
 
+OWN_COOKIE = Access(TOKEN).cookie
+
+
 @pytest.mark.parametrize(
     ("header", "query", "gets_in"),
     [
@@ -130,28 +145,98 @@ async def test_pages_allowed_by_name_get_in_and_null_is_such_a_name() -> None:
         (None, f"token={TOKEN}", True),
         (None, f"token={TOKEN[:-1]}", False),
         (None, f"token=x&token={TOKEN}", False),
+        (None, f"token={TOKEN}" + "&x=1" * 19, True),
+        (None, f"token={TOKEN}" + "&x=1" * 20, False),
+        (None, f"token={OWN_COOKIE}", False),
         (("authorization", f"Bearer {TOKEN}"), "", True),
+        (("authorization", f"Bearer {TOKEN}"), "x=1&" * 30, False),
         (("authorization", f"Basic {TOKEN}"), "", False),
-        (("cookie", f"a=b; {COOKIE}={TOKEN}"), "", True),
-        (("cookie", f"{COOKIE}={TOKEN}x"), "", False),
+        (("cookie", f"a=b; {COOKIE}={OWN_COOKIE}"), "", True),
+        (("cookie", f'settings={{"a": [1, "b;"]}}; {COOKIE}={OWN_COOKIE}; x'), "", True),
+        (("cookie", f"{COOKIE}=wrong; {COOKIE}={OWN_COOKIE}"), "", True),
+        (("cookie", f"{COOKIE}={OWN_COOKIE}x"), "", False),
+        (("cookie", f"{COOKIE}={TOKEN}"), "", False),
+        (("cookie", f"__Host-{COOKIE}={OWN_COOKIE}"), "", False),
         (("cookie", "\x01"), "", False),
+        (("cookie", f"{COOKIE}=ü"), "", False),
         (("authorization", "Bearer ü"), "", False),
     ],
 )
+@pytest.mark.parametrize("kind", ["websocket", "http"])
 async def test_a_token_is_needed_where_one_is_set(
-    header: tuple[str, str] | None, query: str, gets_in: bool
+    header: tuple[str, str] | None, query: str, gets_in: bool, kind: str
 ) -> None:
     headers = [HERE, *([header] if header else [])]
-    assert await Visit(token=TOKEN).ask(*headers, query=query) is gets_in
+    visit = Visit(access=Access(TOKEN))
+    is_in = await visit.ask(*headers, query=query, kind=kind)
+    if kind == "http" and gets_in and query:
+        assert visit.status == 303
+    else:
+        assert is_in is gets_in
+        assert gets_in or kind == "websocket" or visit.status == 403
 
 
-async def test_the_token_moves_from_the_address_into_a_cookie() -> None:
-    visit = Visit(token=TOKEN)
-    await visit.ask(HERE, kind="http", query=f"token={TOKEN}", tls=True)
-    (cookie,) = [
-        value.decode() for name, value in visit.sent[0]["headers"] if name == b"set-cookie"
-    ]
-    assert cookie == f"{COOKIE}={TOKEN}; HttpOnly; SameSite=Strict; Path=/; Secure"
+@pytest.mark.parametrize(
+    ("path", "query", "leads_to"),
+    [
+        ("/", "token={token}", "/"),
+        ("/page.html", "a=1&token={token}&b=%20", "/page.html?a=1&b=%20"),
+        ("//evil.example/", "token={token}", "/evil.example/"),
+        ("/\\evil.example/", "token={token}", "/evil.example/"),
+        ("/x", "code={code}&a=1", "/x?a=1"),
+        ("/", "%74oken={token}", "/"),
+    ],
+)
+@pytest.mark.parametrize("tls", [False, True])
+async def test_the_token_leaves_the_address_at_once(
+    path: str, query: str, leads_to: str, tls: bool
+) -> None:
+    access = Access(TOKEN)
+    visit = Visit(access=access)
+    query = query.format(token=TOKEN, code=access.new_code())
+    assert not await visit.ask(HERE, kind="http", query=query, path=path, tls=tls)
+    assert visit.status == 303
+    assert visit.headers["location"] == leads_to
+    assert visit.headers["cache-control"] == "no-store"
+    name, more = (f"__Host-{COOKIE}", "; Secure") if tls else (COOKIE, "")
+    cookie = f"{name}={OWN_COOKIE}"
+    assert visit.headers["set-cookie"] == f"{cookie}; HttpOnly; SameSite=Strict; Path=/{more}"
+    assert TOKEN not in cookie
+    assert await Visit(access=access).ask(HERE, ("cookie", cookie), tls=tls)
+
+
+async def test_a_code_works_once_and_for_a_while() -> None:
+    clock = Clock()
+    access = Access(TOKEN, clock=clock)
+    code = access.new_code()
+    first, second = Visit(access=access), Visit(access=access)
+    await first.ask(HERE, kind="http", query=f"code={code}")
+    await second.ask(HERE, kind="http", query=f"code={code}")
+    assert (first.status, second.status) == (303, 403)
+    again = Visit(access=access)  # the page of the history, opened by the browser that had it
+    cookie = ("cookie", f"{COOKIE}={access.cookie}")
+    await again.ask(HERE, cookie, kind="http", query=f"code={code}")
+    assert again.status == 303
+    late = access.new_code()
+    clock.now = CODE_LIFETIME + 1
+    third = Visit(access=access)
+    await third.ask(HERE, kind="http", query=f"code={late}")
+    assert third.status == 403
+
+
+@pytest.mark.parametrize("kind", ["websocket", "http"])
+async def test_a_code_opens_a_page_and_nothing_else(kind: str) -> None:
+    access = Access(TOKEN)
+    code = access.new_code()
+    visit = Visit(access=access)
+    assert not await visit.ask(HERE, kind=kind, method="HEAD", query=f"code={code}")
+    ahead = Visit(access=access)
+    purpose = ("sec-purpose", "prefetch")
+    await ahead.ask(HERE, ("sec-fetch-site", "none"), purpose, kind="http", query=f"code={code}")
+    assert ahead.status == 403  # looked at ahead, it must not be used up
+    opened = Visit(access=access)
+    await opened.ask(HERE, kind="http", query=f"code={code}")
+    assert opened.status == 303
 
 
 async def test_a_page_is_told_why_it_was_refused() -> None:
