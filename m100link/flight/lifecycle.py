@@ -1,0 +1,157 @@
+"""The life of a control block as a table, and what its stop path does for each cause as another.
+
+Whatever can happen to a block is an input or a cause; what it leads to stands in ``TRANSITIONS``. A
+pair that is not in the table changes nothing. Why a block stops decides what can still be done for
+the aircraft: that stands in ``STOP_PLANS``, and nowhere else.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+from m100link.errors import M100Error
+
+__all__ = [
+    "STOP_PLANS",
+    "TRANSITIONS",
+    "BlockInput",
+    "BlockState",
+    "Lifecycle",
+    "StopCause",
+    "StopPlan",
+]
+
+
+class BlockState(Enum):
+    """Where a control block is in its life."""
+
+    NEW = "made and not entered; nothing was asked of the aircraft"
+    ENTERING = "authority is being obtained; nothing may be sent yet"
+    FLYING = "setpoints and tasks go out"
+    PAUSED = "the pilot has the aircraft; nothing goes out before resume()"
+    STOPPING = "the stop path runs, whatever the program's block does meanwhile"
+    OVER = "authority was given back, as far as the line allowed; it is never entered again"
+
+
+class BlockInput(Enum):
+    """What moves a block through its life; what ends it is a :class:`StopCause`."""
+
+    ENTER = "the program enters the block"
+    OBTAINED = "authority was obtained"
+    PAUSE = "the pilot took the aircraft, and the program waits for it"
+    RESUME = "the program goes on after the pilot gave it back"
+    STOPPED = "the stop path has ended"
+
+
+class StopCause(Enum):
+    """Why a block stops."""
+
+    LEFT = "the program left the block: its end, an exception, a cancellation"
+    NOT_ENTERED = "the block could not be entered"
+    SIGNALLED = "Ctrl-C, SIGTERM or SIGHUP"
+    CLOSED = "the connection is being closed, by whatever task"
+    AUTHORITY_LOST = "the pilot or the app took the aircraft"
+    TELEMETRY_STALLED = "no telemetry came for too long"
+    LINK_LOST = "the line is gone"
+
+
+class StopPlan(NamedTuple):
+    """What the stop path does.
+
+    Attributes:
+        explain: Wait for a moment, in silence, for the items that say who took the aircraft.
+        neutral: Replace a setpoint that is being sent by its neutral for 0.3 s; otherwise nothing
+            more is sent.
+        land: Land where the program asked for ``stop="land"``.
+        release: Give authority back.
+    """
+
+    explain: bool
+    neutral: bool
+    land: bool
+    release: bool
+
+
+_C = StopCause
+
+STOP_PLANS: dict[StopCause, StopPlan] = {
+    _C.LEFT: StopPlan(explain=False, neutral=True, land=True, release=True),
+    # Nothing was sent. The ack may be lost and authority ours all the same.
+    _C.NOT_ENTERED: StopPlan(explain=False, neutral=False, land=False, release=True),
+    _C.SIGNALLED: StopPlan(explain=False, neutral=True, land=True, release=True),
+    _C.CLOSED: StopPlan(explain=False, neutral=True, land=True, release=True),
+    # Whoever took the aircraft flies it; the release makes sure that it does not come back to us.
+    _C.AUTHORITY_LOST: StopPlan(explain=True, neutral=False, land=False, release=True),
+    # The aircraft may hear us although we do not hear it.
+    _C.TELEMETRY_STALLED: StopPlan(explain=False, neutral=True, land=True, release=True),
+    # There is nobody to talk to.
+    _C.LINK_LOST: StopPlan(explain=False, neutral=False, land=False, release=False),
+}
+"""What the stop path does for each cause. Every step still asks whether authority is held."""
+
+
+_S, _I = BlockState, BlockInput
+
+# From every state in which the aircraft may be ours, and also for what raises between the ack and
+# the program's first line.
+_STOPS: dict[BlockInput | StopCause, BlockState] = dict.fromkeys(_C, _S.STOPPING)
+
+TRANSITIONS: dict[BlockState, dict[BlockInput | StopCause, BlockState]] = {
+    _S.NEW: {
+        _I.ENTER: _S.ENTERING,
+    },
+    _S.ENTERING: {
+        _I.OBTAINED: _S.FLYING,
+        # The pilot may take the aircraft between the ack and the program's first line.
+        _I.PAUSE: _S.PAUSED,
+        **_STOPS,
+    },
+    _S.FLYING: {
+        _I.PAUSE: _S.PAUSED,
+        **_STOPS,
+    },
+    _S.PAUSED: {
+        _I.RESUME: _S.FLYING,
+        **_STOPS,
+    },
+    _S.STOPPING: {
+        _I.STOPPED: _S.OVER,
+        # The rest of the stop path has nobody to talk to, and the program is told.
+        _C.LINK_LOST: _S.STOPPING,
+    },
+    _S.OVER: {},
+}
+"""State, input or cause, next state."""
+
+
+class Lifecycle:
+    """The life of one block.
+
+    Attributes:
+        state: Where it is.
+        cause: Why it stops or stopped, None before; a line that is lost replaces any other cause.
+        failure: The error that the block will raise, the first one if there were several.
+    """
+
+    def __init__(self) -> None:
+        self.state = BlockState.NEW
+        self.cause: StopCause | None = None
+        self.failure: M100Error | None = None
+
+    @property
+    def plan(self) -> StopPlan:
+        """What the stop path has to do; there is a cause before there is a stop path."""
+        assert self.cause is not None
+        return STOP_PLANS[self.cause]
+
+    def feed(self, what: BlockInput | StopCause, failure: M100Error | None = None) -> bool:
+        """Something happened. Returns whether it stands in the table for the present state."""
+        after = TRANSITIONS[self.state].get(what)
+        if after is None:
+            return False
+        self.state = after
+        if isinstance(what, StopCause):
+            self.cause = what
+            self.failure = self.failure or failure
+        return True

@@ -1,0 +1,188 @@
+"""Every pair of block state and input or cause, against a table written by hand with reasons."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.errors import AuthorityLost, LinkLost
+from m100link.flight.lifecycle import (
+    STOP_PLANS,
+    TRANSITIONS,
+    BlockInput,
+    BlockState,
+    Lifecycle,
+    StopCause,
+    StopPlan,
+)
+
+S, I, C = BlockState, BlockInput, StopCause  # noqa: E741
+
+# (state, input or cause): (next state, why)
+NOT_ENTERED = "before it is entered, a block has nothing that could go on or end"
+ONCE = "a block is entered once: what it did the first time is over or under way"
+ACK_FIRST = "only the ack of the request lets anything fly"
+ENDS = "every cause ends a block from every state in which the aircraft may be ours"
+NOT_PAUSED = "only a pause can be ended by going on"
+PILOT = "the pilot may take the aircraft at any moment from the ack on"
+KNOWN = "it is known already"
+UNDER_WAY = "the stop path runs; it asks for authority itself before each step"
+FIRST_CAUSE = "the first cause has chosen the plan, and every plan ends with the aircraft at rest"
+NO_LINE = "without a line the rest of the stop path has nobody to talk to, and the program is told"
+NEVER_AGAIN = "a block that is over never sends again; its authority was given back"
+
+EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]] = {
+    (S.NEW, I.ENTER): (S.ENTERING, "the way in"),
+    (S.NEW, I.OBTAINED): (S.NEW, NOT_ENTERED),
+    (S.NEW, I.PAUSE): (S.NEW, NOT_ENTERED),
+    (S.NEW, I.RESUME): (S.NEW, NOT_ENTERED),
+    (S.NEW, I.STOPPED): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.LEFT): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.NOT_ENTERED): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.SIGNALLED): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.CLOSED): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.AUTHORITY_LOST): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.TELEMETRY_STALLED): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.LINK_LOST): (S.NEW, NOT_ENTERED),
+    (S.ENTERING, I.ENTER): (S.ENTERING, ONCE),
+    (S.ENTERING, I.OBTAINED): (S.FLYING, "the ack says obtained"),
+    (S.ENTERING, I.PAUSE): (S.PAUSED, PILOT),
+    (S.ENTERING, I.RESUME): (S.ENTERING, ACK_FIRST),
+    (S.ENTERING, I.STOPPED): (S.ENTERING, "no stop path was begun"),
+    (S.ENTERING, C.LEFT): (S.STOPPING, ENDS),
+    (S.ENTERING, C.NOT_ENTERED): (S.STOPPING, "refused or cancelled: the ack may be lost"),
+    (S.ENTERING, C.SIGNALLED): (S.STOPPING, ENDS),
+    (S.ENTERING, C.CLOSED): (S.STOPPING, ENDS),
+    (S.ENTERING, C.AUTHORITY_LOST): (S.STOPPING, ENDS),
+    (S.ENTERING, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.ENTERING, C.LINK_LOST): (S.STOPPING, ENDS),
+    (S.FLYING, I.ENTER): (S.FLYING, ONCE),
+    (S.FLYING, I.OBTAINED): (S.FLYING, KNOWN),
+    (S.FLYING, I.PAUSE): (S.PAUSED, PILOT),
+    (S.FLYING, I.RESUME): (S.FLYING, NOT_PAUSED),
+    (S.FLYING, I.STOPPED): (S.FLYING, "no stop path was begun"),
+    (S.FLYING, C.LEFT): (S.STOPPING, ENDS),
+    (S.FLYING, C.NOT_ENTERED): (S.STOPPING, "something raised before the program's first line"),
+    (S.FLYING, C.SIGNALLED): (S.STOPPING, ENDS),
+    (S.FLYING, C.CLOSED): (S.STOPPING, ENDS),
+    (S.FLYING, C.AUTHORITY_LOST): (S.STOPPING, ENDS),
+    (S.FLYING, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.FLYING, C.LINK_LOST): (S.STOPPING, ENDS),
+    (S.PAUSED, I.ENTER): (S.PAUSED, ONCE),
+    (S.PAUSED, I.OBTAINED): (S.PAUSED, "the pilot took it after the ack: that is newer"),
+    (S.PAUSED, I.PAUSE): (S.PAUSED, KNOWN),
+    (S.PAUSED, I.RESUME): (S.FLYING, "the program says so, and nobody else"),
+    (S.PAUSED, I.STOPPED): (S.PAUSED, "no stop path was begun"),
+    (S.PAUSED, C.LEFT): (S.STOPPING, ENDS),
+    (S.PAUSED, C.NOT_ENTERED): (S.STOPPING, "something raised before the program's first line"),
+    (S.PAUSED, C.SIGNALLED): (S.STOPPING, ENDS),
+    (S.PAUSED, C.CLOSED): (S.STOPPING, ENDS),
+    (S.PAUSED, C.AUTHORITY_LOST): (S.STOPPING, "the app takes it from the pilot, too"),
+    (S.PAUSED, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.PAUSED, C.LINK_LOST): (S.STOPPING, ENDS),
+    (S.STOPPING, I.ENTER): (S.STOPPING, ONCE),
+    (S.STOPPING, I.OBTAINED): (S.STOPPING, "an ack that comes late: the release follows"),
+    (S.STOPPING, I.PAUSE): (S.STOPPING, UNDER_WAY),
+    (S.STOPPING, I.RESUME): (S.STOPPING, "nothing flies again in this block"),
+    (S.STOPPING, I.STOPPED): (S.OVER, "the way out"),
+    (S.STOPPING, C.LEFT): (S.STOPPING, FIRST_CAUSE),
+    (S.STOPPING, C.NOT_ENTERED): (S.STOPPING, FIRST_CAUSE),
+    (S.STOPPING, C.SIGNALLED): (S.STOPPING, FIRST_CAUSE),
+    (S.STOPPING, C.CLOSED): (S.STOPPING, FIRST_CAUSE),
+    (S.STOPPING, C.AUTHORITY_LOST): (S.STOPPING, UNDER_WAY),
+    (S.STOPPING, C.TELEMETRY_STALLED): (S.STOPPING, FIRST_CAUSE),
+    (S.STOPPING, C.LINK_LOST): (S.STOPPING, NO_LINE),
+    (S.OVER, I.ENTER): (S.OVER, ONCE),
+    (S.OVER, I.OBTAINED): (S.OVER, NEVER_AGAIN),
+    (S.OVER, I.PAUSE): (S.OVER, NEVER_AGAIN),
+    (S.OVER, I.RESUME): (S.OVER, NEVER_AGAIN),
+    (S.OVER, I.STOPPED): (S.OVER, KNOWN),
+    (S.OVER, C.LEFT): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.NOT_ENTERED): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.SIGNALLED): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.CLOSED): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.AUTHORITY_LOST): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.TELEMETRY_STALLED): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.LINK_LOST): (S.OVER, NEVER_AGAIN),
+}
+
+# How a block really comes to each state.
+WAY_TO: dict[BlockState, tuple[BlockInput | StopCause, ...]] = {
+    S.NEW: (),
+    S.ENTERING: (I.ENTER,),
+    S.FLYING: (I.ENTER, I.OBTAINED),
+    S.PAUSED: (I.ENTER, I.OBTAINED, I.PAUSE),
+    S.STOPPING: (I.ENTER, I.OBTAINED, C.LEFT),
+    S.OVER: (I.ENTER, I.OBTAINED, C.LEFT, I.STOPPED),
+}
+
+
+def life_in(state: BlockState) -> Lifecycle:
+    life = Lifecycle()
+    for what in WAY_TO[state]:
+        assert life.feed(what)
+    assert life.state is state
+    return life
+
+
+@pytest.mark.parametrize("state", S, ids=lambda s: s.name)
+@pytest.mark.parametrize("what", [*I, *C], ids=lambda w: w.name)
+def test_each_input_and_cause_in_each_state_leads_where_the_reasons_say(
+    state: BlockState, what: BlockInput | StopCause
+) -> None:
+    after, why = EXPECTED[state, what]
+    life = life_in(state)
+    before = life.cause
+    is_taken = life.feed(what)
+    assert life.state is after, why
+    assert is_taken is (after is not state or (state, what) == (S.STOPPING, C.LINK_LOST)), why
+    assert life.cause is (what if is_taken and isinstance(what, C) else before), why
+
+
+def test_every_transition_of_the_code_stands_in_the_expectation() -> None:
+    in_code = {(s, what): after for s, row in TRANSITIONS.items() for what, after in row.items()}
+    changing = {pair: row[0] for pair, row in EXPECTED.items() if row[0] is not pair[0]}
+    assert in_code == {**changing, (S.STOPPING, C.LINK_LOST): S.STOPPING}
+    assert set(TRANSITIONS) == set(S)
+
+
+def test_from_every_state_that_may_hold_authority_every_cause_stops() -> None:
+    for state in (S.ENTERING, S.FLYING, S.PAUSED):
+        assert {TRANSITIONS[state][cause] for cause in C} == {S.STOPPING}
+
+
+def test_the_first_failure_is_the_one_that_is_raised() -> None:
+    life = life_in(S.FLYING)
+    first, second = AuthorityLost("the pilot"), LinkLost("the plug")
+    life.feed(C.AUTHORITY_LOST, first)
+    life.feed(C.LINK_LOST, second)
+    assert life.failure is first
+    assert life.plan == STOP_PLANS[C.LINK_LOST]
+
+
+def test_a_line_lost_during_the_stop_path_is_told_when_nothing_else_is() -> None:
+    life = life_in(S.STOPPING)
+    lost = LinkLost("the plug")
+    life.feed(C.LINK_LOST, lost)
+    assert life.failure is lost
+
+
+# Explain, neutral, land, release; why. Written from what each cause leaves possible.
+PLANS: dict[StopCause, tuple[tuple[bool, bool, bool, bool], str]] = {
+    C.LEFT: ((False, True, True, True), "all is well: everything that was asked for"),
+    C.NOT_ENTERED: ((False, False, False, True), "nothing flew; the ack alone may be lost"),
+    C.SIGNALLED: ((False, True, True, True), "the program goes, the aircraft does not"),
+    C.CLOSED: ((False, True, True, True), "as long as the line is there, it is used"),
+    C.AUTHORITY_LOST: ((True, False, False, True), "whoever took it flies it; say who it was"),
+    C.TELEMETRY_STALLED: ((False, True, True, True), "it may hear us although we hear nothing"),
+    C.LINK_LOST: ((False, False, False, False), "nobody is there"),
+}
+
+
+@pytest.mark.parametrize("cause", C, ids=lambda c: c.name)
+def test_each_cause_has_the_plan_that_it_leaves_possible(cause: StopCause) -> None:
+    plan, why = PLANS[cause]
+    assert STOP_PLANS[cause] == StopPlan(*plan), why
+
+
+def test_only_a_lost_line_keeps_authority() -> None:
+    assert [cause for cause, plan in STOP_PLANS.items() if not plan.release] == [C.LINK_LOST]
