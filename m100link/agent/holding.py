@@ -19,7 +19,7 @@ from m100link.agent.background import BackgroundTasks
 from m100link.agent.flying import Flying
 from m100link.agent.journal import Journal
 from m100link.aircraft import Aircraft
-from m100link.errors import AuthorityLost, AuthorityRefused, M100Error, NoAuthority
+from m100link.errors import AuthorityLost, AuthorityRefused, LossReason, M100Error, NoAuthority
 from m100link.flight.control import Control
 from m100link.protocol.records import RemoteControl
 from m100link.telemetry.subscription import Newest
@@ -113,9 +113,9 @@ TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
 """State, input, next state."""
 
 _LOSSES = {
-    "mode_switch": _I.PILOT_TOOK,
-    "app": _I.APP_TOOK,
-    "link": _I.LINK_LOST,
+    LossReason.MODE_SWITCH: _I.PILOT_TOOK,
+    LossReason.APP: _I.APP_TOOK,
+    LossReason.LINK: _I.LINK_LOST,
 }
 
 

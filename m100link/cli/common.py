@@ -6,20 +6,20 @@ import asyncio
 import json
 import math
 import os
-import stat
 import sys
 from collections.abc import Coroutine
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 from rich.console import Console
 
 from m100link import errors
+from m100link.cli.options import options_of
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.station.config import ENVIRONMENT, Settings
 
 __all__ = [
     "AppOptions",
@@ -134,26 +134,17 @@ class LinkOptions:
         return {"firmware": self.firmware, "baud_rate": self.baud, "timeout": self.timeout}
 
 
+_OfTheApp: Any = options_of(
+    Settings,
+    ("app_id", "key_file", "key", "level", "app_version", "bundle_id"),
+    environment={name: ENVIRONMENT[name] for name in ("app_id", "key_file", "key")},
+)
+
+
 @Parameter(name="*")
-@dataclass
-class AppOptions:
-    """The app that is registered with DJI.
-
-    Attributes:
-        app_id: App id.
-        key_file: File with the key, 64 hex digits, readable by you alone.
-        key: The key itself; visible to everybody on this machine, so better a file.
-        level: Authorization level of the app id.
-        app_version: Version of the app (firmware 1.0).
-        bundle_id: Bundle id of the app.
-    """
-
-    app_id: Annotated[int | None, Parameter(env_var="M100LINK_APP_ID")] = None
-    key_file: Annotated[Path | None, Parameter(env_var="M100LINK_KEY_FILE")] = None
-    key: Annotated[str | None, Parameter(env_var="M100LINK_KEY")] = None
-    level: int = 2
-    app_version: int = 1
-    bundle_id: str = "12345678901234567890123456789012"
+@dataclass(frozen=True)
+class AppOptions(_OfTheApp):  # type: ignore[misc] # a class that is made has no type
+    """The app that is registered with DJI: fields of the station's settings."""
 
     def credentials(self, url: str = "") -> Credentials:
         """The credentials, checked; those of the demo app for a ``sim://`` without any.
@@ -163,37 +154,13 @@ class AppOptions:
         """
         if url.startswith("sim:") and (self.app_id, self.key, self.key_file) == (None,) * 3:
             return Credentials(DEMO_APP_ID, DEMO_KEY, level=self.level)
-        if self.app_id is None:
-            raise UsageError("no app id was given", remedy="give --app-id, or set M100LINK_APP_ID")
-        return Credentials(
-            self.app_id,
-            self._key_text(),
-            level=self.level,
-            app_version=self.app_version,
-            bundle_id=self.bundle_id,
-        )
-
-    def _key_text(self) -> str:
-        if self.key_file is not None:
-            return _read_key_file(self.key_file)
-        if self.key is None:
-            raise UsageError("no key was given", remedy="give --key-file, or set M100LINK_KEY_FILE")
-        if "M100LINK_KEY" not in os.environ:
+        if self.key_file is None and self.key is not None and "M100LINK_KEY" not in os.environ:
             err.print("[yellow]warning:[/] --key shows the key to everybody who lists processes")
-        return self.key
-
-
-def _read_key_file(path: Path) -> str:
-    try:
-        text = path.expanduser().read_text(encoding="ascii")
-        mode = stat.S_IMODE(path.expanduser().stat().st_mode)
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"the key file cannot be read: {error}") from error
-    if mode & 0o077:
-        err.print(
-            f"[yellow]warning:[/] {path} can be read by others (mode {mode:o}): chmod 600 {path}"
-        )
-    return text
+        given = {one.name: getattr(self, one.name) for one in fields(_OfTheApp)}
+        credentials = Settings(**given).credentials()
+        if credentials is None:
+            raise UsageError("no app id was given", remedy="give --app-id, or set M100LINK_APP_ID")
+        return credentials
 
 
 def run_async(work: Coroutine[Any, Any, int | None]) -> int:

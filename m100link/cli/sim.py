@@ -21,6 +21,7 @@ from rich.table import Table
 from m100link.cli.common import out, print_json
 from m100link.cli.sim_live import LiveView, read_keys
 from m100link.errors import UsageError
+from m100link.keyfile import read_key
 from m100link.protocol.firmware import PROFILES
 from m100link.sim.clock import loop_factory
 from m100link.sim.line import LineFaults
@@ -223,10 +224,7 @@ def _read_key(text: str | None, path: Path | None) -> Key:
     if text is not None and path is not None:
         raise UsageError("give --key or --key-file, not both")
     if path is not None:
-        try:
-            text = path.read_text(encoding="ascii")
-        except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"the key file {path} cannot be read: {error}") from error
+        return read_key(path)
     return DEMO_KEY if text is None else Key(text)
 
 

@@ -6,92 +6,61 @@ import asyncio
 import os
 import signal
 import webbrowser
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from m100link.cli.common import ExitCode, err, out, print_json, run_async
+from m100link.cli.options import options_of
 from m100link.errors import UsageError
+from m100link.station.config import ENVIRONMENT, Settings, resolve
 
 if TYPE_CHECKING:
     from m100link.agent.journal import Event
-    from m100link.station.config import Settings
     from m100link.station.run import Running
 
 __all__ = ["console", "serve"]
 
 
+_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "origins")
+"""Settings that are not options of both commands, or not of the command line at all."""
+
+_FromSettings: Any = options_of(
+    Settings,
+    [one.name for one in fields(Settings) if one.name not in _ELSEWHERE],
+    environment=ENVIRONMENT,
+    singular={"also_ports": "--also-port"},
+    is_layer=True,
+)
+
+
 @Parameter(name="*")
 @dataclass(frozen=True)
-class StationOptions:
+class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
     """Where the aircraft is, whose app it is, who may connect.
 
-    Every value may also come from the environment, a TOML file or a ROS launch file, in this order.
+    Every setting may also come from the environment, a TOML file or a ROS launch file, in this
+    order. To the fields of :class:`~m100link.station.config.Settings` come:
 
     Attributes:
-        sim: Bring a virtual aircraft.
         config: TOML file with settings.
         launch: ROS launch file of DJI's node, read as it is.
-        baud_rate: Rate when the URL has none (M100LINK_BAUD_RATE).
-        firmware: Force a firmware profile (M100LINK_PROFILE).
-        app_id: App id at DJI (M100LINK_APP_ID).
-        key_file: File with its key, 64 hex digits, readable by you alone (M100LINK_KEY_FILE).
-        level: Authorization level of the app id (M100LINK_LEVEL).
-        app_version: Version of the app (firmware 1.0).
-        bundle_id: Bundle id of the app.
-        host: Address to bind; beyond this machine a token is needed (M100LINK_HOST).
-        port: Port of rosbridge (M100LINK_PORT).
-        also_port: One more port for it, such as 19871 for DJI's later page; may be repeated.
-        allow_host: A name that this station goes by; may be repeated.
-        allow_origin: A page from elsewhere that may connect, such as http://127.0.0.1:8000; null
-            is a page opened from a file. May be repeated.
-        token_file: File with the token that clients have to know (M100LINK_TOKEN_FILE).
-        tls_cert: Certificate, PEM.
-        tls_key: Its private key, PEM.
-        pages: Folder with web pages to serve on the rosbridge port, such as DJI's keyboard page.
-        max_clients: Clients at once.
         json_output: Print one line of JSON when it runs.
         show_config: Print the settings and where each came from, and end.
     """
 
-    sim: bool | None = None
     config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
     launch: Path | None = None
-    baud_rate: int | None = None
-    firmware: str | None = None
-    app_id: int | None = None
-    key_file: Path | None = None
-    level: int | None = None
-    app_version: int | None = None
-    bundle_id: str | None = None
-    host: str | None = None
-    port: int | None = None
-    also_port: tuple[int, ...] = ()
-    allow_host: tuple[str, ...] = ()
-    allow_origin: tuple[str, ...] = ()
-    token_file: Path | None = None
-    tls_cert: Path | None = None
-    tls_key: Path | None = None
-    pages: Path | None = None
-    max_clients: int | None = None
     json_output: Annotated[bool, Parameter(name="--json")] = False
     show_config: bool = False
 
     def settings(self, **more: Any) -> Settings:
         """The settings from all sources."""
-        from m100link.station.config import resolve
-
-        flags = {
-            name: getattr(self, name)
-            for name in self.__dataclass_fields__
-            if name not in ("config", "launch", "also_port", "json_output", "show_config")
-        }
-        flags["also_ports"] = self.also_port
-        given = {name: value for name, value in flags.items() if value != ()}
-        environment = dict(os.environ)
-        return resolve(given | more, environment, config=self.config, launch=self.launch)
+        given = {one.name: getattr(self, one.name) for one in fields(_FromSettings)}
+        flags = {name: value for name, value in given.items() if value != ()}
+        return resolve(flags | more, os.environ, config=self.config, launch=self.launch)
 
 
 def serve(url: str | None = None, *, options: StationOptions = StationOptions()) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-import stat
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link.errors import UsageError
+from m100link.keyfile import read_key, read_token
 from m100link.protocol.commands.activation import Credentials
 from m100link.station.launch import read_launch
 from m100link.station.web.access import Access
@@ -25,37 +25,41 @@ CONSOLE_PORT = 8090
 """Where the console is served."""
 
 _MIN_TOKEN = 16
+_APP: dict[str, Any] = {one.name: one.default for one in fields(Credentials)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
     """What the station needs to know.
 
+    The command line is made from these fields and their sentences; see :mod:`m100link.cli.options`.
+
     Attributes:
-        url: Where the aircraft is; None with ``sim``.
+        url: Where the aircraft is; none with a virtual one.
         baud_rate: Rate when the URL has none.
-        firmware: Forced firmware profile.
+        firmware: Force a firmware profile.
         sim: Bring a virtual aircraft.
-        app_id: App id at DJI; without it the station can only watch.
-        key: Its AES key.
-        key_file: File that holds the key, before ``key``.
+        app_id: App id at DJI.
+        key: The key itself; visible to everybody on this machine, so better a file.
+        key_file: File with the key, 64 hex digits, readable by you alone.
         level: Authorization level of the app id.
         app_version: Version of the app (firmware 1.0).
         bundle_id: Bundle id of the app.
-        host: Address to bind.
+        host: Address to bind; beyond this machine a token is needed.
         port: Port of rosbridge.
-        also_ports: More ports for the same; DJI's later page looks for 19871.
+        also_ports: One more port for it, such as 19871 for DJI's later page; may be repeated.
         console_port: Port of the console.
-        allow_host: Names that the station goes by.
-        allow_origin: Pages from elsewhere that may connect; ``null`` is a page from a file.
-        token: What clients have to know; needed beyond the own machine.
-        token_file: File that holds it.
-        tls_cert: Certificate chain, PEM.
+        allow_host: A name that this station goes by; may be repeated.
+        allow_origin: A page from elsewhere that may connect, such as http://127.0.0.1:8000; null
+            is a page opened from a file. May be repeated.
+        token: What clients have to know.
+        token_file: File with the token that clients have to know.
+        tls_cert: Certificate, PEM.
         tls_key: Its private key, PEM.
-        pages: Folder with web pages to serve on the rosbridge port.
-        tiles: Folder with map tiles ``{z}/{x}/{y}.png`` for the console.
+        pages: Folder with web pages to serve on the rosbridge port, such as DJI's keyboard page.
+        tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
         max_clients: Clients at once.
-        origins: Where each value came from, for ``--show-config``.
+        origins: Where each value came from.
     """
 
     url: str | None = None
@@ -65,9 +69,9 @@ class Settings:
     app_id: int | None = None
     key: str | None = field(default=None, repr=False)
     key_file: Path | None = None
-    level: int = 2
-    app_version: int = 1
-    bundle_id: str = "12345678901234567890123456789012"
+    level: int = _APP["level"]
+    app_version: int = _APP["app_version"]
+    bundle_id: str = _APP["bundle_id"]
     host: str = "127.0.0.1"
     port: int = PORT
     also_ports: tuple[int, ...] = ()
@@ -91,9 +95,7 @@ class Settings:
         """
         if self.app_id is None:
             return None
-        key = self.key
-        if self.key_file is not None:
-            key = _read_secret(self.key_file, "key")
+        key = read_key(self.key_file) if self.key_file is not None else self.key
         if key is None:
             raise UsageError(
                 f"there is an app id ({self.app_id}) and no key",
@@ -115,7 +117,7 @@ class Settings:
         """
         token = self.token
         if self.token_file is not None:
-            token = _read_secret(self.token_file, "token").strip()
+            token = read_token(self.token_file)
         if token is None:
             if not is_loopback(self.host):
                 raise UsageError(
@@ -268,17 +270,3 @@ def _convert(name: str, value: Any, source: str) -> Any:
     except (TypeError, ValueError):
         shown = "what is there" if name in ("key", "token") else repr(value)
         raise UsageError(f"{source}: {name} cannot be {shown}") from None
-
-
-def _read_secret(path: Path, what: str) -> str:
-    place = path.expanduser()
-    try:
-        mode = stat.S_IMODE(place.stat().st_mode)
-        text = place.read_text(encoding="ascii")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"the {what} file cannot be read: {error}") from error
-    if mode & 0o077:
-        raise UsageError(
-            f"{path} can be read by others (mode {mode:o})", remedy=f"chmod 600 {path}"
-        )
-    return text

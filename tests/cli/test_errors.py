@@ -237,9 +237,13 @@ def test_a_key_file_that_is_not_there(cli: CommandLine, tmp_path: Path) -> None:
     assert "cannot be read" in outcome.err
 
 
-def test_a_key_file_that_others_may_read_is_warned_of(cli: CommandLine, key_file: Path) -> None:
+@pytest.mark.parametrize("command", [("activate", "sim://", "--app-id", "7"), ("sim", "--for=1")])
+def test_a_key_file_that_others_may_read_is_not_used(
+    cli: CommandLine, key_file: Path, command: tuple[str, ...]
+) -> None:
     key_file.chmod(0o644)
-    outcome = cli("activate", "sim://", "--app-id", "7", "--key-file", str(key_file))
+    outcome = cli(*command, "--key-file", str(key_file))
+    assert outcome.status == ExitCode.USAGE
     assert "chmod 600" in outcome.err
 
 

@@ -1,0 +1,73 @@
+"""Options of the command line made from the library's own dataclasses.
+
+A setting is declared once: its name, type and default as a field, its sentence in the docstring of
+its class. What is made here is a dataclass to derive from.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, get_type_hints
+
+from cyclopts import Parameter
+
+__all__ = ["attribute_texts", "options_of"]
+
+
+def attribute_texts(source: type) -> dict[str, str]:
+    """The sentences of the docstring's section "Attributes", by attribute."""
+    _, _, section = (inspect.getdoc(source) or "").partition("\nAttributes:\n")
+    texts: dict[str, str] = {}
+    name = ""
+    for line in section.splitlines():
+        begin = re.match(r"    (\w+): (.*)", line)
+        if begin is not None:
+            name = begin[1]
+            texts[name] = begin[2]
+        elif line.startswith("        ") and name:
+            texts[name] += f" {line.strip()}"
+        elif line.strip():
+            break
+    return texts
+
+
+def options_of(
+    source: type,
+    names: Iterable[str],
+    *,
+    environment: Mapping[str, str] | None = None,
+    singular: Mapping[str, str] | None = None,
+    is_layer: bool = False,
+) -> Any:
+    """A dataclass with an option for each of these fields.
+
+    Args:
+        source: The dataclass that declares them.
+        names: Which of its fields.
+        environment: Environment variables by field, named in the help.
+        singular: Name of the option for one item of a tuple, by field.
+        is_layer: The options are one source of several: what was not given is None or empty, and
+            the environment is read by somebody else.
+    """
+    texts, hints = attribute_texts(source), get_type_hints(source)
+    fields = {field.name: field for field in dataclasses.fields(source)}
+    made = []
+    for name in names:
+        variable = (environment or {}).get(name)
+        text = texts[name]
+        kind, default = hints[name], fields[name].default
+        if is_layer:
+            is_tuple = isinstance(default, tuple)
+            kind, default = (kind, ()) if is_tuple else (kind | None, None)
+            if variable is not None:
+                text = f"{text.removesuffix('.')} ({variable})."
+        parameter = Parameter(
+            name=(singular or {}).get(name),
+            help=text,
+            env_var=None if is_layer else variable,
+        )
+        made.append((name, Annotated[kind, parameter], dataclasses.field(default=default)))
+    return dataclasses.make_dataclass(f"{source.__name__}Options", made, frozen=True)

@@ -1,0 +1,74 @@
+"""Options made from dataclasses: one declaration, and what becomes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("cyclopts")
+from m100link.cli.common import AppOptions
+from m100link.cli.options import attribute_texts, options_of
+from m100link.cli.station import StationOptions
+from m100link.protocol.commands.activation import Credentials
+from m100link.station.config import ENVIRONMENT, Settings
+
+
+@dataclass(frozen=True)
+class Kitchen:
+    """A kitchen.
+
+    Attributes:
+        stove: What cooks,
+            and how hot.
+        pans: A pan.
+        lamp: What shines.
+
+    Raises:
+        Nothing: At all.
+    """
+
+    stove: int = 5
+    pans: tuple[str, ...] = ()
+    lamp: Path | None = None
+
+
+def test_texts_come_from_the_docstring() -> None:
+    assert attribute_texts(Kitchen) == {
+        "stove": "What cooks, and how hot.",
+        "pans": "A pan.",
+        "lamp": "What shines.",
+    }
+
+
+def test_options_have_the_defaults_of_their_fields_or_none_as_a_layer() -> None:
+    plain = options_of(Kitchen, ("stove", "lamp"))()
+    assert (plain.stove, plain.lamp) == (5, None)
+    layer = options_of(Kitchen, ("stove", "pans"), is_layer=True)()
+    assert (layer.stove, layer.pans) == (None, ())
+
+
+def test_every_setting_is_declared_once() -> None:
+    names = {one.name for one in fields(Settings)}
+    assert set(attribute_texts(Settings)) == names
+    assert set(ENVIRONMENT) <= names
+    own = {"config", "launch", "json_output", "show_config"}
+    offered = {one.name for one in fields(StationOptions)} - own
+    assert offered == names - {"url", "key", "token", "console_port", "tiles", "origins"}
+    defaults = {one.name: one.default for one in fields(Credentials)}
+    for options in (Settings(), AppOptions()):
+        for name in ("level", "app_version", "bundle_id"):
+            assert getattr(options, name) == defaults[name]
+
+
+def test_what_was_not_given_is_left_to_the_other_sources(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("M100LINK_PORT", "1234")
+    settings = StationOptions(also_ports=(19871,), level=1).settings(url="tcp://a:1")
+    assert (settings.port, settings.also_ports, settings.level) == (1234, (19871,), 1)
+    assert settings.origins == {
+        "also_ports": "command line",
+        "level": "command line",
+        "url": "command line",
+        "port": "environment",
+    }

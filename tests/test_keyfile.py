@@ -1,0 +1,58 @@
+"""Files with a secret: what is read, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from m100link.errors import BadKey, UsageError
+from m100link.keyfile import MAX_SECRET_SIZE, read_key, read_token
+
+KEY = bytes(range(32))
+
+
+def write(path: Path, data: bytes, mode: int = 0o600) -> Path:
+    path.touch(mode=0o600)
+    path.write_bytes(data)
+    path.chmod(mode)
+    return path
+
+
+@pytest.mark.parametrize(
+    "data", [KEY, KEY.hex().encode(), b"  " + KEY.hex().upper().encode() + b"\r\n"]
+)
+def test_a_key_is_hex_or_raw(tmp_path: Path, data: bytes) -> None:
+    assert read_key(write(tmp_path / "key", data)).reveal() == KEY
+
+
+@pytest.mark.parametrize("data", [b"", b"00", b"g" * 64, b"0" * 65, KEY[:31]])
+def test_what_is_not_a_key_is_not_quoted(tmp_path: Path, data: bytes) -> None:
+    with pytest.raises(BadKey) as caught:
+        read_key(write(tmp_path / "key", data))
+    assert not data or data.decode("latin-1") not in str(caught.value)
+
+
+@pytest.mark.parametrize("read", [read_key, read_token])
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o660])
+def test_what_others_can_read_is_refused(tmp_path: Path, read: object, mode: int) -> None:
+    assert callable(read)
+    with pytest.raises(UsageError, match="read by others") as caught:
+        read(write(tmp_path / "key", KEY.hex().encode(), mode))
+    assert "chmod 600" in str(caught.value)
+
+
+@pytest.mark.parametrize("read", [read_key, read_token])
+def test_what_cannot_be_read_names_the_file(tmp_path: Path, read: object) -> None:
+    assert callable(read)
+    for path in (tmp_path / "none", tmp_path):
+        with pytest.raises(UsageError, match="cannot be read"):
+            read(path)
+    with pytest.raises(UsageError, match="not ASCII"):
+        read(write(tmp_path / "umlaut", "ü".encode() * 20))
+    with pytest.raises(UsageError, match=f"more than {MAX_SECRET_SIZE} bytes"):
+        read(write(tmp_path / "long", b"0" * (MAX_SECRET_SIZE + 1)))
+
+
+def test_a_token_has_no_white_space_around_it(tmp_path: Path) -> None:
+    assert read_token(write(tmp_path / "token", b" 0123456789abcdef\n")) == "0123456789abcdef"
