@@ -1,22 +1,35 @@
 """HTTP and WebSocket on one connection: uvicorn's protocols with the station's headers.
 
 The headers are put where bytes leave, so that they stand on every answer: of the application, of
-the gate, and those that the server gives itself.
+the gate, and those that the server gives itself. A connection that asks nothing, or asks without
+end, is closed: it would take the place of one that asks.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import asyncio
+import logging
+from typing import TYPE_CHECKING, Any, cast
 
 import h11
+import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.server import ServerProtocol
 
+from m100link.station.web.door import Door
+from m100link.station.web.logs import SparingLogger
+
 if TYPE_CHECKING:
     from websockets.http11 import Response
 
-__all__ = ["HEADERS", "HttpConnection", "WebSocketConnection"]
+__all__ = ["HEADERS", "Config", "HttpConnection", "WebSocketConnection"]
+
+PATIENCE = 5.0
+"""Seconds in which a connection has to have asked something completely."""
+
+ANSWER_TIME = 30.0
+"""Seconds after which an answer that its client does not read to the end is given up."""
 
 HEADERS = (
     # A page of another site that shows ours in an invisible frame would steer by clicks on itself.
@@ -26,6 +39,22 @@ HEADERS = (
     ("x-content-type-options", "nosniff"),
 )
 """On every answer of every port."""
+
+
+class Config(uvicorn.Config):
+    """What the connections of one server share.
+
+    Attributes:
+        door: Connections that speak HTTP.
+        log: Where they complain.
+    """
+
+    def __init__(self, app: Any, **keywords: Any) -> None:
+        # Proxy headers are not believed: anybody could say who and how he came.
+        own: dict[str, Any] = {"http": HttpConnection, "ws": WebSocketConnection}
+        super().__init__(app, **keywords, **own, headers=list(HEADERS), proxy_headers=False)
+        self.door = Door()
+        self.log = SparingLogger(logging.getLogger("m100link.station"))
 
 
 class _Handshake(ServerProtocol):
@@ -40,13 +69,85 @@ class _Handshake(ServerProtocol):
 class WebSocketConnection(WebSocketsSansIOProtocol):
     """A WebSocket of the station."""
 
+    config: Config
+
     def __init__(self, *args: Any, **keywords: Any) -> None:
         super().__init__(*args, **keywords)
+        self.logger = cast(logging.Logger, self.config.log)
         self.conn = _Handshake(max_size=self.config.ws_max_size, logger=self.logger)
 
 
 class HttpConnection(H11Protocol):
-    """A connection that speaks HTTP, until it asks for a WebSocket."""
+    """A connection that speaks HTTP, until it asks for a WebSocket.
+
+    Attributes:
+        peer: Address that it comes from.
+    """
+
+    config: Config
+
+    def __init__(self, *args: Any, **keywords: Any) -> None:
+        super().__init__(*args, **keywords)
+        self.logger = cast(logging.Logger, self.config.log)
+        self.peer = ""
+        # Ends the connection unless it asks something, or its answer is on the way.
+        self._patience: asyncio.TimerHandle | None = None
+        self._waited = 0.0
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether it asked nothing that is being answered now."""
+        cycle = self.cycle
+        return cycle is None or cycle.response_complete or cycle.more_body
+
+    def turn_out(self) -> None:
+        """Close it at once."""
+        self._end_patience()
+        self.transport.abort()
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A client has come."""
+        super().connection_made(transport)
+        self.peer = self.client[0] if self.client else ""
+        self._begin_patience()
+        self.config.door.enter(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has gone."""
+        self._leave()
+        super().connection_lost(exc)
+
+    def on_response_complete(self) -> None:
+        """It may ask again, within the same time."""
+        self._begin_patience()
+        self.config.door.answered(self)
+        super().on_response_complete()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """From now on it is a WebSocket."""
+        self._leave()
+        super().handle_websocket_upgrade(event)
+
+    def _leave(self) -> None:
+        self._end_patience()
+        self.config.door.leave(self)
+
+    def _begin_patience(self) -> None:
+        self._end_patience()
+        self._waited = 0.0
+        self._patience = self.loop.call_later(PATIENCE, self._look_again)
+
+    def _end_patience(self) -> None:
+        if self._patience is not None:
+            self._patience.cancel()
+            self._patience = None
+
+    def _look_again(self) -> None:
+        self._waited += PATIENCE
+        if self.is_answered or self._waited >= ANSWER_TIME:
+            self.turn_out()
+        else:
+            self._patience = self.loop.call_later(PATIENCE, self._look_again)
 
     def send_400_response(self, msg: str) -> None:
         """What is no HTTP has no application that could answer."""

@@ -31,7 +31,7 @@ from m100link.station.ros.node_2015 import Node
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import App, Gate
 from m100link.station.web.logs import SparingLogger
-from m100link.station.web.protocol import HEADERS, HttpConnection, WebSocketConnection
+from m100link.station.web.protocol import PATIENCE, Config, HttpConnection
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -200,16 +200,12 @@ class Server(uvicorn.Server):
         lifespan: Literal["on", "off"] = "off",
     ) -> Server:
         """A server with the limits of the station."""
-        config = uvicorn.Config(
+        config = Config(
             app,
-            http=HttpConnection,
-            ws=WebSocketConnection,
-            headers=list(HEADERS),
             ws_max_size=message_size,
             ws_ping_interval=PING_INTERVAL,
             ws_ping_timeout=PING_TIMEOUT,
             ws_per_message_deflate=False,
-            limit_concurrency=4 * settings.max_clients,
             timeout_graceful_shutdown=2,
             timeout_keep_alive=5,
             lifespan=lifespan,
@@ -217,7 +213,6 @@ class Server(uvicorn.Server):
             log_level="warning",  # its "info" prints addresses with their tokens
             access_log=False,
             server_header=False,
-            proxy_headers=False,  # anybody could say who and how he came
             ssl_certfile=settings.tls_cert,
             ssl_keyfile=settings.tls_key,
         )
@@ -226,6 +221,24 @@ class Server(uvicorn.Server):
         except (OSError, ssl.SSLError) as error:
             raise UsageError(f"the TLS files cannot be used: {error}") from error
         return cls(config)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen. A TLS handshake has as little time as a first request."""
+        await self.lifespan.startup()
+        config, loop = self.config, asyncio.get_running_loop()
+        self.server_state.default_headers = list(config.encoded_headers)
+
+        def connection() -> asyncio.Protocol:
+            return HttpConnection(config, self.server_state, self.lifespan.state)
+
+        timeout = PATIENCE if config.ssl is not None else None
+        self.servers = [
+            await loop.create_server(
+                connection, sock=one, ssl=config.ssl, ssl_handshake_timeout=timeout
+            )
+            for one in sockets or []
+        ]
+        self.started = True
 
     async def run_on(self, sockets: Sequence[socket.socket]) -> None:
         """Serve until cancelled; clients are told and the sockets closed."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
+from websockets.asyncio.client import connect
+
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
 from m100link.station.run import Running, running
@@ -85,3 +88,82 @@ async def test_no_answer_may_stand_in_a_frame_of_another_page(
         "x-content-type-options: nosniff",
     ):
         assert lines.count(line) == 1, head
+
+
+async def half_open(port: int, begin: bytes = b"") -> socket.socket:
+    """A connection that begins to ask, and does not go on."""
+    one = socket.socket()
+    one.setblocking(False)
+    loop = asyncio.get_running_loop()
+    await loop.sock_connect(one, ("127.0.0.1", port))
+    if begin:
+        await loop.sock_sendall(one, begin)
+    return one
+
+
+@pytest.mark.parametrize("begin", [b"", b"GET / HTTP/1.1\r\nHost: 127.0", b"POST / HTTP/1.1\r\n"])
+async def test_connections_that_ask_nothing_lock_nobody_out(begin: bytes) -> None:
+    async with station() as one:
+        port = one.ports[0]
+        await until(lambda: one.agent.connection.aircraft is not None)
+        sockets = [await half_open(port, begin) for _ in range(300)]
+        began = asyncio.get_running_loop().time()
+        head = await ask(port, f"GET /health HTTP/1.1\r\n{HOST}\r\n")
+        assert head.startswith("http/1.1 200")
+        async with connect(f"ws://127.0.0.1:{port}") as client:
+            await client.send('{"op":"subscribe","topic":"/flight_status"}')
+            await client.recv()
+        assert asyncio.get_running_loop().time() - began < 3.0
+        for each in sockets:
+            each.close()
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        b"",
+        b"GET / HTT",
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 10\r\n\r\n12",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET / HT",
+    ],
+)
+async def test_a_request_has_to_come_in_time(begin: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("m100link.station.web.protocol.PATIENCE", 0.2)
+    async with station() as one:
+        reader, writer = await asyncio.open_connection("127.0.0.1", one.ports[0])
+        writer.write(begin)
+
+        async def drip() -> None:  # a byte now and then is not a request
+            with contextlib.suppress(ConnectionError):
+                while True:
+                    await asyncio.sleep(0.05)
+                    writer.write(b"x")
+                    await writer.drain()
+
+        dripping = asyncio.create_task(drip())
+        async with asyncio.timeout(2):
+            with contextlib.suppress(ConnectionError):
+                while await reader.read(1000):
+                    pass
+        dripping.cancel()
+        await asyncio.gather(dripping, return_exceptions=True)
+        writer.close()
+        with contextlib.suppress(ConnectionError):
+            await writer.wait_closed()
+
+
+async def test_an_answer_that_is_not_read_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("m100link.station.web.protocol.PATIENCE", 0.1)
+    monkeypatch.setattr("m100link.station.web.protocol.ANSWER_TIME", 0.4)
+    (tmp_path / "large").write_bytes(bytes(50_000_000))
+    async with station(pages=tmp_path) as one:
+        lazy = await half_open(one.ports[0], b"GET /large HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        await asyncio.sleep(1.0)
+        received = 0
+        with contextlib.suppress(ConnectionError):
+            while data := await asyncio.get_running_loop().sock_recv(lazy, 1 << 20):
+                received += len(data)
+        assert received < 50_000_000
+        lazy.close()
