@@ -39,13 +39,13 @@ async def station(**options: Any) -> AsyncIterator[Running]:
         yield one
 
 
-async def until(predicate: Callable[[], bool], within: float = 10.0) -> None:
+async def until(predicate: Callable[[], bool], within: float = 30.0) -> None:
     async with asyncio.timeout(within):
         while not predicate():  # noqa: ASYNC110 - polls what has no event
             await asyncio.sleep(0.005)
 
 
-async def ask(port: int, request: str, within: float = 5.0) -> str:
+async def ask(port: int, request: str, within: float = 30.0) -> str:
     """Bytes out as they stand, head of the answer in lower case back."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     try:
