@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 from typing import Any
 
@@ -208,6 +209,17 @@ def test_more_padding_than_data_is_refused_where_dji_would_underflow() -> None:
     assert faults(decode(raw_frame(b"", padding=1), KEY)[1]) == {"padding": 1}
 
 
+def test_padding_means_nothing_where_nothing_is_encrypted_as_in_djis_codec() -> None:
+    plain = raw_frame(b"abc", padding=2)
+    empty = raw_frame(b"", encryption=1)
+    frames, decoder = decode(plain + empty)
+    assert [(frame.encrypted, frame.padding, frame.data) for frame in frames] == [
+        (False, 2, b"abc"),
+        (True, 0, b""),
+    ]
+    assert faults(decoder) == {}
+
+
 def test_padding_of_all_the_data_leaves_nothing() -> None:
     (frame,), _ = decode(encrypted_frame(b""), KEY)
     assert (frame.padding, frame.data) == (16, b"")
@@ -299,6 +311,17 @@ def test_the_end_of_the_stream_gives_up_on_the_incomplete_and_looks_inside_it() 
     assert faults(decoder) == {"truncated": 2}
     assert (decoder.pending, decoder.discarded_bytes) == (0, 12 + 5)
     assert decoder.close() == []
+
+
+def test_more_kinds_of_headers_than_are_remembered_are_all_understood() -> None:
+    kinds = itertools.product(range(16, 20), range(32), (False, True), range(17))
+    stream = b"".join(
+        raw_frame(bytes(size), session=session, is_ack=is_ack, padding=padding)
+        for size, session, is_ack, padding in kinds
+    )
+    frames, decoder = decode(stream + stream[:1000])
+    assert frames == all_frames(stream + stream[:1000])
+    assert decoder.frames > 4352  # which is more than it remembers
 
 
 def test_feeding_nothing_gives_nothing() -> None:
