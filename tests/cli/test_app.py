@@ -1,0 +1,50 @@
+"""The command line as a whole: what it knows, and what it says when it is asked wrongly."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.cli.common import ExitCode
+from tests.cli.conftest import CommandLine
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("no-such-command",),
+        ("info", "sim://", "--no-such-option"),
+        ("info", "sim://", "--seconds", "soon"),
+        ("demo", "--speed", "0"),
+        ("demo", "--speed", "1000"),
+        ("demo", "--side", "0.5"),
+        ("info", "sim://?wind=3"),
+        ("info", "sim://?seed=x"),
+        ("info", "sim://", "--firmware", "9.9"),
+        ("echo", "sim://", "no_such_item"),
+        ("echo", "sim://", "--csv", "--json"),
+        ("plot", "sim://", "position.colour"),
+    ],
+    ids=" ".join,
+)
+def test_what_is_asked_wrongly_is_a_usage_error_without_a_traceback(
+    cli: CommandLine, arguments: tuple[str, ...]
+) -> None:
+    outcome = cli(*arguments)
+    assert outcome.status == ExitCode.USAGE
+    assert "Traceback" not in outcome.err + outcome.out
+    assert outcome.err + outcome.out
+
+
+def test_help_and_version(cli: CommandLine) -> None:
+    version = cli("--version")
+    assert (version.status, version.out) == (0, "0.1.0\n")
+    overview = cli("--help")
+    for command in ("demo", "info", "activate", "monitor", "decode", "sim", "takeoff", "fly"):
+        assert command in overview.out
+
+
+def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("M100LINK_LOG", "LOUD")
+    outcome = cli("info", "sim://")
+    assert outcome.status == ExitCode.USAGE
+    assert "DEBUG, INFO, WARNING or ERROR" in outcome.err

@@ -1,0 +1,113 @@
+"""``m100link demo`` as a user starts it. Real time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.cli.conftest import ROOT, process
+from tests.waiting import PATIENCE
+
+pytestmark = [pytest.mark.pty, pytest.mark.timeout(180)]  # a flight, on a busy machine
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+def test_demo_flies_and_comes_back_within_a_metre(firmware: str) -> None:
+    outcome = process("demo", "--speed", "20", "--json", "--firmware", firmware)
+    # At this speed a busy machine may be late with a setpoint and say so; it flies all the same.
+    assert outcome.status == 0, outcome.err
+    [summary] = outcome.objects
+    assert summary["flown"] is True
+    assert summary["error"] is None
+    assert summary["returned_within_m"] <= 1.0
+    assert summary["firmware"] == firmware
+    assert summary["speed"] == 20.0
+    assert summary["port"].startswith("/dev/pts/")
+    assert list(summary["stages"]) == [
+        *("connect", "activate", "obtain control", "take off", "square", "land", "release")
+    ]
+    # A square with sides of 8 m, up to 3 m high.
+    assert 30 <= summary["path_length_m"] <= 40
+    assert 2.5 <= summary["max_height_m"] <= 3.5
+    norths = [north for north, _ in summary["track"]]
+    easts = [east for _, east in summary["track"]]
+    assert max(norths) == pytest.approx(8.0, abs=0.8)
+    assert max(easts) == pytest.approx(8.0, abs=0.8)
+    assert min(norths + easts) > -0.8
+    assert summary["line"]["discarded_bytes"] == 0
+    assert summary["setpoints_sent"] > 500
+
+
+def test_demo_shows_a_summary_and_pictures_to_people() -> None:
+    outcome = process("demo", "--speed", "20", "--side", "4")
+    assert outcome.status == 0
+    assert "mission flown" in outcome.out
+    assert "back within" in outcome.out
+    assert any(0x2800 < ord(c) <= 0x28FF for c in outcome.out), "no picture of the track"
+    assert "north up" in outcome.out
+
+
+def test_demo_that_is_interrupted_ends_with_130() -> None:
+    master, slave = pty.openpty()
+    running = subprocess.Popen(
+        [sys.executable, "-m", "m100link", "demo", "--speed", "4"],
+        stdout=slave,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"},
+        cwd=ROOT,
+    )
+    os.close(slave)
+    shown = b""
+    while "✓  take off".encode() not in _plain(shown):
+        shown += os.read(master, 65_536)
+    running.send_signal(signal.SIGINT)
+    with contextlib.suppress(OSError):  # what a terminal says when its program has ended
+        while os.read(master, 65_536):
+            pass
+    os.close(master)
+    assert running.wait(timeout=PATIENCE) == 130
+    assert running.stderr is not None
+    err = running.stderr.read().decode()
+    running.stderr.close()
+    assert "interrupted" in err
+    assert "Traceback" not in err
+
+
+def _plain(shown: bytes) -> bytes:
+    """Output of a terminal without its escape sequences."""
+    return re.sub(rb"\x1b\[[0-9;?]*[A-Za-z]", b"", shown)
+
+
+def test_demo_on_a_terminal_shows_live_progress() -> None:
+    master, slave = pty.openpty()
+    running = subprocess.Popen(
+        [sys.executable, "-m", "m100link", "demo", "--speed", "10", "--side", "4"],
+        stdout=slave,
+        stderr=slave,
+        stdin=slave,
+        env=os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"},
+        cwd=ROOT,
+    )
+    os.close(slave)
+    shown = b""
+    while True:
+        try:
+            piece = os.read(master, 65_536)
+        except OSError:
+            break  # the other end is closed
+        if not piece:
+            break
+        shown += piece
+    os.close(master)
+    assert running.wait(timeout=PATIENCE) == 0
+    text = shown.decode(errors="replace")
+    assert text.count("square") > 5, "it was drawn once, not live"
+    assert "✓" in text
+    assert "mission flown" in text
