@@ -17,6 +17,8 @@ playwright = pytest.importorskip("playwright.async_api", reason="playwright is n
 pytest.importorskip("nicegui", reason="the extra `station` is not installed")
 from websockets.asyncio.client import ClientConnection, connect  # noqa: E402 - after the skips
 
+from tests.waiting import PATIENCE  # noqa: E402 - as above
+
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
 ARGUMENTS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 
@@ -84,7 +86,7 @@ class Console:
 
 
 async def until(
-    predicate: Callable[[], bool | Awaitable[bool]], within: float = 15.0, what: str = ""
+    predicate: Callable[[], bool | Awaitable[bool]], within: float = PATIENCE, what: str = ""
 ) -> None:
     """Wait until the predicate holds."""
     loop = asyncio.get_running_loop()
@@ -121,7 +123,7 @@ async def running_console(*options: str) -> AsyncIterator[tuple[dict[str, Any], 
             process.terminate()
         talk = asyncio.create_task(process.stderr.read())
         try:
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(PATIENCE):
                 await process.wait()
         except TimeoutError:
             process.kill()

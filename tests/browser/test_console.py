@@ -28,7 +28,7 @@ async def press(page: Any, name: str) -> None:
     await page.click(f"[data-act={name}]")
 
 
-async def hold(page: Any, name: str, seconds: float = 1.3) -> None:
+async def hold(page: Any, name: str, seconds: float = 2.0) -> None:
     box = await page.locator(f"[data-act={name}]").bounding_box()
     await page.mouse.move(box["x"] + 10, box["y"] + 10)
     await page.mouse.down()
@@ -108,7 +108,7 @@ async def test_a_short_press_neither_takes_off_nor_lands(console: Console) -> No
     )
     await press(page, "obtain")
     await banner(page, "You have control")
-    await hold(page, "take_off", 0.6)
+    await hold(page, "take_off", 0.4)
     await page.locator("[data-act=take_off]").click()
     await asyncio.sleep(1.5)
     assert console.watch.status == 1
@@ -123,7 +123,7 @@ async def test_closing_the_tab_in_flight_stops_and_frees_control(console: Consol
     await page.keyboard.down("w")
     await until(lambda: console.watch.speed[1] > 0.5)
     await page.close()
-    await until(lambda: is_still(console), within=6.0)
+    await until(lambda: is_still(console))
     assert console.watch.height > 0.8
     other = await console.open()
     await banner(other, "Nobody has control")
@@ -147,7 +147,7 @@ async def test_losing_focus_stops_although_the_key_is_held(console: Console, how
                 document.dispatchEvent(new Event('visibilitychange'));
             }"""
         )
-    await until(lambda: is_still(console), within=6.0)
+    await until(lambda: is_still(console))
     await banner(page, "You have control")
 
 
@@ -177,12 +177,11 @@ async def test_a_browser_that_hangs_stops_the_aircraft(console: Console) -> None
     await page.keyboard.down("w")
     await until(lambda: console.watch.speed[1] > 0.5)
     hanging = asyncio.create_task(
-        page.evaluate("() => { const end = Date.now() + 2500; while (Date.now() < end); }")
+        page.evaluate("() => { const end = Date.now() + 8000; while (Date.now() < end); }")
     )
-    await asyncio.sleep(0.4)
     fastest = console.watch.speed[1]
-    await asyncio.sleep(1.6)
-    assert console.watch.speed[1] < fastest / 2
+    await until(lambda: console.watch.speed[1] < fastest / 2, within=7.0)
+    assert not hanging.done(), "the key was released, the browser did not hang"
     await hanging
 
 
@@ -211,9 +210,12 @@ async def test_fields_grey_out_by_age_each_in_its_time(console: Console) -> None
     field = ".field:has([data-field={}])"
     await page.wait_for_selector(field.format("battery") + ":not(.stale)")
     await page.click("#sim-stall")
-    await page.wait_for_selector(field.format("height") + ".stale", timeout=3000)
-    assert "stale" not in (await page.locator(field.format("battery")).get_attribute("class"))
-    await page.wait_for_selector(field.format("battery") + ".stale", timeout=5000)
+    await page.wait_for_function(
+        "([height, battery]) => document.querySelector(height).matches('.stale')"
+        " && !document.querySelector(battery).matches('.stale')",
+        arg=[field.format("height"), field.format("battery")],
+    )
+    await page.wait_for_selector(field.format("battery") + ".stale")
     assert await page.get_attribute("#horizon", "data-stale") == "stale"
     await page.click("#sim-stall")
     await page.wait_for_selector(field.format("height") + ":not(.stale)")
@@ -222,7 +224,7 @@ async def test_fields_grey_out_by_age_each_in_its_time(console: Console) -> None
 async def test_everything_greys_when_the_station_is_gone(console: Console) -> None:
     page = await console.open()
     console.process.kill()
-    await page.wait_for_function("document.body.classList.contains('station-lost')", timeout=5000)
+    await page.wait_for_function("document.body.classList.contains('station-lost')")
     console.watch.newest.clear()
 
 
@@ -259,7 +261,7 @@ async def test_a_gamepad_flies_while_its_shoulder_button_is_held(console: Consol
     await page.evaluate("window.pad.buttons = Array(6).fill({pressed: true})")
     await until(lambda: console.watch.speed[1] > 0.5)
     await page.evaluate("window.pad.buttons = Array(6).fill({pressed: false})")
-    await until(lambda: is_still(console), within=6.0)
+    await until(lambda: is_still(console))
 
 
 async def test_the_stick_on_the_screen_flies_while_it_is_held(console: Console) -> None:
@@ -273,7 +275,7 @@ async def test_the_stick_on_the_screen_flies_while_it_is_held(console: Console) 
     await page.mouse.move(x, y - box["height"] / 2)
     await until(lambda: console.watch.speed[1] > 0.5)
     await page.mouse.up()
-    await until(lambda: is_still(console), within=6.0)
+    await until(lambda: is_still(console))
 
 
 async def test_map_tiles_come_from_a_folder(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ seen.authority = await call("/dji_sdk/sdk_control_authority", "dji_sdk/SDKContro
 collect("status", topic("/flight_status", "std_msgs/Float32"));
 const command = topic("/sdk_request_cmd", "std_msgs/Float32");
 command.publish(message({data: 4}));
-const end = Date.now() + 20000;
+const end = Date.now() + 60000;
 while (Date.now() < end && !bags.status.some((m) => m.data === 3)) await sleep(100);
 seen.phases = [...new Set(bags.status.map((m) => m.data))];
 const stick = topic("/sdk_request_ctrl", "geometry_msgs/Quaternion");

@@ -15,7 +15,7 @@ import roslibpy
 
 def main(host: str, port: int) -> None:
     ros = roslibpy.Ros(host, port)
-    ros.run(timeout=10)
+    ros.run(timeout=30)
     seen: dict[str, Any] = {"connected": ros.is_connected, "topics": ros.get_topics()}
     seen["type"] = ros.get_topic_type("/dji_sdk/imu")
     seen["services"] = ros.get_services()
@@ -31,7 +31,7 @@ def main(host: str, port: int) -> None:
 
     def call(name: str, kind: str, **request: Any) -> Any:
         service = roslibpy.Service(ros, name, kind)
-        return dict(service.call(roslibpy.ServiceRequest(request), timeout=20))
+        return dict(service.call(roslibpy.ServiceRequest(request), timeout=30))
 
     seen["activation"] = call("/dji_sdk/activation", "dji_sdk/Activation")
     seen["authority"] = call(
@@ -47,7 +47,7 @@ def main(host: str, port: int) -> None:
     command = roslibpy.Topic(ros, "/sdk_request_cmd", "std_msgs/Float32")
     command.advertise()
     command.publish(roslibpy.Message({"data": 4.0}))
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while 3.0 not in phases and time.monotonic() < deadline:
         time.sleep(0.1)
     seen["phases"] = sorted(set(phases))

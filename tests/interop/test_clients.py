@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from tests.waiting import PATIENCE
+
 pytest.importorskip("starlette", reason="the extra `station` is not installed")
 pytest.importorskip("roslibpy", reason="roslibpy is not installed: nox -s interop")
 
@@ -45,7 +47,7 @@ def station() -> Iterator[str]:
             yield json.loads(line)["rosbridge"][0]
         finally:
             process.terminate()
-            _, talk = process.communicate(timeout=20)
+            _, talk = process.communicate(timeout=PATIENCE)
             print(talk)  # noqa: T201 - shown when a test fails
     assert process.returncode == 0
 
@@ -73,7 +75,7 @@ def test_roslibpy() -> None:
     assert set(seen["topics"]) >= NAMES_OF_2015
     assert seen["type"] == "sensor_msgs/Imu"
     assert "/dji_sdk/drone_task_control" in seen["services"]
-    assert 8 <= seen["attitude_rate"] <= 12
+    assert 4 <= seen["attitude_rate"] <= 12  # at most 10 were asked for; a busy machine sends less
     assert is_north(seen["attitude"]["quaternion"])
     assert seen["activation"]["result"] is True
     assert seen["authority"] == {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2}
@@ -106,8 +108,9 @@ def test_roslib(npm: Path, version: str) -> None:
     assert set(seen["topics"]["topics"]) >= NAMES_OF_2015
     assert seen["type"] == "sensor_msgs/Imu"
     assert "/dji_sdk/activation" in seen["services"]
-    assert 8 <= seen["imu_rate"] <= 12
-    assert 16 <= seen["merged_rate"] <= 22  # the lowest throttle of both
+    assert 4 <= seen["imu_rate"] <= 12  # at most 10 were asked for; a busy machine sends less
+    # The lower throttle of both, 20 a second, and not the 2 of the other.
+    assert 8 <= seen["merged_rate"] <= 22
     assert abs(seen["imu"]["linear_acceleration"]["z"] - 9.8) < 1
     assert is_north(seen["attitude_png"]["quaternion"])
     assert seen["rc_cbor"]["axes"][4] == 8000
