@@ -21,7 +21,7 @@ from m100link.errors import (
 from m100link.protocol.codes import AckCode, SystemCode
 from m100link.protocol.command import Command, Movement, Push, Request
 from m100link.protocol.commands.activation import GetVersion, Version
-from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1, FirmwareProfile
+from m100link.protocol.firmware import FIRMWARE_1_0, FirmwareProfile, reads_unknown
 from m100link.wire.cipher import Cipher
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ class Requests:
         found = version.profile
         self._is_known = found is not None
         # An unknown firmware gets telemetry only; packets that do not fit are refused and counted.
-        likeliest = FIRMWARE_1_0 if version.serial is None else FIRMWARE_3_1
+        likeliest = reads_unknown(has_serial=version.serial is not None)
         self.firmware = found or likeliest
         if found is None:
             _logger.warning(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -36,7 +37,8 @@ from m100link.link import Link, connect_in_memory
 from m100link.protocol.command import encode_code
 from m100link.protocol.commands.activation import Activate, GetVersion
 from m100link.protocol.commands.control import Arm, RequestAuthority
-from m100link.protocol.firmware import FIRMWARE_1_0
+from m100link.protocol.firmware import FIRMWARE_1_0, profile
+from m100link.protocol.items import ItemLayout
 from m100link.sim import AircraftSettings, LineFaults, VirtualClockEventLoop
 from m100link.sim.vehicle.settings import Undecodable
 from m100link.testing import ConnectableAircraft
@@ -233,6 +235,36 @@ async def test_the_version_answer_chooses_the_profile(firmware: str) -> None:
         version = await flown.aircraft.version()
         assert version.profile is flown.aircraft.firmware
         assert not version.is_activated
+
+
+async def test_a_firmware_of_ones_own_flies_without_being_listed() -> None:
+    """It says other things than any listed one wherever a profile can say something."""
+    like = profile("3.1")
+    items = {**like.items, "battery": ItemLayout("xB", ("percent",))}
+    del items["magnetometer"]
+    own = replace(
+        like,
+        name="3.9",
+        version_name="SDK-v1.0 BETA M100-03.09.01.00",
+        hardware_versions=(),
+        tick_hz=1000,
+        items=items,
+        has_virtual_rc=False,
+    )
+    virtual = ConnectableAircraft(firmware=own, seed=1)
+    async with virtual.connect(firmware=own) as aircraft:
+        await aircraft.activate(virtual.credentials)
+        assert aircraft.firmware is own
+        async with aircraft.control() as control:
+            await control.take_off()
+            assert virtual.height == pytest.approx(1.2, abs=0.2)
+            await control.land()
+        assert aircraft.telemetry_mismatches == 0
+        assert aircraft.state.battery is not None
+        assert aircraft.state.battery.percent >= 99
+        assert aircraft.state.magnetometer is None
+        assert aircraft.device_clock.tick_hz == 1000
+    virtual.stop()
 
 
 async def test_a_forced_profile_stays_forced() -> None:

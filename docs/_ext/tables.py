@@ -142,6 +142,8 @@ def _value(name: str, value: object) -> str:
         return _yes(value)
     if isinstance(value, Enum):
         return str(value.value)
+    if isinstance(value, tuple):
+        return ", ".join(f"``{text}``" if text else "none in the text" for text in value) or "—"
     if name == "activation_version":
         return "the app's own" if value is None else f"``0x{value:08X}``"
     return f"``{value}``" if name == "version_name" else str(value)

@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Coroutine
 from dataclasses import dataclass, fields
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -18,12 +18,14 @@ from m100link import errors
 from m100link.cli.options import options_of
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.firmware import PROFILES
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.station.config import ENVIRONMENT, Settings
 
 __all__ = [
     "AppOptions",
     "ExitCode",
+    "Firmware",
     "LinkOptions",
     "Url",
     "complain",
@@ -33,6 +35,11 @@ __all__ = [
     "print_json",
     "run_async",
 ]
+
+if TYPE_CHECKING:
+    Firmware = str
+else:
+    Firmware = Literal[tuple(PROFILES)]  # checkers want it spelt out, people want them all offered
 
 out = Console(highlight=False)
 """Standard output: data."""

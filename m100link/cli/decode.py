@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from rich.table import Table
 
-from m100link.cli.common import ExitCode, complain, out, print_json
+from m100link.cli.common import ExitCode, Firmware, complain, out, print_json
 from m100link.errors import BadAck, M100Error, UsageError
 from m100link.protocol.command import Command, Request, Unrecognised, plain
 from m100link.protocol.commands.activation import Version
@@ -27,7 +27,7 @@ _TELEMETRY = b"\x02\x00"
 def decode(
     *streams: str,
     key: str | None = None,
-    firmware: Literal["1.0", "2.3", "3.1", "1.0-document"] = "1.0",
+    firmware: Firmware = "1.0",
     json: Annotated[bool | None, Parameter(negative="--table")] = None,
 ) -> int:
     """Decode frames from hex: one stream per argument, or per line of standard input.

@@ -12,17 +12,16 @@ import termios
 import tty
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import cyclopts
 from cyclopts import Parameter
 from rich.table import Table
 
-from m100link.cli.common import out, print_json
+from m100link.cli.common import Firmware, out, print_json
 from m100link.cli.sim_live import LiveView, read_keys
 from m100link.errors import UsageError
 from m100link.keyfile import read_key
-from m100link.protocol.firmware import PROFILES
 from m100link.sim.clock import loop_factory
 from m100link.sim.line import LineFaults
 from m100link.sim.orders.actions import ACTIONS
@@ -43,9 +42,6 @@ app = cyclopts.App(
     help="A virtual Matrice 100, for people and other programs.",
     version_flags=(),
 )
-
-Firmware = Literal["1.0", "2.3", "3.1", "1.0-document"]
-assert set(get_args(Firmware)) == set(PROFILES)
 
 
 @Parameter(name="*", group="Line faults")

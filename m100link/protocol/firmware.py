@@ -7,6 +7,7 @@ taken and why. Nothing here decides anything: code asks the profile.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -23,6 +24,8 @@ __all__ = [
     "FirmwareProfile",
     "FlagBit0",
     "profile",
+    "reads_unknown",
+    "recognised",
 ]
 
 
@@ -31,6 +34,9 @@ class FlagBit0(Enum):
 
     YAW_FRAME = "yaw frame: 0 ground, 1 body"
     STABLE_MODE = "stable mode: 1 brakes smoothly and holds the place"
+
+
+_HARDWARE_VERSION = re.compile(r"\S+-\d\d\.\d\d\.\d+\.\d+")
 
 
 # Equal to itself only: what is worked out of a profile is kept under it, and looked up per frame.
@@ -46,6 +52,10 @@ class FirmwareProfile:
         summary: One sentence for people.
         version_name: Text that the version query answers (errata 16).
         has_serial: The version ack carries a hardware serial (49 bytes instead of 38).
+        hardware_versions: Beginnings of the hardware version, in that text, by which an aircraft is
+            recognised; ``""`` means a text without any. None at all: only when forced.
+        reads_unknown: As what the telemetry of an unknown firmware is read whose version ack is of
+            the same size.
         activation_version: Version word of the activation request; None leaves it to the developer.
         has_level: The activation request carries the authorization level.
         tick_hz: Ticks per second of the telemetry clock (errata 42).
@@ -56,10 +66,16 @@ class FirmwareProfile:
         tilt_frame_selectable: Whether tilt obeys the frame bit; otherwise it is always body.
         authority_requests: Requests needed to obtain or release authority; with 2 the first is
             answered "in progress" (errata 24).
+        authority_refusal_has_reason: A refusal tells "not in F" from "IOC is on".
+        shows_authority_request: The control device item shows whether authority is requested
+            (errata 47).
+        velocity_names_sensor: The velocity status byte names the source of the value (errata 46).
         needs_f_toggle: F already chosen at power-on needs the switch moved away and back.
         ioc_must_be_off: IOC forbids authority.
         has_rates_command: 0x00/0x10, telemetry rates from the serial side.
         has_arm_command: 0x01/0x05, motors on and off.
+        has_gimbal_commands: 0x01/0x1A, 0x1B and 0x20 to 0x22, gimbal and camera.
+        has_virtual_rc: 0x05/0x00 and 0x01, the virtual remote controller.
         item_flags: The bits of its items in the flag word of telemetry.
 
     Raises:
@@ -70,6 +86,8 @@ class FirmwareProfile:
     summary: str
     version_name: str
     has_serial: bool
+    hardware_versions: tuple[str, ...]
+    reads_unknown: bool
     activation_version: int | None
     has_level: bool
     tick_hz: int
@@ -78,10 +96,15 @@ class FirmwareProfile:
     flag_bit0: FlagBit0
     tilt_frame_selectable: bool
     authority_requests: int
+    authority_refusal_has_reason: bool
+    shows_authority_request: bool
+    velocity_names_sensor: bool
     needs_f_toggle: bool
     ioc_must_be_off: bool
     has_rates_command: bool
     has_arm_command: bool
+    has_gimbal_commands: bool
+    has_virtual_rc: bool
     item_flags: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -101,12 +124,27 @@ class FirmwareProfile:
     def __str__(self) -> str:
         return self.name
 
+    def recognises(self, version_name: str, *, has_serial: bool) -> bool:
+        """Whether a version answer is that of this firmware.
+
+        Args:
+            version_name: Text of the answer.
+            has_serial: Whether it carried a hardware serial.
+        """
+        hardware = _HARDWARE_VERSION.search(version_name)
+        begins = f"{hardware[0] if hardware else ''}.".startswith
+        return has_serial is self.has_serial and any(
+            begins(f"{version}.") for version in self.hardware_versions
+        )
+
 
 FIRMWARE_1_0 = FirmwareProfile(
     name="1.0",
     summary="first public firmware, June 2015: the document as DJI's own sample reads it",
     version_name="SDK-v1.0 BETA M100-01.00.00.00",
     has_serial=False,
+    hardware_versions=("M100-01", ""),
+    reads_unknown=True,
     activation_version=None,
     has_level=True,
     tick_hz=600,
@@ -115,10 +153,15 @@ FIRMWARE_1_0 = FirmwareProfile(
     flag_bit0=FlagBit0.YAW_FRAME,
     tilt_frame_selectable=False,
     authority_requests=1,
+    authority_refusal_has_reason=False,
+    shows_authority_request=False,
+    velocity_names_sensor=False,
     needs_f_toggle=True,
     ioc_must_be_off=True,
     has_rates_command=False,
     has_arm_command=False,
+    has_gimbal_commands=False,
+    has_virtual_rc=False,
 )
 
 FIRMWARE_2_3 = replace(
@@ -126,10 +169,16 @@ FIRMWARE_2_3 = replace(
     name="2.3",
     summary="September 2015 to early 2016: velocity status byte, authority takes two requests",
     version_name="SDK-v1.0 BETA M100-02.03.10.00",
+    hardware_versions=("M100-02.03",),
+    reads_unknown=False,
     activation_version=0x02030A00,
     items=layouts("1.0", "2.3"),
     tilt_frame_selectable=True,
     authority_requests=2,
+    authority_refusal_has_reason=True,
+    shows_authority_request=True,
+    velocity_names_sensor=True,
+    has_gimbal_commands=True,
 )
 
 FIRMWARE_3_1 = replace(
@@ -138,6 +187,8 @@ FIRMWARE_3_1 = replace(
     summary="2016 on, most aircraft still flying: longer telemetry items, 400 Hz tick",
     version_name="SDK-v1.0 BETA M100-03.01.01.00",
     has_serial=True,
+    hardware_versions=("M100-03.01",),
+    reads_unknown=True,
     activation_version=0x03010A00,
     has_level=False,
     tick_hz=400,
@@ -147,6 +198,8 @@ FIRMWARE_3_1 = replace(
     ioc_must_be_off=False,
     has_rates_command=True,
     has_arm_command=True,
+    has_virtual_rc=True,
+    velocity_names_sensor=False,
 )
 
 FIRMWARE_1_0_DOCUMENT = replace(
@@ -154,12 +207,26 @@ FIRMWARE_1_0_DOCUMENT = replace(
     name="1.0-document",
     summary="the V1.0.1 document's tables to the letter, to study it and old logs; "
     "no aircraft is known to speak it, so do not fly with it",
+    hardware_versions=(),
+    reads_unknown=False,
     items=layouts("1.0", "1.0-document"),
     throttle_before_yaw=False,
 )
 
 PROFILES = {p.name: p for p in (FIRMWARE_1_0, FIRMWARE_2_3, FIRMWARE_3_1, FIRMWARE_1_0_DOCUMENT)}
 """Every profile by name."""
+
+
+def recognised(version_name: str, *, has_serial: bool) -> FirmwareProfile | None:
+    """The listed profile of the aircraft that answers so; None for an unknown firmware."""
+    answers = (p for p in PROFILES.values() if p.recognises(version_name, has_serial=has_serial))
+    return next(answers, None)
+
+
+def reads_unknown(*, has_serial: bool) -> FirmwareProfile:
+    """As what the telemetry of an unknown firmware is read: what does not fit is refused anyway."""
+    alike = (p for p in PROFILES.values() if p.reads_unknown and p.has_serial is has_serial)
+    return next(alike, FIRMWARE_1_0)
 
 
 def profile(name: str | FirmwareProfile) -> FirmwareProfile:

@@ -121,8 +121,9 @@ class Commands:
             handlers[SetTelemetryRates.ADDRESS] = self._rates
         if profile.has_arm_command:
             handlers[Arm.ADDRESS] = self._arm
+        if profile.has_virtual_rc:
             handlers[_VIRTUAL_RC] = handlers[_VIRTUAL_RC_DATA] = self._virtual_rc
-        if profile.authority_requests > 1:  # gimbal and camera came with 2.3
+        if profile.has_gimbal_commands:
             handlers[_GIMBAL_RATE] = handlers[_GIMBAL_ANGLE] = self._gimbal
             handlers.update(dict.fromkeys(_CAMERA, self._camera))
         self._handlers = handlers

@@ -15,7 +15,7 @@ from m100link.protocol import (
     encode_telemetry,
     profile,
 )
-from m100link.protocol.firmware import FlagBit0
+from m100link.protocol.firmware import FlagBit0, reads_unknown, recognised
 from m100link.protocol.items import ItemLayout
 from m100link.protocol.packet import telemetry_size
 
@@ -74,6 +74,39 @@ def test_a_profile_is_found_by_name_or_is_itself() -> None:
 def test_an_unknown_profile_lists_those_that_exist() -> None:
     with pytest.raises(UsageError, match=r"'4\.0'.*\n.*1\.0, 2\.3, 3\.1, 1\.0-document"):
         profile("4.0")
+
+
+def test_every_listed_profile_is_recognised_by_at_most_one_answer() -> None:
+    for has_serial in (False, True):
+        for name in (*(p.version_name for p in PROFILES.values()), "no hardware version", ""):
+            known = [p for p in PROFILES.values() if p.recognises(name, has_serial=has_serial)]
+            assert len(known) <= 1, (name, has_serial)
+            assert recognised(name, has_serial=has_serial) is (known[0] if known else None)
+
+
+@pytest.mark.parametrize(("has_serial", "name"), [(False, "1.0"), (True, "3.1")])
+def test_one_profile_reads_the_telemetry_of_an_unknown_firmware(
+    has_serial: bool, name: str
+) -> None:
+    reading = [p.name for p in PROFILES.values() if p.reads_unknown and p.has_serial is has_serial]
+    assert reading == [name]
+    assert reads_unknown(has_serial=has_serial) is profile(name)
+
+
+@pytest.mark.parametrize(
+    ("field", "having"),
+    [
+        ("authority_refusal_has_reason", ["2.3", "3.1"]),
+        ("shows_authority_request", ["2.3", "3.1"]),
+        ("velocity_names_sensor", ["2.3"]),
+        ("has_rates_command", ["3.1"]),
+        ("has_arm_command", ["3.1"]),
+        ("has_gimbal_commands", ["2.3", "3.1"]),
+        ("has_virtual_rc", ["3.1"]),
+    ],
+)
+def test_what_came_with_which_firmware(field: str, having: list[str]) -> None:
+    assert [name for name, firmware in PROFILES.items() if getattr(firmware, field)] == having
 
 
 # -- a profile of one's own ------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from struct import Struct
 from typing import Any, ClassVar, Self
@@ -15,12 +14,7 @@ from m100link.protocol.codes import (
     VersionCode,
 )
 from m100link.protocol.command import Address, Request, read_code
-from m100link.protocol.firmware import (
-    FIRMWARE_1_0,
-    FIRMWARE_2_3,
-    FIRMWARE_3_1,
-    FirmwareProfile,
-)
+from m100link.protocol.firmware import FirmwareProfile, recognised
 from m100link.protocol.items import BY_NAME
 from m100link.wire.cipher import Key
 from m100link.wire.crc import frame_crc32
@@ -121,18 +115,7 @@ class Version:
     @property
     def profile(self) -> FirmwareProfile | None:
         """The firmware profile that this answer calls for; None for an unknown firmware."""
-        hardware = re.search(r"(\S+)-(\d\d)\.(\d\d)\.\d+\.\d+", self.name)
-        if hardware is None:
-            # Only the first firmware is known to name itself in another form (errata 16).
-            return FIRMWARE_1_0 if self.serial is None else None
-        if hardware[1] != "M100":
-            return None
-        numbers = hardware[2], hardware[3]
-        if self.serial is not None:
-            return FIRMWARE_3_1 if numbers == ("03", "01") else None
-        if numbers == ("02", "03"):
-            return FIRMWARE_2_3
-        return FIRMWARE_1_0 if hardware[2] == "01" else None
+        return recognised(self.name, has_serial=self.serial is not None)
 
     def encode(self) -> bytes:
         """The data of the ack, with or without a serial."""

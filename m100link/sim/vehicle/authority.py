@@ -105,8 +105,8 @@ class ControlArbiter:
     @property
     def refusal(self) -> AuthorityCode:
         """Answer to a request that cannot be granted or is none."""
-        one_request = self._profile.authority_requests == 1
-        return AuthorityCode.NOT_CHANGED if one_request else AuthorityCode.NOT_IN_F
+        has_reason = self._profile.authority_refusal_has_reason
+        return AuthorityCode.NOT_IN_F if has_reason else AuthorityCode.NOT_CHANGED
 
     def request(self, obtain: bool) -> AuthorityCode:
         """Answer a request of the onboard device (0x01/0x00)."""
@@ -122,8 +122,9 @@ class ControlArbiter:
         self.is_releasing = False
         if obstacle is not None:
             self.is_pending = False
-            ioc_code = two_requests and obstacle is Obstacle.IOC_ON
-            return AuthorityCode.IOC_ON if ioc_code else self.refusal
+            has_reason = self._profile.authority_refusal_has_reason
+            is_ioc = has_reason and obstacle is Obstacle.IOC_ON
+            return AuthorityCode.IOC_ON if is_ioc else self.refusal
         if two_requests and not self.is_requested and not self.is_pending:
             self.is_pending = True
             return AuthorityCode.NOT_CHANGED  # 3: in progress, ask again

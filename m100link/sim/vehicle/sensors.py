@@ -131,7 +131,7 @@ class Sensors:
         )
         status = 0
         if self._flight.gps_health >= GOOD_GPS:
-            status = 0x01 if self._profile.has_serial else 0x07  # 2.3 adds sensor 3, GPS
+            status = 0x07 if self._profile.velocity_names_sensor else 0x01  # 3 is GPS
         if not self._scale:
             return north, east, up, status
         noise, scale = self._noise, self._scale * _VELOCITY_NOISE
@@ -204,10 +204,10 @@ class Sensors:
     def _read_control_device(self) -> Values:
         authority, flight = self._authority, self._flight
         control = int(authority.device)
-        if self._profile.authority_requests > 1 and (
+        if self._profile.shows_authority_request and (
             authority.is_requested or authority.is_pending
         ):
-            control |= 0x08  # firmware 2.3 and later show the request too
+            control |= 0x08
         if self._remote.virtual.is_on:
             control |= 0x10
         mode = 0
