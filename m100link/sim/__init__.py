@@ -12,7 +12,8 @@ from m100link.sim.line import NO_FAULTS, Line, LineFaults
 from m100link.sim.ports.driver import Driver, open_sim
 from m100link.sim.ports.pty import PtyPort
 from m100link.sim.ports.tcp import TcpServer, serve_tcp
-from m100link.sim.vehicle.dynamics import Airframe, Dynamics
+from m100link.sim.vehicle.airframe import Airframe
+from m100link.sim.vehicle.dynamics import Dynamics
 from m100link.sim.vehicle.mobile import (
     DEMO_APP_ID,
     DEMO_KEY,

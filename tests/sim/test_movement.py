@@ -353,6 +353,55 @@ def test_all_zeros_in_velocity_control_brakes_and_holds() -> None:
     assert host.motion.speed < 0.02
 
 
+@pytest.mark.parametrize("mode", ["tilt", "velocity", "position"])
+def test_letting_go_means_staying_where_it_stops(mode: str) -> None:
+    host = airborne()
+    host.wait(3.0)  # hovers: there is a place that it holds
+    still = {"up": 0.0, "yaw_rate_deg_s": 0.0}
+    setpoint = {
+        "tilt": Setpoint.tilt(roll_deg=0, pitch_deg=-10, **still),
+        "velocity": NORTH,
+        "position": Setpoint.position_offset(north=10, east=0, **still),
+    }[mode]
+    host.fly(setpoint, 4.0)
+    gone = host.motion.north
+    assert gone > 5.0
+    host.wait(15.0)
+    assert gone < host.motion.north < gone + 12.0, "it comes to a stop ahead, not behind"
+    assert host.motion.speed < 0.02
+
+
+@pytest.mark.parametrize("stable", [False, True])
+def test_stable_mode_brakes_smoothly_and_holds(stable: bool) -> None:
+    host = airborne()
+    host.fly(Setpoint.velocity(north=8, east=0, up=0, yaw_rate_deg_s=0), 8.0)
+    stop = Setpoint.velocity(north=0, east=0, up=0, yaw_rate_deg_s=0, stable=stable)
+    hardest = 0.0
+    for _ in range(500):
+        host.fly(stop, 0.02)
+        hardest = max(hardest, -host.motion.acceleration_north)
+    assert host.motion.speed < 0.02
+    place = host.motion.north
+    host.motion.north += 2.0  # something pushes it
+    host.fly(stop, 10.0)
+    if stable:
+        assert 2.0 < hardest < 3.0
+        assert host.motion.north == pytest.approx(place, abs=0.05)
+    else:
+        assert hardest > 4.0
+        assert host.motion.north == pytest.approx(place + 2.0, abs=0.05)
+
+
+def test_stable_mode_changes_nothing_while_there_is_a_velocity() -> None:
+    def place(stable: bool) -> float:
+        host = airborne()
+        host.fly(Setpoint.velocity(north=3, east=0, up=0, yaw_rate_deg_s=0, stable=stable), 5.0)
+        north: float = host.motion.north
+        return north
+
+    assert place(stable=True) == place(stable=False)
+
+
 # --- GPS ------------------------------------------------------------------------------------
 
 

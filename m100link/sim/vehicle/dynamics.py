@@ -12,22 +12,21 @@ Conventions (document 3.1): north, east, metres; *up* is positive for height, ve
 vertical acceleration; angles in radians, yaw clockwise from north, forward flight is a *negative*
 pitch angle, flight to the right a *positive* roll angle.
 
-The numbers in :class:`Airframe` are chosen to look like a Matrice 100 (velocity lag of about a
-second, 17 m/s at most), they are not measured on one.
+Its numbers are those of an :class:`~m100link.sim.vehicle.airframe.Airframe`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 from math import atan, cos, exp, pi, sin, sqrt, tan
+
+from m100link.sim.vehicle.airframe import Airframe
 
 __all__ = [
     "GRAVITY",
     "STEPS_PER_SECOND",
     "STEP_S",
-    "Airframe",
     "Dynamics",
     "Guidance",
     "ModelHorizontal",
@@ -74,44 +73,6 @@ class ModelYaw(IntEnum):
     """Radians per second, clockwise."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Airframe:
-    """The numbers of the model. Replace some of them to fly a heavier or livelier aircraft."""
-
-    tilt_frequency: float = 10.0
-    """Natural frequency of the critically damped attitude response, rad/s."""
-    maximum_tilt_deg: float = 30.0
-    """Limit of commanded tilt (document 3.2)."""
-    cruise_tilt_deg: float = 25.0
-    """Tilt that velocity and position control allow themselves."""
-    drag: float = 0.30
-    """Horizontal deceleration per m/s of airspeed, 1/s."""
-    vertical_drag: float = 0.35
-    """Vertical deceleration per m/s in thrust control, 1/s."""
-    velocity_gain: float = 1.6
-    """Horizontal acceleration asked for per m/s of velocity error, 1/s."""
-    position_gain: float = 0.8
-    """Velocity asked for per metre of position error, 1/s."""
-    position_speed: float = 3.0
-    """Fastest approach in position control, m/s. Users of the real one report about this value."""
-    vertical_time_constant: float = 0.35
-    """First-order lag of vertical velocity, s."""
-    vertical_acceleration: float = 5.0
-    """Limit of vertical acceleration in velocity and height control, m/s²."""
-    height_gain: float = 1.2
-    """Vertical velocity asked for per metre of height error, 1/s."""
-    vertical_speed: float = 4.0
-    """Limit of vertical velocity in velocity and height control, m/s (document 3.2)."""
-    yaw_time_constant: float = 0.15
-    """First-order lag of the yaw rate, s."""
-    yaw_gain: float = 2.0
-    """Yaw rate asked for per radian of yaw error, 1/s."""
-    yaw_rate_deg: float = 100.0
-    """Limit of the yaw rate, degrees per second (document 3.2)."""
-    hover_thrust: float = 45.0
-    """Percent of full thrust that carries the aircraft."""
-
-
 class Guidance:
     """What the aircraft is to do now. Values are of the kinds that the three modes name.
 
@@ -124,9 +85,10 @@ class Guidance:
         up: Vertical velocity, height or thrust.
         yaw_mode: Kind of ``yaw``.
         yaw: Yaw angle or rate.
+        smooth: Change speed gently (stable mode).
     """
 
-    __slots__ = ("a", "b", "body", "horizontal", "up", "vertical", "yaw", "yaw_mode")
+    __slots__ = ("a", "b", "body", "horizontal", "smooth", "up", "vertical", "yaw", "yaw_mode")
 
     def __init__(
         self,
@@ -139,6 +101,7 @@ class Guidance:
         up: float = 0.0,
         yaw_mode: ModelYaw = ModelYaw.RATE,
         yaw: float = 0.0,
+        smooth: bool = False,
     ) -> None:
         self.horizontal = horizontal
         self.a = a
@@ -148,6 +111,7 @@ class Guidance:
         self.up = up
         self.yaw_mode = yaw_mode
         self.yaw = yaw
+        self.smooth = smooth
 
     def __repr__(self) -> str:
         return (
@@ -268,6 +232,7 @@ class Dynamics:
             self.on_ground = False
         cos_yaw, sin_yaw = cos(self.yaw), sin(self.yaw)
         if guidance.horizontal == ModelHorizontal.TILT:
+            self._brake = False  # whoever brakes next stays where it stops then
             roll, pitch = self._commanded_tilt(guidance, cos_yaw, sin_yaw)
         else:
             roll, pitch = self._tilt_for(guidance, lift, cos_yaw, sin_yaw)
@@ -342,16 +307,15 @@ class Dynamics:
         airframe = self.airframe
         north, east = self._wanted_velocity(guidance, cos_yaw, sin_yaw)
         gain, drag = airframe.velocity_gain, airframe.drag
-        north = gain * (north - self.velocity_north) + drag * (
-            self.velocity_north - self.wind_north
+        north = gain * (north - self.velocity_north)
+        east = gain * (east - self.velocity_east)
+        if guidance.smooth:
+            north, east = _at_most(airframe.smooth_braking, north, east)
+        north, east = _at_most(
+            GRAVITY * tan(airframe.cruise_tilt_deg * (pi / 180.0)),
+            north + drag * (self.velocity_north - self.wind_north),
+            east + drag * (self.velocity_east - self.wind_east),
         )
-        east = gain * (east - self.velocity_east) + drag * (self.velocity_east - self.wind_east)
-        limit = GRAVITY * tan(airframe.cruise_tilt_deg * (pi / 180.0))
-        square = north * north + east * east
-        if square > limit * limit:
-            shrink = limit / sqrt(square)
-            north *= shrink
-            east *= shrink
         if lift < 1.0:
             lift = 1.0
         forward = north * cos_yaw + east * sin_yaw
@@ -386,12 +350,7 @@ class Dynamics:
             target_north, target_east = self._hold_north, self._hold_east
         north = airframe.position_gain * (target_north - self.north)
         east = airframe.position_gain * (target_east - self.east)
-        limit = airframe.position_speed
-        square = north * north + east * east
-        if square > limit * limit:
-            shrink = limit / sqrt(square)
-            return north * shrink, east * shrink
-        return north, east
+        return _at_most(airframe.position_speed, north, east)
 
     # --- motion -----------------------------------------------------------------------------
 
@@ -487,6 +446,15 @@ class Dynamics:
     def speed(self) -> float:
         """Horizontal speed over ground, m/s."""
         return sqrt(self.velocity_north**2 + self.velocity_east**2)
+
+
+def _at_most(limit: float, north: float, east: float) -> tuple[float, float]:
+    """The vector, shortened to a length."""
+    square = north * north + east * east
+    if square <= limit * limit:
+        return north, east
+    shrink = limit / sqrt(square)
+    return north * shrink, east * shrink
 
 
 def _wrap(angle: float) -> float:

@@ -37,6 +37,7 @@ _FINISHING_S = 2.0  # flight status 5 lasts two seconds, say DJI's later documen
 _GROUND_IDLE_S = 1.0
 _GO_HOME_SPEED = 8.0
 _PILOT_SPEED = 10.0
+_STILL = 0.01  # m/s: a velocity below it asks to stop
 
 
 class Maneuver(Enum):
@@ -137,8 +138,12 @@ class FlightController:
             up = min(up, self._settings.height_limit)
         elif vertical is wire.Vertical.THRUST:
             up = max(up, self._settings.minimum_thrust)
+        kind = ModelHorizontal(horizontal.value)
+        smooth = setpoint.stable and kind is ModelHorizontal.VELOCITY and math.hypot(a, b) < _STILL
+        if smooth:
+            kind = ModelHorizontal.BRAKE
         return Guidance(
-            ModelHorizontal(horizontal.value),
+            kind,
             a,
             b,
             body=body,
@@ -146,6 +151,7 @@ class FlightController:
             up=up,
             yaw_mode=ModelYaw(yaw_mode.value),
             yaw=radians(setpoint.yaw),
+            smooth=smooth,
         )
 
     @property
