@@ -91,6 +91,7 @@ class SiteOptions:
     Attributes:
         latitude: Degrees north.
         longitude: Degrees east.
+        ground_altitude: What the barometer says on the ground, metres.
         heading: Where the nose points, degrees.
         wind_north: Velocity of the air to the north, m/s.
         wind_east: Velocity of the air to the east, m/s.
@@ -102,6 +103,7 @@ class SiteOptions:
 
     latitude: float = AircraftSettings().latitude_deg
     longitude: float = AircraftSettings().longitude_deg
+    ground_altitude: float = 0.0
     heading: float = 0.0
     wind_north: float = 0.0
     wind_east: float = 0.0
@@ -115,6 +117,7 @@ class SiteOptions:
         return AircraftSettings(
             latitude_deg=self.latitude,
             longitude_deg=self.longitude,
+            ground_altitude=self.ground_altitude,
             heading_deg=self.heading,
             wind_north=self.wind_north,
             wind_east=self.wind_east,

@@ -357,11 +357,10 @@ def test_all_zeros_in_velocity_control_brakes_and_holds() -> None:
 def test_letting_go_means_staying_where_it_stops(mode: str) -> None:
     host = airborne()
     host.wait(3.0)  # hovers: there is a place that it holds
-    still = {"up": 0.0, "yaw_rate_deg_s": 0.0}
     setpoint = {
-        "tilt": Setpoint.tilt(roll_deg=0, pitch_deg=-10, **still),
+        "tilt": Setpoint.tilt(roll_deg=0, pitch_deg=-10, up=0, yaw_rate_deg_s=0),
         "velocity": NORTH,
-        "position": Setpoint.position_offset(north=10, east=0, **still),
+        "position": Setpoint.position_offset(north=10, east=0, up=0, yaw_rate_deg_s=0),
     }[mode]
     host.fly(setpoint, 4.0)
     gone = host.motion.north

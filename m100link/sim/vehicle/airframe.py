@@ -1,7 +1,7 @@
 """The numbers of the flight model.
 
-They are chosen to look like a Matrice 100 (velocity lag of about a second, 17 m/s at most), they are
-not measured on one.
+They are chosen to look like a Matrice 100 (velocity lag of about a second, 17 m/s at most), they
+are not measured on one.
 """
 
 from __future__ import annotations

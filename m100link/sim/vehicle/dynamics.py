@@ -32,6 +32,7 @@ __all__ = [
     "ModelHorizontal",
     "ModelVertical",
     "ModelYaw",
+    "quaternion",
 ]
 
 GRAVITY = 9.80665
@@ -427,25 +428,30 @@ class Dynamics:
     # --- views ------------------------------------------------------------------------------
 
     def quaternion(self) -> tuple[float, float, float, float]:
-        """Scalar first, ground (north, east, down) to body (forward, right, down), z-y-x angles.
-
-        Level and facing north is (1, 0, 0, 0); facing east (0.7071, 0, 0, 0.7071).
-        """
-        half_roll, half_pitch, half_yaw = 0.5 * self.roll, 0.5 * self.pitch, 0.5 * self.yaw
-        cr, sr = cos(half_roll), sin(half_roll)
-        cp, sp = cos(half_pitch), sin(half_pitch)
-        cy, sy = cos(half_yaw), sin(half_yaw)
-        return (
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        )
+        """The attitude as :func:`quaternion` has it."""
+        return quaternion(self.roll, self.pitch, self.yaw)
 
     @property
     def speed(self) -> float:
         """Horizontal speed over ground, m/s."""
         return sqrt(self.velocity_north**2 + self.velocity_east**2)
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Scalar first, ground (north, east, down) to body (forward, right, down), z-y-x angles.
+
+    Level and facing north is (1, 0, 0, 0); facing east (0.7071, 0, 0, 0.7071).
+    """
+    half_roll, half_pitch, half_yaw = 0.5 * roll, 0.5 * pitch, 0.5 * yaw
+    cr, sr = cos(half_roll), sin(half_roll)
+    cp, sp = cos(half_pitch), sin(half_pitch)
+    cy, sy = cos(half_yaw), sin(half_yaw)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
 
 
 def _at_most(limit: float, north: float, east: float) -> tuple[float, float]:

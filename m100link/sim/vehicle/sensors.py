@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from random import Random
-from typing import Protocol
 
 from m100link.geodesy import LocalFrame
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.items import BY_NAME, ItemLayout
 from m100link.protocol.records import Device
 from m100link.sim.vehicle.authority import ControlArbiter
-from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
+from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND, quaternion
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController
 from m100link.sim.vehicle.gimbal import GimbalMount
+from m100link.sim.vehicle.noise import Wander, noise_source
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings
 
@@ -26,12 +26,17 @@ __all__ = ["Sensors"]
 Values = tuple[float, ...]
 """The fields of one item."""
 
-# Standard deviations with noise = 1: decent sensors, well fused.
+# With noise = 1: decent sensors, well fused. What a filter makes of them wanders: standard
+# deviation, and memory in seconds. What an inertial sensor says itself is white.
 _ACCELERATION_NOISE = 0.05
-_VELOCITY_NOISE = 0.03
 _RATE_NOISE = 0.005
-_PLACE_NOISE = 0.05
-_HEIGHT_NOISE = 0.04
+_PLACE = 0.2, 60.0
+_HEIGHT = 0.03, 300.0
+_VELOCITY = 0.03, 3.0
+_TILT = math.radians(0.2), 30.0
+_HEADING = math.radians(0.6), 60.0
+_FIELD = 6.0, 20.0
+_POOR_GPS = 20.0  # times as far off
 
 _TO_RADIANS = math.pi / 180.0
 
@@ -39,29 +44,33 @@ _TO_RADIANS = math.pi / 180.0
 _FIELD_NORTH, _FIELD_DOWN = 1100.0, 1020.0
 
 
-class _Noise(Protocol):
-    def __call__(self) -> float:
-        """One sample of unit variance."""
-        ...
+class _Errors:
+    """What is wrong with the fused values now; moved on every ``step_s``."""
 
+    def __init__(self, random: Random, scale: float, step_s: float) -> None:
+        def wander(of: tuple[float, float]) -> Wander:
+            return Wander(random, scale * of[0], of[1], step_s)
 
-def noise_source(random: Random) -> _Noise:
-    """Normal noise out of a table: repeatable, and ten times as fast as drawing each sample."""
-    table = [random.gauss(0.0, 1.0) for _ in range(4093)]
-    position = 0
+        self.north, self.east, self.height = wander(_PLACE), wander(_PLACE), wander(_HEIGHT)
+        self.velocity = wander(_VELOCITY), wander(_VELOCITY), wander(_VELOCITY)
+        self.roll, self.pitch, self.yaw = wander(_TILT), wander(_TILT), wander(_HEADING)
+        self.field = wander(_FIELD), wander(_FIELD), wander(_FIELD)
+        self._all = (
+            *(self.north, self.east, self.height, *self.velocity),
+            *(self.roll, self.pitch, self.yaw, *self.field),
+        )
 
-    def sample() -> float:
-        nonlocal position
-        position += 1
-        if position >= 4093:  # prime, so that the columns of a packet do not repeat together
-            position = 0
-        return table[position]
-
-    return sample
+    def advance(self) -> None:
+        for error in self._all:
+            error.advance()
 
 
 class Sensors:
-    """What the aircraft believes about itself: the values of every item, in its record's order."""
+    """What the aircraft believes about itself: the values of every item, in its record's order.
+
+    Attributes:
+        ticks: Steps since the autopilot started: its clock.
+    """
 
     def __init__(
         self,
@@ -73,6 +82,7 @@ class Sensors:
         authority: ControlArbiter,
         remote: PilotRemote,
         gimbal: GimbalMount,
+        step_s: float,
     ) -> None:
         self.ticks = 0
         self._profile = profile
@@ -84,9 +94,21 @@ class Sensors:
         self._gimbal = gimbal
         self._noise = noise_source(random)
         self._scale = settings.noise
+        self._errors = _Errors(random, settings.noise, step_s)
+        # The last quaternion read: q and -q are the same attitude, and the next one is chosen so
+        # that no component jumps when the heading passes south.
+        self._quaternion = (1.0, 0.0, 0.0, 0.0)
         self._down = -1.0 if settings.vertical_down else 1.0
         self._tick_step = profile.tick_hz // STEPS_PER_SECOND
         self._site = LocalFrame(settings.latitude_deg, settings.longitude_deg)
+
+    def advance(self) -> None:
+        """Let the errors wander on by ``step_s``."""
+        if not self._scale:
+            return
+        self._errors.advance()
+        if not self._motion.motors_on:
+            self._errors.height.value = 0.0  # height counts from where it stands
 
     def reader(self, name: str, layout: ItemLayout) -> Callable[[], Values]:
         """The function that reads one item as its layout wants it."""
@@ -108,7 +130,20 @@ class Sensors:
         return ticks * self._tick_step & 0xFFFFFFFF, ticks % STEPS_PER_SECOND * 10_000_000, 0
 
     def _read_quaternion(self) -> Values:
-        return self._motion.quaternion()
+        motion, errors = self._motion, self._errors
+        if self._scale:
+            q = quaternion(
+                motion.roll + errors.roll.value,
+                motion.pitch + errors.pitch.value,
+                motion.yaw + errors.yaw.value,
+            )
+        else:
+            q = motion.quaternion()
+        last = self._quaternion
+        if q[0] * last[0] + q[1] * last[1] + q[2] * last[2] + q[3] * last[3] < 0.0:
+            q = -q[0], -q[1], -q[2], -q[3]
+        self._quaternion = q
+        return q
 
     def _read_acceleration(self) -> Values:
         motion = self._motion
@@ -134,8 +169,8 @@ class Sensors:
             status = 0x07 if self._profile.velocity_names_sensor else 0x01  # 3 is GPS
         if not self._scale:
             return north, east, up, status
-        noise, scale = self._noise, self._scale * _VELOCITY_NOISE
-        return north + scale * noise(), east + scale * noise(), up + scale * noise(), status
+        x, y, z = self._errors.velocity
+        return north + x.value, east + y.value, up + z.value, status
 
     def _read_angular_velocity(self) -> Values:
         motion = self._motion
@@ -152,12 +187,11 @@ class Sensors:
         motion, flight = self._motion, self._flight
         north, east, height = motion.north, motion.east, motion.height
         if self._scale:
-            noise, scale = self._noise, self._scale * _PLACE_NOISE
-            if flight.gps_health < GOOD_GPS:
-                scale *= 20.0
-            north += scale * noise()
-            east += scale * noise()
-            height += self._scale * _HEIGHT_NOISE * noise()
+            errors = self._errors
+            worse = 1.0 if flight.gps_health >= GOOD_GPS else _POOR_GPS
+            north += worse * errors.north.value
+            east += worse * errors.east.value
+            height += errors.height.value
         if flight.gps_health == 0:
             latitude = longitude = 0.0
         else:
@@ -177,10 +211,11 @@ class Sensors:
         cp, sp = math.cos(motion.pitch), math.sin(motion.pitch)
         cy, sy = math.cos(motion.yaw), math.sin(motion.yaw)
         north, down = _FIELD_NORTH, _FIELD_DOWN
+        x, y, z = self._errors.field  # at 0 without noise
         return (
-            round(north * cp * cy - down * sp),
-            round(north * (sr * sp * cy - cr * sy) + down * sr * cp),
-            round(north * (cr * sp * cy + sr * sy) + down * cr * cp),
+            round(north * cp * cy - down * sp + x.value),
+            round(north * (sr * sp * cy - cr * sy) + down * sr * cp + y.value),
+            round(north * (cr * sp * cy + sr * sy) + down * cr * cp + z.value),
         )
 
     def _read_rc(self) -> Values:

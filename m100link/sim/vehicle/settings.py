@@ -63,11 +63,14 @@ class AircraftSettings:
     Attributes:
         airframe: Numbers of the flight model.
         latitude_deg, longitude_deg: Where the aircraft stands when it is switched on.
-        ground_altitude: Altitude of that place as the barometer has it, metres.
+        ground_altitude: Altitude of that place as the barometer has it, metres. DJI's flight sample
+            waits for 0 after landing.
         heading_deg: Where the nose points then.
         wind_north, wind_east: Velocity of the air, m/s.
         gusts: Standard deviation of what comes on top of the wind, m/s.
-        noise: Scale of the sensor noise; 0 is none, 1 that of decent sensors.
+        noise: Scale of the sensor noise; 0 is none, 1 that of decent sensors. Place, height,
+            velocity, attitude and magnetometer wander slowly; acceleration and angular velocity
+            are noisy from sample to sample.
         take_off_height: Height of the hover that ends take-off, metres (not adjustable on the
             real one, "about 1.2 m").
         go_home_height: Go-home climbs to this height first, metres.
@@ -100,7 +103,7 @@ class AircraftSettings:
     airframe: Airframe = field(default_factory=Airframe)
     latitude_deg: float = 22.5431
     longitude_deg: float = 113.9589
-    ground_altitude: float = 12.0
+    ground_altitude: float = 0.0
     heading_deg: float = 0.0
     wind_north: float = 0.0
     wind_east: float = 0.0

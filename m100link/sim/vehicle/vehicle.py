@@ -114,6 +114,7 @@ class Vehicle:
             authority=self.authority,
             remote=self.remote,
             gimbal=self.gimbal,
+            step_s=_SLOW_STEPS * STEP_S,
         )
         self.time = 0.0
         self.events: deque[LogEntry] = deque(maxlen=200)
@@ -150,6 +151,7 @@ class Vehicle:
             flight.dynamics.wind_north = settings.wind_north
             flight.dynamics.wind_east = settings.wind_east
         self.gimbal.advance(now, _SLOW_STEPS * STEP_S)
+        self.sensors.advance()
         if self._gps_good_at is not None and now >= self._gps_good_at:
             self._gps_good_at = None
             flight.gps_health = 5
