@@ -91,7 +91,7 @@ class Aircraft:
         self._control: Control | None = None
         self._task_sequences = task_sequences()
         self.state = AircraftState(self._clock)
-        self.authority = Authority()
+        self.authority = Authority(self._clock)
         self.authority.subscribe(self._authority_changed)
         self.telemetry_mismatches = 0
         self._device_clock: DeviceClock | None = None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable
 from enum import Enum
 
@@ -24,6 +25,7 @@ class AuthorityState(Enum):
 
     NONE = "none"  # never asked, refused, or released
     OBTAINING = "obtaining"  # a request is on its way
+    CONTESTED = "contested"  # meanwhile authority passed away: it was granted before, unheard
     HELD = "held"  # setpoints are obeyed
     PAUSED = "paused"  # the pilot left F; going back to F gives authority back
     LOST = "lost"  # the app took it, or the link is gone; a new request is needed
@@ -57,6 +59,20 @@ TRANSITIONS: dict[AuthorityState, dict[AuthorityInput, AuthorityState]] = {
     _S.OBTAINING: {
         _I.OBTAINED: _S.HELD,
         _I.REFUSED: _S.NONE,
+        # Authority can only pass away after it was granted: that ack is lost or still to be read.
+        _I.NOTIFIED: _S.CONTESTED,
+        _I.RC_LEFT_F: _S.CONTESTED,
+        _I.DEVICE_RC: _S.CONTESTED,
+        _I.RELEASE: _S.RELEASING,
+        _I.LINK_LOST: _S.LOST,
+    },
+    _S.CONTESTED: {
+        # A repeated request is answered from memory: this ack may be older than the loss.
+        _I.OBTAINED: _S.PAUSED,
+        _I.REFUSED: _S.NONE,
+        _I.RC_IN_F: _S.OBTAINING,
+        _I.DEVICE_ONBOARD: _S.OBTAINING,
+        _I.OBTAIN: _S.OBTAINING,
         _I.RELEASE: _S.RELEASING,
         _I.LINK_LOST: _S.LOST,
     },
@@ -100,6 +116,9 @@ _REASONS = {
 }
 
 
+_GONE = frozenset({_S.CONTESTED, _S.PAUSED, _S.LOST, _S.NONE})
+"""States that have a reason."""
+
 _DEVICE_INPUTS: dict[Device | None, AuthorityInput] = {
     Device.RC: _I.DEVICE_RC,
     Device.APP: _I.DEVICE_APP,
@@ -107,21 +126,29 @@ _DEVICE_INPUTS: dict[Device | None, AuthorityInput] = {
 }
 
 
+_SETTLING_S = 0.3  # an item of 10 Hz or more, made after the grant, has arrived by then
+
+
 class Authority:
     """The authority of one connection: its state, how it came to it, and who wants to know.
 
+    Args:
+        clock: Seconds, by any clock that only goes forward.
+
     Attributes:
         state: The present state.
-        reason: Why it was paused, lost or given back.
+        reason: Why it was contested, paused, lost or given back.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.state = AuthorityState.NONE
         self.reason = LossReason.NONE
+        self._clock = clock
+        self._held_since = 0.0
         self._listeners: list[Callable[[AuthorityState, AuthorityState], None]] = []
         self._waiters: list[tuple[AuthorityState, asyncio.Future[None]]] = []
-        self._was_in_f: bool | None = None
-        self._was_ours = False
+        self._was_in_f: bool | None = None  # the mode switch, when it was seen last
+        self._was_ours = False  # CTRL_DEVICE has shown us since the last request
 
     def subscribe(
         self, listener: Callable[[AuthorityState, AuthorityState], None]
@@ -142,14 +169,18 @@ class Authority:
     def feed(self, what: AuthorityInput) -> bool:
         """Something happened. Returns whether the state changed."""
         before = self.state
+        if what is _I.OBTAIN:
+            self._was_ours = False
         after = TRANSITIONS[before].get(what)
         if after is None:
-            if before in (_S.PAUSED, _S.LOST) and self.reason is LossReason.UNKNOWN:
+            if before in _GONE and self.reason is LossReason.UNKNOWN:
                 self.reason = _REASONS.get(what, self.reason)
             return False
         self.state = after
-        is_gone = after in (_S.PAUSED, _S.LOST, _S.NONE)
-        self.reason = _REASONS.get(what, LossReason.NONE) if is_gone else LossReason.NONE
+        if before is not _S.CONTESTED or after is not _S.PAUSED:  # there it is known already
+            self.reason = self._reason_of(what) if after in _GONE else LossReason.NONE
+        if after is _S.HELD:
+            self._held_since = self._clock()
         for wanted, waiter in self._waiters:
             if wanted is after and not waiter.done():
                 waiter.set_result(None)
@@ -160,28 +191,38 @@ class Authority:
             listener(before, after)
         return True
 
+    def _reason_of(self, what: AuthorityInput) -> LossReason:
+        if what is _I.DEVICE_RC and self._was_in_f:
+            return LossReason.UNKNOWN  # not the switch: API control off, or something else
+        return _REASONS.get(what, LossReason.NONE)
+
+    @property
+    def _is_settled(self) -> bool:
+        """Whether what the items say now was made after authority was granted."""
+        return self.state is _S.HELD and self._clock() - self._held_since >= _SETTLING_S
+
     def observe_remote_control(self, rc: RemoteControl) -> None:
         """Cross-check with the mode switch.
 
-        Only a switch that was seen to move counts: out of F after it was seen in F, and back in F
-        after it was seen outside. A notification can overtake the channel values, and no source
-        gives the values of the first firmware.
+        Out of F counts when the switch was seen to move there, and always from 0.3 s after the
+        grant on; a notification can overtake the channel values. Back in F counts only when it was
+        seen to move: in F, the app may have control.
         """
-        is_in_f = rc.mode_switch is RcMode.F
-        if is_in_f != self._was_in_f and self._was_in_f is not None:
+        is_in_f, was_in_f = rc.mode_switch is RcMode.F, self._was_in_f
+        self._was_in_f = is_in_f
+        if (was_in_f is not None and is_in_f != was_in_f) or (not is_in_f and self._is_settled):
             self.feed(_I.RC_IN_F if is_in_f else _I.RC_LEFT_F)
         elif self.reason is LossReason.UNKNOWN and not is_in_f:
             self.reason = LossReason.MODE_SWITCH
-        self._was_in_f = is_in_f
 
     def observe_control_device(self, item: ControlDevice) -> None:
         """Cross-check with the CTRL_DEVICE item (0 Hz by default: it may never come).
 
-        Authority counts as taken by the pilot only after the item had shown it with us: a package
-        made before our request was granted proves nothing.
+        The remote controller counts when the item had shown us before, and always from 0.3 s after
+        the grant on: a package made before our request was granted proves nothing.
         """
         what = _DEVICE_INPUTS.get(item.device)
-        if what is None or (what is _I.DEVICE_RC and not self._was_ours):
+        if what is None or (what is _I.DEVICE_RC and not self._was_ours and not self._is_settled):
             return
         self._was_ours = what is _I.DEVICE_ONBOARD
         self.feed(what)

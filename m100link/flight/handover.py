@@ -55,12 +55,12 @@ async def obtain_authority(commander: Commander) -> None:
         NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
     """
     authority = commander.authority
-    authority.feed(AuthorityInput.OBTAIN)
     code = AuthorityCode.NOT_CHANGED
     try:
         for attempt in range(_requests(commander)):
             if attempt:
                 await asyncio.sleep(_PAUSE_S)
+            authority.feed(AuthorityInput.OBTAIN)
             code = await _request(commander, obtain=True)
             if code != AuthorityCode.NOT_CHANGED:
                 break
@@ -69,8 +69,7 @@ async def obtain_authority(commander: Commander) -> None:
             _logger.info("control authority obtained")
             return
     finally:
-        if authority.state is AuthorityState.OBTAINING:
-            authority.feed(AuthorityInput.REFUSED)
+        authority.feed(AuthorityInput.REFUSED)  # no news once it was obtained
     situation = commander.state.situation()
     raise AuthorityRefused(
         f"the aircraft did not give control authority: {code.meaning or code.name} "

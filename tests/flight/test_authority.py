@@ -16,6 +16,7 @@ S, I = AuthorityState, AuthorityInput  # noqa: E741
 NOTHING_TO_LOSE = "no authority was asked for, so none can pass away"
 REQUEST_FIRST = "QS: the onboard device requests authority; a switch or an item gives none"
 ACK_DECIDES = "2.2.2.1: the request's own ack says whether authority was obtained"
+GRANTED_AND_GONE = "it can only pass away if it was granted: the ack is lost or still to be read"
 NOT_ASKED = "an answer to nothing that was sent changes nothing"
 GONE_ALREADY = "it passed away before; saying so again is no news"
 STILL_OURS = "the item says what is known already"
@@ -43,13 +44,41 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.OBTAINING, I.REFUSED): (S.NONE, "", "2.2.2.1: 0x0003, failed to change"),
     (S.OBTAINING, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
     (S.OBTAINING, I.RELEASED): (S.OBTAINING, "", NOT_ASKED),
-    (S.OBTAINING, I.NOTIFIED): (S.OBTAINING, "", ACK_DECIDES),
-    (S.OBTAINING, I.RC_LEFT_F): (S.OBTAINING, "", ACK_DECIDES),
+    (S.OBTAINING, I.NOTIFIED): (S.CONTESTED, "unknown", GRANTED_AND_GONE),
+    (S.OBTAINING, I.RC_LEFT_F): (S.CONTESTED, "mode_switch", GRANTED_AND_GONE),
     (S.OBTAINING, I.RC_IN_F): (S.OBTAINING, "", ACK_DECIDES),
-    (S.OBTAINING, I.DEVICE_RC): (S.OBTAINING, "", ACK_DECIDES),
+    (S.OBTAINING, I.DEVICE_RC): (S.CONTESTED, "mode_switch", GRANTED_AND_GONE),
     (S.OBTAINING, I.DEVICE_APP): (S.OBTAINING, "", ACK_DECIDES),
     (S.OBTAINING, I.DEVICE_ONBOARD): (S.OBTAINING, "", ACK_DECIDES),
     (S.OBTAINING, I.LINK_LOST): (S.LOST, "link", NO_LINE),
+    (S.CONTESTED, I.OBTAIN): (
+        S.OBTAINING,
+        "",
+        "a request that is sent after the loss is answered by what holds after it",
+    ),
+    (S.CONTESTED, I.OBTAINED): (
+        S.PAUSED,
+        "mode_switch",
+        "the ack may be older than the loss: 1.4, a repeated request is answered from memory",
+    ),
+    (S.CONTESTED, I.REFUSED): (S.NONE, "", "2.2.2.1: 0x0003, failed to change"),
+    (S.CONTESTED, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
+    (S.CONTESTED, I.RELEASED): (S.CONTESTED, "mode_switch", NOT_ASKED),
+    (S.CONTESTED, I.NOTIFIED): (S.CONTESTED, "mode_switch", GONE_ALREADY),
+    (S.CONTESTED, I.RC_LEFT_F): (S.CONTESTED, "mode_switch", GONE_ALREADY),
+    (S.CONTESTED, I.RC_IN_F): (
+        S.OBTAINING,
+        "",
+        "QS: back in F the onboard application need not request again",
+    ),
+    (S.CONTESTED, I.DEVICE_RC): (S.CONTESTED, "mode_switch", GONE_ALREADY),
+    (S.CONTESTED, I.DEVICE_APP): (S.CONTESTED, "mode_switch", GONE_ALREADY),
+    (S.CONTESTED, I.DEVICE_ONBOARD): (
+        S.OBTAINING,
+        "",
+        "2.2.3.1 CTRL_DEVICE: we have control again",
+    ),
+    (S.CONTESTED, I.LINK_LOST): (S.LOST, "link", NO_LINE),
     (S.HELD, I.OBTAIN): (S.OBTAINING, "", ASK_AGAIN),
     (S.HELD, I.OBTAINED): (S.HELD, "", NOT_ASKED),
     (S.HELD, I.REFUSED): (S.HELD, "", NOT_ASKED),
@@ -116,6 +145,7 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
 WAY_TO: dict[AuthorityState, tuple[AuthorityInput, ...]] = {
     S.NONE: (),
     S.OBTAINING: (I.OBTAIN,),
+    S.CONTESTED: (I.OBTAIN, I.RC_LEFT_F),
     S.HELD: (I.OBTAIN, I.OBTAINED),
     S.PAUSED: (I.OBTAIN, I.OBTAINED, I.RC_LEFT_F),
     S.LOST: (I.OBTAIN, I.OBTAINED, I.DEVICE_APP),
@@ -123,8 +153,18 @@ WAY_TO: dict[AuthorityState, tuple[AuthorityInput, ...]] = {
 }
 
 
-def authority_in(state: AuthorityState) -> Authority:
-    authority = Authority()
+class Clock:
+    """Seconds, by hand."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def authority_in(state: AuthorityState, clock: Clock | None = None) -> Authority:
+    authority = Authority(clock or Clock())
     for what in WAY_TO[state]:
         authority.feed(what)
     assert authority.state is state
@@ -162,7 +202,7 @@ def test_nothing_but_an_ack_or_the_pilots_return_gives_authority() -> None:
 
 def test_each_change_is_reported_once_and_no_change_is_not() -> None:
     seen: list[tuple[AuthorityState, AuthorityState]] = []
-    authority = Authority()
+    authority = Authority(Clock())
     unsubscribe = authority.subscribe(lambda before, after: seen.append((before, after)))
     for what in (I.OBTAIN, I.OBTAIN, I.OBTAINED, I.NOTIFIED, I.RC_LEFT_F, I.RC_IN_F, I.RC_IN_F):
         authority.feed(what)
@@ -179,7 +219,7 @@ def test_each_change_is_reported_once_and_no_change_is_not() -> None:
 
 
 def test_a_listener_that_leaves_while_it_is_told_does_not_cost_the_next_its_news() -> None:
-    authority = Authority()
+    authority = Authority(Clock())
     seen: list[str] = []
 
     def leave(before: AuthorityState, after: AuthorityState) -> None:
@@ -204,12 +244,84 @@ def device(number: int) -> ControlDevice:
     return ControlDevice(number, None)
 
 
-def test_a_mode_switch_that_was_never_seen_to_move_proves_nothing() -> None:
-    """No published source gives the channel values of the first firmware."""
-    authority = authority_in(S.HELD)
-    authority.observe_remote_control(rc(RcMode.P))
-    authority.observe_remote_control(rc(RcMode.P))
+SETTLING = 0.3
+
+
+@pytest.mark.parametrize("mode", [RcMode.P, RcMode.A])
+def test_a_mode_switch_outside_f_pauses_once_the_items_had_time_to_show_the_grant(
+    mode: RcMode,
+) -> None:
+    clock = Clock()
+    authority = authority_in(S.HELD, clock)
+    clock.now += SETTLING - 0.01
+    authority.observe_remote_control(rc(mode))
+    assert authority.state is S.HELD, "made before the grant, perhaps"
+    clock.now += 0.02
+    authority.observe_remote_control(rc(mode))
+    assert (authority.state, authority.reason) == (S.PAUSED, "mode_switch")
+
+
+def test_a_mode_switch_in_f_gives_no_authority_back_unless_it_was_seen_to_return() -> None:
+    """Gains need a change that was seen, losses do not: the app may have it."""
+    clock = Clock()
+    authority = authority_in(S.HELD, clock)
+    authority.feed(I.NOTIFIED)
+    clock.now += 10
+    for _ in range(3):
+        authority.observe_remote_control(rc(RcMode.F))
+    assert authority.state is S.PAUSED
+
+
+def test_a_control_device_that_is_not_ours_pauses_once_it_had_time_to_show_the_grant() -> None:
+    clock = Clock()
+    authority = authority_in(S.HELD, clock)
+    authority.observe_remote_control(rc(RcMode.F))
+    authority.observe_control_device(device(0))
     assert authority.state is S.HELD
+    clock.now += SETTLING + 0.001
+    authority.observe_control_device(device(0))
+    # The switch is in F, so it was not the switch.
+    assert (authority.state, authority.reason) == (S.PAUSED, "unknown")
+
+
+def test_levels_are_given_time_anew_after_the_pilot_returned() -> None:
+    clock = Clock()
+    authority = authority_in(S.HELD, clock)
+    clock.now += 5
+    for mode in (RcMode.F, RcMode.P, RcMode.F):
+        authority.observe_remote_control(rc(mode))
+    authority.observe_control_device(device(0))
+    assert authority.state is S.HELD
+    clock.now += SETTLING + 0.001
+    authority.observe_control_device(device(0))
+    assert (authority.state, authority.reason) == (S.PAUSED, "unknown")
+
+
+def test_a_control_device_of_the_time_before_this_request_contests_nothing() -> None:
+    authority = authority_in(S.HELD)
+    authority.observe_control_device(device(2))
+    for what in (I.RELEASE, I.RELEASED, I.OBTAIN):
+        authority.feed(what)
+    authority.observe_control_device(device(0))
+    assert authority.state is S.OBTAINING
+
+
+def test_a_control_device_that_goes_from_us_to_the_pilot_before_the_ack_contests() -> None:
+    authority = authority_in(S.OBTAINING)
+    authority.observe_control_device(device(2))
+    authority.observe_control_device(device(0))
+    assert authority.state is S.CONTESTED
+    authority.feed(I.OBTAINED)
+    assert (authority.state, authority.reason) == (S.PAUSED, "mode_switch")
+
+
+def test_what_contested_the_request_is_the_reason_of_the_pause() -> None:
+    authority = authority_in(S.OBTAINING)
+    authority.feed(I.NOTIFIED)
+    assert authority.reason == "unknown"
+    authority.observe_control_device(device(1))
+    authority.feed(I.OBTAINED)
+    assert (authority.state, authority.reason) == (S.PAUSED, "app")
 
 
 def test_mode_switch_seen_leaving_f_pauses_without_any_notification() -> None:

@@ -10,6 +10,7 @@ from itertools import pairwise
 import pytest
 
 from m100link import (
+    AuthorityState,
     BadSetpoint,
     Control,
     GuardRefused,
@@ -352,6 +353,23 @@ async def test_stop_with_nothing_to_stop_takes_no_time(flying: tuple[Rig, Contro
     await control.stop()
     assert flown.now == start
     assert len(flown.moves) == 0
+
+
+@pytest.mark.parametrize("state", [s for s in AuthorityState if s is not AuthorityState.HELD])
+async def test_without_authority_no_frame_passes_the_last_gate_whoever_was_told(
+    flying: tuple[Rig, Control], state: AuthorityState
+) -> None:
+    """The state alone: nobody is notified, and the sending task has a setpoint that lives."""
+    flown, control = flying
+    control.send(NORTH, lifetime=1.0)
+    await asyncio.sleep(0.1)
+    assert len(flown.moves) > 3
+    flown.aircraft.authority.state = state
+    await asyncio.sleep(0.001)  # what is on the line arrives
+    count = len(flown.moves)
+    await asyncio.sleep(0.5)
+    assert len(flown.moves) == count
+    flown.aircraft.authority.state = AuthorityState.HELD
 
 
 async def test_the_experts_door_sends_once_unchecked(flying: tuple[Rig, Control]) -> None:

@@ -1,0 +1,137 @@
+"""Obtaining authority: what is lost meanwhile is not forgotten, and a refusal names what is so."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+import m100link
+from m100link import AuthorityLost
+from m100link.sim import NO_FAULTS, AssistantSettings, LineFaults
+from tests.flight.foreign_aircraft import APP_ID, KEY, foreign_aircraft
+from tests.rig import FIRMWARES, NORTH, Rig, rig
+
+pytestmark = pytest.mark.anyio
+
+each_firmware = pytest.mark.parametrize("firmware", FIRMWARES)
+
+
+async def put_into_the_air(flown: Rig) -> None:
+    async with flown.aircraft.control() as control:
+        await control.take_off()
+
+
+async def lose_the_ack(flown: Rig) -> None:
+    """The ack "obtained" does not arrive, and before the request is repeated the pilot leaves F."""
+    if flown.aircraft.firmware.authority_requests > 1:
+        await asyncio.sleep(0.02)  # the answer to the first request arrives
+    flown.virtual.set_faults(LineFaults(loss=1.0), to_aircraft=NO_FAULTS)
+    await asyncio.sleep(0.1)
+    flown.virtual.set_faults()
+    flown.virtual.leave_f()
+
+
+async def read_all_at_once(flown: Rig) -> None:
+    """The ack "obtained", the notification and the first package without F are one read."""
+    if flown.aircraft.firmware.authority_requests > 1:
+        await asyncio.sleep(0.02)
+    flown.virtual.line.stall(to_host=True, to_aircraft=False)
+    await asyncio.sleep(0.1)
+    flown.virtual.leave_f()
+    await asyncio.sleep(0.05)
+    flown.virtual.stall_line(False)
+
+
+@each_firmware
+@pytest.mark.parametrize("meanwhile", [lose_the_ack, read_all_at_once])
+async def test_a_loss_that_comes_before_the_ack_is_not_forgotten(
+    firmware: str, meanwhile: object
+) -> None:
+    async with rig(firmware=firmware) as flown:
+        await put_into_the_air(flown)
+        flown.moves.clear()
+        trouble = asyncio.create_task(meanwhile(flown))  # type: ignore[operator]
+        with pytest.raises(AuthorityLost) as caught:
+            async with flown.aircraft.control() as control:
+                await asyncio.wait_for(flown.fly_on(control), 5.0)
+        await trouble
+        assert caught.value.reason == "mode_switch"
+        flown.virtual.return_to_f()
+        await flown.assert_hovers()
+        assert len(flown.moves) == 0
+
+
+@each_firmware
+async def test_a_block_that_waits_for_the_pilot_hears_of_a_loss_before_the_ack(
+    firmware: str,
+) -> None:
+    async with rig(firmware=firmware) as flown:
+        await put_into_the_air(flown)
+        trouble = asyncio.create_task(lose_the_ack(flown))
+        async with flown.aircraft.control(on_pause="wait") as control:
+            await trouble
+            assert (control.is_paused, control.has_authority) == (True, False)
+            flown.virtual.return_to_f()
+            await control.wait_resumable()
+            await asyncio.sleep(1.0)
+            control.resume()
+            await flown.fly(control, 1.0)
+            assert flown.speed > 1.0
+
+
+@each_firmware
+@pytest.mark.parametrize("item", ["rc", "control_device"])
+async def test_authority_that_an_item_denies_ends_the_block_although_no_change_was_seen(
+    firmware: str, item: str
+) -> None:
+    """The notification is lost, and the item comes for the first time after the pilot left F."""
+    assistant = AssistantSettings(rates_hz={"rc": 0})
+    async with rig(firmware=firmware, assistant=assistant) as flown:
+        await put_into_the_air(flown)
+        flown.moves.clear()
+        began_at = flown.now
+        with pytest.raises(AuthorityLost) as caught:
+            async with flown.aircraft.control() as control:
+                flown.virtual.set_faults(LineFaults(loss=1.0), to_aircraft=NO_FAULTS)
+                flown.virtual.leave_f()
+                flown.virtual.set_rates(**{item: 50})
+                await asyncio.sleep(0.05)
+                flown.virtual.set_faults()
+                await asyncio.wait_for(flown.fly_on(control), 5.0)
+        assert caught.value.reason == "mode_switch"
+        assert flown.moves.times[-1] < began_at + 0.5
+        flown.virtual.return_to_f()
+        await flown.assert_hovers()
+
+
+@each_firmware
+async def test_the_items_do_not_end_a_block_that_has_authority(firmware: str) -> None:
+    async with rig(firmware=firmware) as flown:
+        flown.virtual.set_rates(control_device=1)
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+            await flown.fly(control, 3.0)
+        await flown.assert_hovers()
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("happening", ["lost ack", "one read"])
+def test_against_a_foreign_aircraft_a_loss_before_the_ack_is_not_forgotten(
+    firmware: str, happening: str
+) -> None:
+    async def fly(port: str) -> None:
+        async with m100link.connect(port) as aircraft:
+            await aircraft.activate(m100link.Credentials(app_id=APP_ID, key=KEY))
+            await aircraft.wait_for(lambda state: state.position is not None, timeout=5)
+            there.while_obtaining = happening
+            async with aircraft.control() as control:
+                async for _ in control.ticks():
+                    control.send(NORTH)
+
+    with foreign_aircraft(firmware) as there:
+        with pytest.raises(AuthorityLost) as caught:
+            asyncio.run(fly(there.name))
+        assert caught.value.reason == "mode_switch"
+        assert there.movements == []
