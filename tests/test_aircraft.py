@@ -37,7 +37,7 @@ from m100link.link import Link, connect_in_memory
 from m100link.protocol.command import encode_code
 from m100link.protocol.commands.activation import Activate, GetVersion
 from m100link.protocol.commands.control import Arm, RequestAuthority
-from m100link.protocol.firmware import FIRMWARE_1_0, profile
+from m100link.protocol.firmware import FIRMWARE_1_0, Generation, profile
 from m100link.protocol.items import ItemLayout
 from m100link.sim import AircraftSettings, LineFaults, VirtualClockEventLoop
 from m100link.sim.vehicle.settings import Undecodable
@@ -249,7 +249,7 @@ async def test_a_firmware_of_ones_own_flies_without_being_listed() -> None:
         hardware_versions=(),
         tick_hz=1000,
         items=items,
-        has_virtual_rc=False,
+        generation=Generation.V2_3,
     )
     virtual = ConnectableAircraft(firmware=own, seed=1)
     async with virtual.connect(firmware=own) as aircraft:

@@ -140,6 +140,8 @@ class ProfileTable(TableDirective):
 def _value(name: str, value: object) -> str:
     if isinstance(value, bool):
         return _yes(value)
+    if isinstance(value, firmware.Generation):
+        return f"those of {value}"
     if isinstance(value, Enum):
         return str(value.value)
     if isinstance(value, tuple):

@@ -13,9 +13,9 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar, get_args, get_origin
 
-from m100link.errors import BadAck
-from m100link.protocol.codes import AckCode
-from m100link.protocol.firmware import FirmwareProfile
+from m100link.errors import BadAck, UsageError
+from m100link.protocol.codes import AckCode, SystemCode
+from m100link.protocol.firmware import FirmwareProfile, Generation
 from m100link.session.events import SessionMode
 
 __all__ = [
@@ -27,6 +27,8 @@ __all__ = [
     "Request",
     "Unrecognised",
     "encode_code",
+    "exactly",
+    "in_range",
     "read_code",
 ]
 
@@ -52,6 +54,8 @@ class Command:
         LEVEL: Authorization level that the aircraft asks for (document 2.1).
         ENCRYPTED: Whether it is sent encrypted as soon as there is a key.
         SESSION_MODE: How it is sent; follows from the kind.
+        SINCE: The first generation of firmware that knows it.
+        NEEDS_ACTIVATION: Whether the aircraft refuses it before activation.
     """
 
     __slots__ = ()
@@ -61,6 +65,8 @@ class Command:
     LEVEL: ClassVar[int] = 0
     ENCRYPTED: ClassVar[bool] = False
     SESSION_MODE: ClassVar[SessionMode] = SessionMode.NO_ACK
+    SINCE: ClassVar[Generation] = Generation.V1_0
+    NEEDS_ACTIVATION: ClassVar[bool] = True
 
     _PREFIX: ClassVar[bytes]
 
@@ -68,6 +74,11 @@ class Command:
         super().__init_subclass__()
         if hasattr(cls, "ADDRESS"):  # the four kinds have none
             cls._PREFIX = bytes(cls.ADDRESS)
+
+    @classmethod
+    def is_known_to(cls, profile: FirmwareProfile) -> bool:
+        """Whether a firmware has this command."""
+        return profile.generation >= cls.SINCE
 
     def encode(self, profile: FirmwareProfile) -> bytes:
         """The data of the frame: set, id, value."""
@@ -97,6 +108,10 @@ class Request(Command, Generic[A]):
     Attributes:
         ANSWER: What the ack tells: the class in the brackets.
         ACK_CODE_SIZES: Sizes that the code of the ack may have.
+        ACK_IS_PLAIN: Whether the ack is plain even when the request was encrypted; all others are
+            encrypted as their request.
+        UNREADABLE: What the aircraft answers to a value that it cannot read; where the sources
+            are silent, that there is no such command.
     """
 
     __slots__ = ()
@@ -104,6 +119,8 @@ class Request(Command, Generic[A]):
     SESSION_MODE: ClassVar[SessionMode] = SessionMode.RELIABLE
     ANSWER: ClassVar[type[Any]]
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (2,)
+    ACK_IS_PLAIN: ClassVar[bool] = False
+    UNREADABLE: ClassVar[AckCode] = SystemCode.NOT_SUPPORTED
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -120,6 +137,16 @@ class Request(Command, Generic[A]):
         """
         answer: A = cls.ANSWER(read_code(cls.NAME, payload, cls.ACK_CODE_SIZES))
         return answer
+
+    @classmethod
+    def unreadable(cls, profile: FirmwareProfile) -> AckCode:
+        """What a firmware answers to a value that it cannot read."""
+        return cls.UNREADABLE
+
+    @classmethod
+    def encode_ack(cls, answer: Any) -> bytes:
+        """The data of an ack frame with that answer, or with a system code in its place."""
+        return encode_code(answer)
 
 
 class Push(Command):
@@ -190,6 +217,30 @@ def read_code(name: str, payload: bytes, sizes: tuple[int, ...] = (2,)) -> int:
         cause="another firmware than the chosen profile, or a damaged simulator",
         remedy="compare the firmware version with the profile in use",
     )
+
+
+def exactly(value: bytes, size: int, name: str) -> bytes:
+    """The value, if it has that size.
+
+    Raises:
+        ValueError: It has another.
+    """
+    if len(value) != size:
+        raise ValueError(f"{name} takes {size} byte(s), there are {len(value)}")
+    return value
+
+
+def in_range(name: str, number: float, low: float, high: float, unit: str = "") -> None:
+    """Check a number before it is sent.
+
+    Raises:
+        UsageError: It lies outside, or is not a number.
+    """
+    if not low <= number <= high:
+        raise UsageError(
+            f"{name} {number:g} {unit}".rstrip() + " cannot be sent",
+            remedy=f"stay within {low:g} to {high:g} {unit}".rstrip(),
+        )
 
 
 def encode_code(code: int) -> bytes:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from enum import Enum
+from enum import Enum, IntEnum
 
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, ItemLayout, layouts
@@ -23,10 +23,22 @@ __all__ = [
     "PROFILES",
     "FirmwareProfile",
     "FlagBit0",
+    "Generation",
     "profile",
     "reads_unknown",
     "recognised",
 ]
+
+
+class Generation(IntEnum):
+    """Firmware as the commands see it: each generation knows those of the earlier ones, too."""
+
+    V1_0 = 1
+    V2_3 = 2
+    V3_1 = 3
+
+    def __str__(self) -> str:
+        return self.name[1:].replace("_", ".")
 
 
 class FlagBit0(Enum):
@@ -72,10 +84,7 @@ class FirmwareProfile:
         velocity_names_sensor: The velocity status byte names the source of the value (errata 46).
         needs_f_toggle: F already chosen at power-on needs the switch moved away and back.
         ioc_must_be_off: IOC forbids authority.
-        has_rates_command: 0x00/0x10, telemetry rates from the serial side.
-        has_arm_command: 0x01/0x05, motors on and off.
-        has_gimbal_commands: 0x01/0x1A, 0x1B and 0x20 to 0x22, gimbal and camera.
-        has_virtual_rc: 0x05/0x00 and 0x01, the virtual remote controller.
+        generation: Which commands it knows: each command says since when it exists.
         item_flags: The bits of its items in the flag word of telemetry.
 
     Raises:
@@ -101,10 +110,7 @@ class FirmwareProfile:
     velocity_names_sensor: bool
     needs_f_toggle: bool
     ioc_must_be_off: bool
-    has_rates_command: bool
-    has_arm_command: bool
-    has_gimbal_commands: bool
-    has_virtual_rc: bool
+    generation: Generation
     item_flags: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -158,10 +164,7 @@ FIRMWARE_1_0 = FirmwareProfile(
     velocity_names_sensor=False,
     needs_f_toggle=True,
     ioc_must_be_off=True,
-    has_rates_command=False,
-    has_arm_command=False,
-    has_gimbal_commands=False,
-    has_virtual_rc=False,
+    generation=Generation.V1_0,
 )
 
 FIRMWARE_2_3 = replace(
@@ -178,7 +181,7 @@ FIRMWARE_2_3 = replace(
     authority_refusal_has_reason=True,
     shows_authority_request=True,
     velocity_names_sensor=True,
-    has_gimbal_commands=True,
+    generation=Generation.V2_3,
 )
 
 FIRMWARE_3_1 = replace(
@@ -196,10 +199,8 @@ FIRMWARE_3_1 = replace(
     flag_bit0=FlagBit0.STABLE_MODE,
     needs_f_toggle=False,
     ioc_must_be_off=False,
-    has_rates_command=True,
-    has_arm_command=True,
-    has_virtual_rc=True,
     velocity_names_sensor=False,
+    generation=Generation.V3_1,
 )
 
 FIRMWARE_1_0_DOCUMENT = replace(

@@ -22,10 +22,8 @@ from m100link import (
     TaskResultCode,
 )
 from m100link.flight.tasks import task_sequences
-from m100link.protocol.command import encode_code
 from m100link.protocol.commands.control import QueryTask, StartTask, Task
 from m100link.sim import LineFaults
-from m100link.sim.commands import Reply
 from tests.rig import FIRMWARES, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -182,7 +180,7 @@ async def test_without_the_result_query_what_telemetry_shows_decides() -> None:
     """Some firmware answers only the newest query; here none comes through."""
     async with rig() as flown, flown.aircraft.control() as control:
         handlers = flown.virtual.autopilot._commands._handlers
-        handlers[QueryTask.ADDRESS] = lambda frame: Reply(encode_code(TaskResultCode.NOT_CURRENT))
+        handlers[QueryTask] = lambda query: TaskResultCode.NOT_CURRENT
         await control.take_off()
         assert flown.virtual.height > 1.0
         await control.land()

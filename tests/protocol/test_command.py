@@ -17,6 +17,7 @@ from m100link.protocol import (
     Address,
     Arm,
     AuthorityChanged,
+    AuthorityCode,
     Command,
     FirmwareProfile,
     FromMobile,
@@ -32,6 +33,7 @@ from m100link.protocol import (
     SendToMobile,
     SetTelemetryRates,
     StartTask,
+    TaskStartCode,
     TelemetryPacket,
     Unrecognised,
     encode_code,
@@ -39,7 +41,10 @@ from m100link.protocol import (
     parse_command,
     profile,
 )
+from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.commands.registry import COMMANDS, address_of
+from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 from m100link.protocol.items import BY_NAME
 from m100link.session import SessionMode
 
@@ -47,6 +52,12 @@ FIRMWARE = profile("3.1")
 FIRMWARES = st.sampled_from(list(PROFILES.values()))
 KINDS: tuple[type[Command], ...] = (Request, Push, Movement, Notification)
 BYTE, U32 = st.integers(0, 0xFF), st.integers(0, 0xFFFFFFFF)
+
+
+def tenths(low: int, high: int) -> st.SearchStrategy[float]:
+    return st.integers(low, high).map(lambda number: number / 10.0)
+
+
 F32 = st.floats(width=32, allow_nan=False)
 
 COMMAND = st.one_of(
@@ -69,6 +80,14 @@ COMMAND = st.one_of(
     st.builds(Move, BYTE, F32, F32, F32, F32),
     st.builds(Arm, st.booleans()),
     st.builds(AuthorityChanged, BYTE),
+    st.builds(GimbalSpeed, *(tenths(-1800, 1800) for _ in range(3)), BYTE),
+    st.builds(
+        GimbalAngle,
+        *(tenths(-3200, 3200), tenths(-350, 350), tenths(-900, 300), BYTE, tenths(0, 255)),
+    ),
+    st.sampled_from((TakePhoto(), StartVideo(), StopVideo())),
+    st.builds(VirtualRcSettings, st.booleans(), st.booleans()),
+    st.builds(VirtualRcData, st.tuples(*[st.integers(364, 1684)] * 16)),
     st.builds(FromMobile, st.binary(min_size=1, max_size=100)),
 )
 
@@ -113,11 +132,13 @@ def test_no_value_of_a_known_address_makes_parsing_raise(
 
 
 def test_every_address_of_the_document_is_known() -> None:
-    # Sets and ids as the document's section 2.2 numbers them, with the two later commands.
+    # Sets and ids as the document's section 2.2 numbers them, with the later commands.
     wanted = {
         *((0x00, number) for number in (0x00, 0x01, 0x10, 0xFE)),
         *((0x01, number) for number in (0x00, 0x01, 0x02, 0x03, 0x05)),
+        *((0x01, number) for number in (0x1A, 0x1B, 0x20, 0x21, 0x22)),
         *((0x02, number) for number in (0x00, 0x01, 0x02)),
+        *((0x05, number) for number in (0x00, 0x01)),
     }
     assert set(COMMANDS) == wanted
     assert len({command.NAME for command in COMMANDS.values()}) == len(wanted)
@@ -156,6 +177,10 @@ BAD_VALUES = [
     (Arm, b"\x02"),
     (AuthorityChanged, b""),
     (FromMobile, bytes(101)),
+    (GimbalSpeed, bytes(8)),
+    (GimbalAngle, bytes(7)),
+    (VirtualRcSettings, bytes(64)),  # as DJI's libraries from 3.3 on send channels
+    (VirtualRcData, bytes(63)),
     (PushTelemetry, b"\x01"),
 ]
 
@@ -221,7 +246,8 @@ def test_bytes_behind_a_code_are_ignored() -> None:
 
 def test_each_command_is_of_one_kind() -> None:
     kinds = {kind: [c for c in COMMANDS.values() if issubclass(c, kind)] for kind in KINDS}
-    assert kinds[Movement] == [Move]
+    assert kinds[Movement] == [Move, VirtualRcSettings, VirtualRcData]
+    assert kinds[Push] == [GimbalSpeed, GimbalAngle, TakePhoto, StartVideo, StopVideo]
     assert kinds[Notification] == [PushTelemetry, AuthorityChanged, FromMobile]
     assert sum(map(len, kinds.values())) == len(COMMANDS)
 
@@ -230,3 +256,38 @@ def test_each_command_is_of_one_kind() -> None:
 def test_only_requests_want_an_ack(kind: type[Command]) -> None:
     wants_ack = kind.SESSION_MODE is SessionMode.RELIABLE
     assert wants_ack is issubclass(kind, Request)
+
+
+# -- what a declaration says ----------------------------------------------------------------------
+
+
+def test_levels_are_those_of_the_document() -> None:
+    """2.1: level 1 moves camera and gimbal, 2 controls flight; the rest asks for none."""
+    levels = {kind: kind.LEVEL for kind in COMMANDS.values()}
+    flight = {RequestAuthority, StartTask, QueryTask, Move, Arm}
+    mount = {GimbalSpeed, GimbalAngle, TakePhoto, StartVideo, StopVideo}
+    wanted = {kind: 2 if kind in flight else 1 if kind in mount else 0 for kind in levels}
+    assert levels == wanted
+
+
+def test_commands_came_with_their_firmware() -> None:
+    every = COMMANDS.values()
+    known = {name: {k for k in every if k.is_known_to(p)} for name, p in PROFILES.items()}
+    of_2_3 = {GimbalSpeed, GimbalAngle, TakePhoto, StartVideo, StopVideo}
+    of_3_1 = {SetTelemetryRates, Arm, VirtualRcSettings, VirtualRcData}
+    assert known["3.1"] == set(COMMANDS.values())
+    assert known["3.1"] - known["2.3"] == of_3_1
+    assert known["2.3"] - known["1.0"] == of_2_3
+    assert known["1.0"] == known["1.0-document"]
+
+
+@pytest.mark.parametrize("kind", REQUESTS)
+@pytest.mark.parametrize("firmware", PROFILES.values(), ids=str)
+def test_the_answer_to_an_unreadable_value_is_a_refusal(
+    kind: type[AnyRequest], firmware: FirmwareProfile
+) -> None:
+    code = kind.unreadable(firmware)
+    assert code not in (TaskStartCode.STARTED, AuthorityCode.OBTAINED)
+    assert kind is RequestAuthority or code != 0
+    if kind is not GetVersion:
+        assert kind.parse_ack(kind.encode_ack(code)) == code

@@ -99,10 +99,6 @@ def test_one_profile_reads_the_telemetry_of_an_unknown_firmware(
         ("authority_refusal_has_reason", ["2.3", "3.1"]),
         ("shows_authority_request", ["2.3", "3.1"]),
         ("velocity_names_sensor", ["2.3"]),
-        ("has_rates_command", ["3.1"]),
-        ("has_arm_command", ["3.1"]),
-        ("has_gimbal_commands", ["2.3", "3.1"]),
-        ("has_virtual_rc", ["3.1"]),
     ],
 )
 def test_what_came_with_which_firmware(field: str, having: list[str]) -> None:

@@ -8,13 +8,14 @@ from typing import Any, ClassVar, Self
 
 from m100link.errors import BadAck, PayloadTooLarge, UsageError
 from m100link.protocol.codes import (
+    AckCode,
     ActivationCode,
     MobileDataCode,
     RatesCode,
     VersionCode,
 )
-from m100link.protocol.command import Address, Request, read_code
-from m100link.protocol.firmware import FirmwareProfile, recognised
+from m100link.protocol.command import Address, Request, encode_code, read_code
+from m100link.protocol.firmware import FirmwareProfile, Generation, recognised
 from m100link.protocol.items import BY_NAME
 from m100link.wire.cipher import Key
 from m100link.wire.crc import frame_crc32
@@ -135,6 +136,8 @@ class GetVersion(Request[Version]):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x00)
     NAME: ClassVar[str] = "get_version"
+    NEEDS_ACTIVATION: ClassVar[bool] = False
+    ACK_IS_PLAIN: ClassVar[bool] = True
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """One zero byte."""
@@ -144,6 +147,11 @@ class GetVersion(Request[Version]):
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """Any value will do (errata 13)."""
         return cls()
+
+    @classmethod
+    def encode_ack(cls, answer: Version | AckCode) -> bytes:
+        """As :meth:`Version.encode` does."""
+        return answer.encode() if isinstance(answer, Version) else encode_code(answer)
 
     @classmethod
     def parse_ack(cls, payload: bytes) -> Version:
@@ -176,6 +184,9 @@ class Activate(Request[ActivationCode]):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x01)
     NAME: ClassVar[str] = "activate"
+    NEEDS_ACTIVATION: ClassVar[bool] = False
+    ACK_IS_PLAIN: ClassVar[bool] = True
+    UNREADABLE: ClassVar[AckCode] = ActivationCode.INVALID_PARAMETERS
 
     app_id: int
     level: int
@@ -224,6 +235,9 @@ class SetTelemetryRates(Request[RatesCode]):
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x10)
     NAME: ClassVar[str] = "set_telemetry_rates"
+    NEEDS_ACTIVATION: ClassVar[bool] = False
+    UNREADABLE: ClassVar[AckCode] = RatesCode.INVALID_PARAMETERS
+    SINCE: ClassVar[Generation] = Generation.V3_1
 
     rates_hz: dict[str, int] = field(default_factory=dict)
 

@@ -7,17 +7,11 @@ from enum import IntEnum
 from struct import Struct
 from typing import Any, ClassVar, NamedTuple, Self
 
-from m100link.protocol.codes import ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
-from m100link.protocol.command import Address, Movement, Request
-from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.codes import AckCode, ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
+from m100link.protocol.command import Address, Movement, Request, exactly
+from m100link.protocol.firmware import FirmwareProfile, Generation
 
 __all__ = ["Arm", "Move", "QueryTask", "RequestAuthority", "StartTask", "Task"]
-
-
-def _exactly(value: bytes, size: int, name: str) -> bytes:
-    if len(value) != size:
-        raise ValueError(f"{name} takes {size} byte(s), there are {len(value)}")
-    return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +32,16 @@ class RequestAuthority(Request[AuthorityCode]):
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """One byte, 0 or 1."""
-        (request,) = _exactly(value, 1, cls.NAME)
+        (request,) = exactly(value, 1, cls.NAME)
         if request > 1:
             raise ValueError(f"authority request {request} does not exist")
         return cls(bool(request))
+
+    @classmethod
+    def unreadable(cls, profile: FirmwareProfile) -> AckCode:
+        """The final refusal, which has another number where code 3 is "in progress" (errata 24)."""
+        has_reason = profile.authority_refusal_has_reason
+        return AuthorityCode.NOT_IN_F if has_reason else AuthorityCode.NOT_CHANGED
 
 
 class Task(IntEnum):
@@ -66,6 +66,7 @@ class StartTask(Request[TaskStartCode]):
     LEVEL: ClassVar[int] = 2
     ENCRYPTED: ClassVar[bool] = True
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
+    UNREADABLE: ClassVar[AckCode] = TaskStartCode.REJECTED
 
     task_sequence: int
     task: int
@@ -77,7 +78,7 @@ class StartTask(Request[TaskStartCode]):
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """Two bytes."""
-        task_sequence, task = _exactly(value, 2, cls.NAME)
+        task_sequence, task = exactly(value, 2, cls.NAME)
         return cls(task_sequence, task)
 
     def fields(self) -> dict[str, Any]:
@@ -98,6 +99,7 @@ class QueryTask(Request[TaskResultCode]):
     LEVEL: ClassVar[int] = 2
     ENCRYPTED: ClassVar[bool] = True
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
+    UNREADABLE: ClassVar[AckCode] = TaskResultCode.NOT_CURRENT
 
     task_sequence: int
 
@@ -108,7 +110,7 @@ class QueryTask(Request[TaskResultCode]):
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """One byte."""
-        return cls(_exactly(value, 1, cls.NAME)[0])
+        return cls(exactly(value, 1, cls.NAME)[0])
 
 
 _MOVE = Struct("<B4f")
@@ -150,7 +152,7 @@ class Move(_MoveFields, Movement):
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """17 bytes."""
-        flag, x, y, third, fourth = _MOVE.unpack(_exactly(value, _MOVE.size, cls.NAME))
+        flag, x, y, third, fourth = _MOVE.unpack(exactly(value, _MOVE.size, cls.NAME))
         if not profile.throttle_before_yaw:
             third, fourth = fourth, third
         return cls(flag, x, y, third, fourth)
@@ -168,6 +170,7 @@ class Arm(Request[ArmCode]):
     NAME: ClassVar[str] = "arm"
     LEVEL: ClassVar[int] = 2
     ENCRYPTED: ClassVar[bool] = True
+    SINCE: ClassVar[Generation] = Generation.V3_1
 
     on: bool
 
@@ -178,7 +181,7 @@ class Arm(Request[ArmCode]):
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """One byte, 0 or 1."""
-        (on,) = _exactly(value, 1, cls.NAME)
+        (on,) = exactly(value, 1, cls.NAME)
         if on > 1:
             raise ValueError(f"arm value {on} does not exist")
         return cls(bool(on))

@@ -9,8 +9,11 @@ from m100link.protocol.commands.activation import (
     SendToMobile,
     SetTelemetryRates,
 )
+from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
 from m100link.protocol.commands.control import Arm, Move, QueryTask, RequestAuthority, StartTask
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
+from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 from m100link.protocol.firmware import FirmwareProfile
 
 __all__ = ["COMMANDS", "address_of", "parse_command"]
@@ -27,9 +30,16 @@ COMMANDS: dict[Address, type[Command]] = {
         QueryTask,
         Move,
         Arm,
+        GimbalSpeed,
+        GimbalAngle,
+        TakePhoto,
+        StartVideo,
+        StopVideo,
         PushTelemetry,
         AuthorityChanged,
         FromMobile,
+        VirtualRcSettings,
+        VirtualRcData,
     )
 }
 """Every command and push by its address."""

@@ -5,15 +5,18 @@ Commands 0x01/0x1A, 0x1B and 0x20 to 0x22 came with firmware 2.3; the document o
 
 from __future__ import annotations
 
-from struct import Struct
+from typing import TYPE_CHECKING
 
 from m100link.geodesy import normalize_degrees
+from m100link.protocol.commands.gimbal import GIMBAL_LIMITS_DEG, GimbalAngleMode
+
+if TYPE_CHECKING:
+    from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 
 __all__ = ["Camera", "GimbalMount"]
 
-_RATE = Struct("<3hB")
-_ANGLE = Struct("<3h2B")
-_LIMITS = ((-320.0, 320.0), (-35.0, 35.0), (-90.0, 30.0))  # yaw, roll, pitch
+_LIMITS = tuple(GIMBAL_LIMITS_DEG.values())  # yaw, roll, pitch
+_TAKES_CONTROL = 0x80
 
 
 class GimbalMount:
@@ -33,47 +36,34 @@ class GimbalMount:
         self._rate_until = 0.0
         self._targets: list[float] | None = None
 
-    def turn(self, value: bytes, now: float) -> bool:
-        """0x01/0x1A: rates of yaw, roll and pitch in 0.1 degrees per second, and flags.
-
-        Effective for half a second, and only with bit 7 of the flags. Returns False if malformed.
-        """
-        if len(value) != _RATE.size:
-            return False
-        *rates, flags = _RATE.unpack(value)
-        if flags & 0x80:
-            self._rates = [max(-180.0, min(180.0, rate / 10.0)) for rate in rates]
+    def turn(self, command: GimbalSpeed, now: float) -> None:
+        """Turn at these rates for half a second; without the bit that takes control, ignore it."""
+        if command.flags & _TAKES_CONTROL:
+            rates = command.yaw_deg_s, command.roll_deg_s, command.pitch_deg_s
+            self._rates = [max(-180.0, min(180.0, rate)) for rate in rates]
             self._rate_until = now + 0.5
             self._targets = None
-        return True
 
-    def point(self, value: bytes, heading_deg: float) -> bool:
-        """0x01/0x1B: angles of yaw, roll and pitch in 0.1 degrees, a mode byte, a duration.
-
-        Bit 0 of the mode: absolute (yaw against north) rather than relative to the present
-        angles; bits 1 to 3: leave yaw, roll, pitch alone. Returns False if malformed.
-        """
-        if len(value) != _ANGLE.size:
-            return False
-        yaw, roll, pitch, mode, duration = _ANGLE.unpack(value)
+    def point(self, command: GimbalAngle, heading_deg: float) -> None:
+        """Go to these angles in the time of the command; absolute yaw counts from north."""
         present = [self.yaw, self.roll, self.pitch]
-        if mode & 1:
-            wanted = [normalize_degrees(yaw / 10.0 - heading_deg), roll / 10.0, pitch / 10.0]
+        wanted = list(command.angles_deg)
+        if command.mode & GimbalAngleMode.ABSOLUTE:
+            wanted[0] = normalize_degrees(wanted[0] - heading_deg)
         else:
-            wanted = [present[0] + yaw / 10.0, present[1] + roll / 10.0, present[2] + pitch / 10.0]
+            wanted = [now + by for now, by in zip(present, wanted, strict=True)]
         targets = [
-            now if mode & (2 << axis) else max(low, min(high, want))
+            now if command.mode & (GimbalAngleMode.KEEP_YAW << axis) else max(low, min(high, want))
             for axis, (now, want, (low, high)) in enumerate(
                 zip(present, wanted, _LIMITS, strict=True)
             )
         ]
-        seconds = max(0.1, duration / 10.0)
+        seconds = max(0.1, command.duration_s)
         self._targets = targets
         self._rates = [
             max(-400.0, min(400.0, (target - now) / seconds))
             for target, now in zip(targets, present, strict=True)
         ]
-        return True
 
     def advance(self, now: float, seconds: float) -> None:
         """Move on towards the last command."""

@@ -6,10 +6,13 @@ Channels as the telemetry item has them (document 2.2.3.1, item RC): sticks -100
 
 from __future__ import annotations
 
-from struct import Struct
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from m100link.protocol.commands.virtual_rc import CENTRE, TRAVEL
 from m100link.protocol.records import RcMode
+
+if TYPE_CHECKING:
+    from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 
 __all__ = ["GEAR_DOWN", "GEAR_UP", "PilotRemote", "Sticks", "VirtualRemote"]
 
@@ -59,8 +62,6 @@ class VirtualRemote:
     """
 
     TIMEOUT_S = 1.0
-    _REQUEST_SIZE = 1
-    _CHANNELS = Struct("<16I")
 
     __slots__ = ("_falls_back", "_sticks", "_until", "is_on")
 
@@ -70,28 +71,24 @@ class VirtualRemote:
         self._sticks: Sticks | None = None
         self._until = 0.0
 
-    def switch(self, value: bytes) -> bool:
-        """0x05/0x00: bit 0 on, bit 1 fall back to the real remote. False if malformed."""
-        if len(value) != self._REQUEST_SIZE:
-            return False
-        self.is_on = bool(value[0] & 1)
-        self._falls_back = bool(value[0] & 2)
+    def switch(self, command: VirtualRcSettings) -> None:
+        """Switch it on or off."""
+        self.is_on = command.is_on
+        self._falls_back = command.falls_back
         self._sticks = None
-        return True
 
-    def feed(self, value: bytes, now: float) -> bool:
-        """0x05/0x01: 16 channels of 1024 ± 660. False if malformed or not switched on."""
-        if len(value) != self._CHANNELS.size or not self.is_on:
-            return False
-        channels = self._CHANNELS.unpack(value)
+    def feed(self, command: VirtualRcData, now: float) -> None:
+        """Move sticks and switches; nothing happens while it is not switched on."""
+        if not self.is_on:
+            return
+        channels = command.channels
         roll, pitch, throttle, yaw = (
-            max(-1.0, min(1.0, (channel - 1024) / 660.0)) for channel in channels[:4]
+            max(-1.0, min(1.0, (channel - CENTRE) / TRAVEL)) for channel in channels[:4]
         )
         mode = min(_VIRTUAL_MODES, key=lambda position: abs(position - channels[6]))
         gear_down = channels[4] < 1500
         self._sticks = Sticks(roll, pitch, yaw, throttle, _VIRTUAL_MODES[mode], gear_down)
         self._until = now + self.TIMEOUT_S
-        return True
 
     def sticks(self, now: float) -> Sticks | None:
         """The sticks in force, None while this remote control says nothing."""

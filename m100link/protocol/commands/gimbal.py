@@ -1,0 +1,139 @@
+"""The gimbal: 0x01/0x1A and 0x1B of firmware 2.3 on; the V1.0.1 document only announces them.
+
+Angles are sent in tenths of a degree. Nothing answers: telemetry shows what became of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+from struct import Struct
+from typing import Any, ClassVar, Self
+
+from m100link.protocol.command import Address, Push, exactly, in_range
+from m100link.protocol.firmware import FirmwareProfile, Generation
+
+__all__ = ["GIMBAL_LIMITS_DEG", "GimbalAngle", "GimbalAngleMode", "GimbalSpeed"]
+
+GIMBAL_LIMITS_DEG = {"yaw": (-320.0, 320.0), "roll": (-35.0, 35.0), "pitch": (-90.0, 30.0)}
+"""How far each axis turns, in the order of the wire."""
+
+_SPEED_LIMIT_DEG_S = 180.0
+_SPEED = Struct("<3hB")
+_ANGLE = Struct("<3h2B")
+_DURATION_LIMIT_S = 25.5
+
+
+def _tenths(degrees: tuple[float, float, float]) -> list[int]:
+    return [round(angle * 10.0) for angle in degrees]
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalSpeed(Push):
+    """0x01/0x1A, turn the gimbal; it stops half a second after the last command.
+
+    Attributes:
+        yaw_deg_s, roll_deg_s, pitch_deg_s: -180 to 180 degrees per second, sent in tenths.
+        flags: Bit 7 takes control of the gimbal; without it the aircraft ignores the command.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x01, 0x1A)
+    NAME: ClassVar[str] = "gimbal_speed"
+    LEVEL: ClassVar[int] = 1
+    ENCRYPTED: ClassVar[bool] = True
+    SINCE: ClassVar[Generation] = Generation.V2_3
+
+    yaw_deg_s: float = 0.0
+    roll_deg_s: float = 0.0
+    pitch_deg_s: float = 0.0
+    flags: int = 0x80
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """7 bytes.
+
+        Raises:
+            UsageError: Faster than the gimbal turns.
+        """
+        speeds = self.yaw_deg_s, self.roll_deg_s, self.pitch_deg_s
+        for axis, speed in zip(GIMBAL_LIMITS_DEG, speeds, strict=True):
+            in_range(f"{axis} speed", speed, -_SPEED_LIMIT_DEG_S, _SPEED_LIMIT_DEG_S, "°/s")
+        in_range("flags", self.flags, 0, 255)
+        return _SPEED.pack(*_tenths(speeds), self.flags)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """7 bytes; rates beyond the limits are kept as they came."""
+        yaw, roll, pitch, flags = _SPEED.unpack(exactly(value, _SPEED.size, cls.NAME))
+        return cls(yaw / 10.0, roll / 10.0, pitch / 10.0, flags)
+
+
+class GimbalAngleMode(IntFlag):
+    """How angles are meant, and which axes are left alone."""
+
+    ABSOLUTE = 1
+    KEEP_YAW = 2
+    KEEP_ROLL = 4
+    KEEP_PITCH = 8
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalAngle(Push):
+    """0x01/0x1B, point the gimbal within a time.
+
+    Attributes:
+        yaw_deg: -320 to 320 degrees; absolute it counts from north, else from the present angle.
+        roll_deg: -35 to 35 degrees.
+        pitch_deg: -90 (straight down) to 30 degrees.
+        mode: Bits of :class:`GimbalAngleMode`; other bits are kept and mean nothing.
+        duration_s: 0.1 to 25.5 seconds; faster than 400 degrees per second is discouraged.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x01, 0x1B)
+    NAME: ClassVar[str] = "gimbal_angle"
+    LEVEL: ClassVar[int] = 1
+    ENCRYPTED: ClassVar[bool] = True
+    SINCE: ClassVar[Generation] = Generation.V2_3
+
+    yaw_deg: float = 0.0
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    mode: int = GimbalAngleMode.ABSOLUTE
+    duration_s: float = 1.0
+
+    @property
+    def angles_deg(self) -> tuple[float, float, float]:
+        """Yaw, roll and pitch, in the order of the wire."""
+        return self.yaw_deg, self.roll_deg, self.pitch_deg
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """8 bytes.
+
+        Raises:
+            UsageError: An angle that the gimbal does not have, or a time that does not fit.
+        """
+        limits = GIMBAL_LIMITS_DEG.items()
+        for (axis, (low, high)), angle in zip(limits, self.angles_deg, strict=True):
+            in_range(axis, angle, low, high, "°")
+        in_range("mode", self.mode, 0, 255)
+        in_range("duration", self.duration_s, 0.0, _DURATION_LIMIT_S, "s")
+        duration = round(self.duration_s * 10.0)
+        return _ANGLE.pack(*_tenths(self.angles_deg), self.mode, duration)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """8 bytes; angles beyond the limits are kept as they came."""
+        *angles, mode, duration = _ANGLE.unpack(exactly(value, _ANGLE.size, cls.NAME))
+        yaw, roll, pitch = (angle / 10.0 for angle in angles)
+        return cls(yaw, roll, pitch, mode, duration / 10.0)
+
+    def fields(self) -> dict[str, Any]:
+        """With the mode as a number and in words."""
+        words = [bit.name.lower() for bit in GimbalAngleMode if self.mode & bit and bit.name]
+        return {
+            "yaw_deg": self.yaw_deg,
+            "roll_deg": self.roll_deg,
+            "pitch_deg": self.pitch_deg,
+            "mode": int(self.mode),
+            "mode_bits": words,
+            "duration_s": self.duration_s,
+        }

@@ -1,0 +1,56 @@
+"""Gimbal: tenths of a degree on the wire, limits before anything is sent."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from m100link.errors import UsageError
+from m100link.protocol import PROFILES
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
+from tests.support import load_vectors
+
+FIRMWARE = PROFILES["3.1"]
+ROWS = [row for row in load_vectors("later-commands") if row["name"].startswith("gimbal")]
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row["value"])
+def test_the_fields_are_those_of_the_wire_in_degrees(row: dict[str, Any]) -> None:
+    raw = row["fields"]
+    value = bytes.fromhex(row["value"])
+    tenths = raw["yaw"] / 10, raw["roll"] / 10, raw["pitch"] / 10
+    if row["name"] == "gimbal_speed":
+        assert GimbalSpeed.parse(value, FIRMWARE) == GimbalSpeed(*tenths, raw["flags"])
+    else:
+        command = GimbalAngle(*tenths, raw["mode"], raw["duration"] / 10)
+        assert GimbalAngle.parse(value, FIRMWARE) == command
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        GimbalSpeed(yaw_deg_s=180.1),
+        GimbalSpeed(pitch_deg_s=math.nan),
+        GimbalSpeed(flags=256),
+        GimbalAngle(yaw_deg=-320.1),
+        GimbalAngle(roll_deg=36.0),
+        GimbalAngle(pitch_deg=31.0),
+        GimbalAngle(duration_s=26.0),
+        GimbalAngle(mode=-1),
+    ],
+    ids=str,
+)
+def test_what_a_gimbal_does_not_do_is_refused_before_it_is_sent(
+    command: GimbalSpeed | GimbalAngle,
+) -> None:
+    with pytest.raises(UsageError, match="cannot be sent") as caught:
+        command.encode(FIRMWARE)
+    assert "stay within" in caught.value.remedy
+
+
+def test_the_mode_is_shown_in_words() -> None:
+    mode = GimbalAngleMode.ABSOLUTE | GimbalAngleMode.KEEP_ROLL
+    assert GimbalAngle(mode=mode).fields()["mode_bits"] == ["absolute", "keep_roll"]
+    assert GimbalAngle(mode=0x80).fields()["mode_bits"] == []
