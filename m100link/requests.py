@@ -81,7 +81,8 @@ class Requests:
             refusal: Class of the error for system codes that have no class of their own.
 
         Raises:
-            NotActivated, LevelTooLow, CommandNotSupported: System codes.
+            NotActivated, LevelTooLow, CommandNotSupported: System codes, or the firmware is known
+                not to know it.
             KeyRejected: Encrypted and refused or unanswered, while plain requests are answered.
             UsageError: Not a request, or the firmware is unknown.
             AckTimeout, BadAck, LinkError: See each class.
@@ -90,7 +91,7 @@ class Requests:
             raise UsageError(
                 f"{request!r} has no ack to wait for", remedy="push it, or fly in a control block"
             )
-        self._require_known_firmware(request)
+        self._require_firmware(request)
         cipher = self._link.cipher
         if encrypted is None:
             encrypted = request.ENCRYPTED and cipher is not None
@@ -121,9 +122,10 @@ class Requests:
 
         Raises:
             UsageError: The firmware is unknown.
+            CommandNotSupported: The firmware does not know it.
             LinkError: The line is gone.
         """
-        self._require_known_firmware(command)
+        self._require_firmware(command)
         link = self._link
         encrypted = command.ENCRYPTED and link.cipher is not None
         return link.push(command.encode(self.firmware), encrypted=encrypted)
@@ -169,13 +171,20 @@ class Requests:
                 "unknown firmware %r: telemetry only, read as %s", version.name, likeliest
             )
 
-    def _require_known_firmware(self, command: Command) -> None:
+    def _require_firmware(self, command: Command) -> None:
         if not self._is_known and command.ADDRESS.command_set != 0x00:
             name = self.version.name if self.version else "unknown"
             raise UsageError(
                 f"{command.NAME} is not sent to an unknown firmware ({name})",
                 cause="the order of movement values and the handshakes differ between firmwares",
                 remedy="if you know that it fits, force it: connect(..., firmware='3.1')",
+            )
+        if not command.is_known_to(self.firmware):
+            raise CommandNotSupported(
+                f"firmware {self.firmware} does not know {command.NAME}; nothing was sent",
+                command=command.NAME,
+                cause=f"the command came with firmware {command.SINCE}",
+                remedy="use an aircraft with later firmware",
             )
 
     async def _answers_plain(self) -> bool:

@@ -484,12 +484,13 @@ async def test_an_unknown_command_blames_the_key_only_while_nobody_knows_it(
     is_proven: bool,
 ) -> None:
     """Firmware 1.0 has no arm command; it answers 0xFF00 as for what it cannot decrypt."""
-    async with rig() as flown:
+    async with rig() as flown, flown.virtual.connect(firmware="3.1") as aircraft:
+        aircraft.use_key(flown.virtual.credentials)
         if is_proven:
-            async with flown.aircraft.control():
+            async with aircraft.control():
                 pass
         with pytest.raises(CommandNotSupported if is_proven else KeyRejected):
-            await flown.aircraft.execute(Arm(on=True))
+            await aircraft.execute(Arm(on=True))
 
 
 async def test_not_activated_is_told_as_such() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any, cast
 
 import pytest
 
-from m100link import UsageError
+from m100link import CommandNotSupported, UsageError
 from m100link.protocol import (
     ActivationCode,
     GetVersion,
@@ -18,7 +19,9 @@ from m100link.protocol import (
     TaskResultCode,
     Version,
 )
-from m100link.protocol.commands.control import QueryTask
+from m100link.protocol.commands.camera import TakePhoto
+from m100link.protocol.commands.control import Arm, QueryTask
+from m100link.protocol.commands.gimbal import GimbalAngle
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import FIRMWARES, rig
 
@@ -64,6 +67,41 @@ async def test_a_request_is_not_pushed() -> None:
     async with rig() as flown:
         with pytest.raises(UsageError, match="cannot be pushed"):
             flown.aircraft.push(cast("Any", RequestAuthority(obtain=True)))
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+async def test_what_the_firmware_does_not_know_is_refused_here(firmware: str) -> None:
+    """A push would vanish in silence, and 0xFF00 does not tell an old firmware from a wrong key."""
+    async with rig(firmware=firmware) as flown:
+        profile = flown.aircraft.firmware
+        before = len(flown.virtual.autopilot.received_commands)
+        if TakePhoto.is_known_to(profile):
+            assert flown.aircraft.push(TakePhoto())
+        else:
+            with pytest.raises(CommandNotSupported, match="take_photo"):
+                flown.aircraft.push(TakePhoto())
+        if not Arm.is_known_to(profile):
+            with pytest.raises(CommandNotSupported, match="arm") as caught:
+                await flown.aircraft.execute(Arm(on=True))
+            assert "3.1" in caught.value.cause
+        await asyncio.sleep(0.1)
+        commands = list(flown.virtual.autopilot.received_commands)[before:]
+        assert [type(c.command) for c in commands] == [TakePhoto] * (firmware != "1.0")
+        assert flown.virtual.autopilot.camera.photos == (firmware != "1.0")
+
+
+async def test_gimbal_and_camera_are_sent_encrypted_and_plain_without_a_key() -> None:
+    async with rig(firmware="3.1") as flown:
+        flown.aircraft.push(GimbalAngle(pitch_deg=-45.0, duration_s=0.5))
+        await asyncio.sleep(1.0)
+        [command] = [c for c in flown.virtual.autopilot.received_commands if c.address == (1, 0x1B)]
+        assert command.encrypted
+        assert flown.virtual.autopilot.gimbal.pitch == pytest.approx(-45.0)
+        async with flown.virtual.connect() as other:
+            other.push(TakePhoto())
+            await asyncio.sleep(0.1)
+        command = flown.virtual.autopilot.received_commands[-1]
+        assert (type(command.command), command.encrypted) == (TakePhoto, False)
 
 
 async def test_activation_travels_plain_even_with_a_key() -> None:
