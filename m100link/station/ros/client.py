@@ -9,19 +9,18 @@ others.
 from __future__ import annotations
 
 import json
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.station.ros.encoding import Reassembly, fragments
+from m100link.station.ros.encoding import Reassembly
 from m100link.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
 from m100link.station.ros.messages import BadMessage, canonical_type
+from m100link.station.ros.outbox import COMPRESSIONS, Outbox, Wish
 
 __all__ = ["Client", "Limits"]
 
 _LEVELS = ("none", "error", "warning", "info")
-_COMPRESSIONS = ("none", "png", "cbor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,39 +57,6 @@ class _Fault(Exception):
     """Something the client did wrong, in words for it."""
 
 
-class _Subscription:
-    """All subscriptions of one client to one topic under one spelling, merged."""
-
-    def __init__(self, topic: Topic, name: str) -> None:
-        self.topic = topic
-        self.name = name
-        self.wishes: dict[str, dict[str, Any]] = {}
-        self.pending = 0
-        self.waiting: deque[Publication] = deque()
-        self.next_at = float("-inf")
-        self.throttle = 0.0
-        self.queue_length = 0
-        self.fragment_size: int | None = None
-        self.compression = "none"
-
-    def merge(self, limits: Limits) -> None:
-        """The most generous of the wishes: every message that any of them asked for."""
-        wishes = self.wishes.values()
-        self.throttle = min(wish["throttle_rate"] for wish in wishes) / 1000.0
-        self.queue_length = min(max(wish["queue_length"] for wish in wishes), limits.queue_length)
-        sizes = [wish["fragment_size"] for wish in wishes if wish["fragment_size"] is not None]
-        self.fragment_size = min(sizes, default=None)
-        self.compression = max((wish["compression"] for wish in wishes), key=_COMPRESSIONS.index)
-
-    def advance(self, now: float) -> None:
-        """A message goes out now: the next one an interval later.
-
-        A late message does not shift those after it; a microsecond makes up for rounding.
-        """
-        due = self.next_at if now - self.next_at < self.throttle else now
-        self.next_at = due + self.throttle - 1e-6
-
-
 class Client:
     """One client.
 
@@ -101,7 +67,6 @@ class Client:
         on_output: Called when there may be something to send.
 
     Attributes:
-        dropped: Messages dropped because the client was slow.
         refused: Frames not carried out.
         close_reason: Set when the client has to be disconnected.
         data: For the node: what it knows about this client.
@@ -119,19 +84,14 @@ class Client:
         self.name = name
         self.limits = limits or Limits()
         self.on_output = on_output
-        self.dropped = 0
         self.refused = 0
         self.close_reason: str | None = None
         self.data: dict[str, Any] = {}
-        self._subscriptions: dict[str, _Subscription] = {}
+        self._outbox = Outbox(self.limits.waiting, self._output)
         self._advertised: dict[str, set[str]] = {}
-        self._answers: deque[str] = deque()
-        self._waiting: deque[tuple[_Subscription, Publication]] = deque()
-        self._ready: Iterator[str | bytes] = iter(())
         self._reassembly = Reassembly(self.limits.message_size)
         self._level = _LEVELS.index("error")
         self._calls = 0
-        self._fragment_count = 0
         self._allowance = self.limits.burst
         self._allowance_at: float | None = None
         self._operations: dict[str, Callable[[dict[str, Any], float], None]] = {
@@ -149,9 +109,7 @@ class Client:
 
     def close(self, now: float) -> None:
         """The client has gone."""
-        self._subscriptions.clear()
-        self._waiting.clear()
-        self._answers.clear()
+        self._outbox.clear()
         self.graph.leave(self, now)
 
     # -- what comes in ---------------------------------------------------------------------------
@@ -250,35 +208,36 @@ class Client:
     def _subscribe(self, message: dict[str, Any], now: float) -> None:
         topic = self._topic(message)
         name = message["topic"]
-        wish = {
-            "throttle_rate": _number(message, "throttle_rate", 0, 86_400_000),
-            "queue_length": _number(message, "queue_length", 0, 1_000_000),
-            "fragment_size": None,
-            "compression": message.get("compression", "none"),
-        }
-        if message.get("fragment_size") is not None:
-            wish["fragment_size"] = _number(message, "fragment_size", 100, 1 << 31)
-        if wish["compression"] not in _COMPRESSIONS:
-            raise _Fault(
-                f"there is no compression {str(wish['compression'])[:64]!r} here, "
-                f"but {', '.join(_COMPRESSIONS)}"
-            )
-        subscription = self._subscriptions.get(name)
-        count = sum(len(one.wishes) for one in self._subscriptions.values())
+        wish = self._wish(message)
+        count = sum(len(one.wishes) for one in self._outbox.subscriptions.values())
         if count >= self.limits.subscriptions:
             raise _Fault(f"at most {self.limits.subscriptions} subscriptions are possible")
-        if subscription is None:
-            subscription = self._subscriptions[name] = _Subscription(topic, name)
-            topic.subscribers.add(self)
+        subscription = self._outbox.subscription(topic, name)
+        topic.subscribers.add(self)
         is_new = not subscription.wishes
         subscription.wishes[str(message.get("id"))] = wish
-        subscription.merge(self.limits)
+        subscription.merge()
         if is_new and topic.last is not None:
-            self._queue(subscription, Publication(topic, topic.last), now)
+            self._outbox.offer(subscription, Publication(topic, topic.last), now)
+
+    def _wish(self, message: dict[str, Any]) -> Wish:
+        size = message.get("fragment_size")
+        compression = message.get("compression", "none")
+        if compression not in COMPRESSIONS:
+            raise _Fault(
+                f"there is no compression {str(compression)[:64]!r} here, "
+                f"but {', '.join(COMPRESSIONS)}"
+            )
+        return Wish(
+            _number(message, "throttle_rate", 0, 86_400_000) / 1000.0,
+            min(_number(message, "queue_length", 0, 1_000_000), self.limits.queue_length),
+            None if size is None else _number(message, "fragment_size", 100, 1 << 31),
+            compression,
+        )
 
     def _unsubscribe(self, message: dict[str, Any], now: float) -> None:
         name = _text(message, "topic")
-        subscription = self._subscriptions.get(name)
+        subscription = self._outbox.subscriptions.get(name)
         if subscription is None:
             raise _Fault(f"{name[:128]!r} was not subscribed")
         if "id" in message:
@@ -286,12 +245,9 @@ class Client:
         else:
             subscription.wishes.clear()
         if subscription.wishes:
-            subscription.merge(self.limits)
-            return
-        del self._subscriptions[name]
-        topic = subscription.topic
-        if not any(one.topic is topic for one in self._subscriptions.values()):
-            topic.subscribers.discard(self)
+            subscription.merge()
+        elif self._outbox.unsubscribe(name):
+            subscription.topic.subscribers.discard(self)
 
     def _call_service(self, message: dict[str, Any], now: float) -> None:
         name = _text(message, "service")
@@ -345,88 +301,43 @@ class Client:
 
     def deliver(self, publication: Publication, now: float) -> None:
         """A message was published on a topic that this client subscribed."""
-        for subscription in self._subscriptions.values():
-            if subscription.topic is publication.topic:
-                self._queue(subscription, publication, now)
+        self._outbox.deliver(publication, now)
 
     def deliver_alone(self, publication: Publication, now: float) -> None:
         """The same for a message that is meant for this client only."""
         if self in publication.topic.subscribers:
             self.deliver(publication, now)
 
-    def _queue(self, subscription: _Subscription, publication: Publication, now: float) -> None:
-        if not subscription.throttle:
-            self._put(subscription, publication)
-        elif now >= subscription.next_at and not subscription.waiting:
-            subscription.advance(now)
-            self._put(subscription, publication)
-        elif subscription.queue_length:
-            subscription.waiting.append(publication)
-            while len(subscription.waiting) > subscription.queue_length:
-                subscription.waiting.popleft()
-            self.on_output()
-
-    def _put(self, subscription: _Subscription, publication: Publication) -> None:
-        self._waiting.append((subscription, publication))
-        subscription.pending += 1
-        if len(self._waiting) > self.limits.waiting:
-            self._drop_one()
-        self.on_output()
-
-    def _drop_one(self) -> None:
-        """Drop the oldest message of the busiest topic: a rare one is not pushed out by a fast."""
-        most = max(one.pending for one, _ in self._waiting)
-        for index, (subscription, _) in enumerate(self._waiting):
-            if subscription.pending == most:
-                del self._waiting[index]
-                subscription.pending -= 1
-                break
-        self.dropped += 1
-
     def _answer(self, frame: str) -> None:
-        self._answers.append(frame)
-        if len(self._answers) > self.limits.answers:
+        self._outbox.answers.append(frame)
+        if len(self._outbox.answers) > self.limits.answers:
             self._disconnect("the client does not read")
-        self.on_output()
+        self._output()
 
     def _disconnect(self, reason: str) -> None:
         if self.close_reason is None:
             self.close_reason = reason
-            self.on_output()
+            self._output()
+
+    @property
+    def dropped(self) -> int:
+        """Messages dropped because the client was slow."""
+        return self._outbox.dropped
 
     def advance(self, now: float) -> None:
         """Let time pass: release what throttled subscriptions held back."""
-        for subscription in self._subscriptions.values():
-            while subscription.waiting and now >= subscription.next_at:
-                subscription.advance(now)
-                self._put(subscription, subscription.waiting.popleft())
+        self._outbox.advance(now)
 
     def next_wakeup(self) -> float | None:
         """When :meth:`advance` has something to do."""
-        times = [one.next_at for one in self._subscriptions.values() if one.waiting]
-        return min(times, default=None)
+        return self._outbox.next_wakeup()
 
     def next_frame(self) -> str | bytes | None:
-        """The next frame to send; packed now, so that what is dropped costs nothing."""
-        frame = next(self._ready, None)
-        if frame is not None:
-            return frame
-        if self._answers:
-            return self._answers.popleft()
-        if not self._waiting:
-            return None
-        subscription, publication = self._waiting.popleft()
-        subscription.pending -= 1
-        self._ready = self._pack(subscription, publication)
-        return next(self._ready)
+        """The next frame to send."""
+        return self._outbox.next_frame()
 
-    def _pack(self, subscription: _Subscription, publication: Publication) -> Iterator[str | bytes]:
-        frame = publication.pack(subscription.name, subscription.compression)
-        if isinstance(frame, bytes) or subscription.fragment_size is None:
-            yield frame
-            return
-        self._fragment_count += 1
-        yield from fragments(frame, subscription.fragment_size, str(self._fragment_count))
+    def _output(self) -> None:
+        self.on_output()
 
 
 def _refuse_constant(text: str) -> float:
@@ -443,7 +354,7 @@ def _text(message: dict[str, Any], name: str) -> str:
 def _number(message: dict[str, Any], name: str, low: int, high: int) -> int:
     value = message.get(name)
     if value is None:
-        return low if name != "fragment_size" else high
+        return low
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise _Fault(f"{name} is a number from {low} to {high}")
     return int(value)

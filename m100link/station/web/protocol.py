@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Iterable
+from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, cast
 
 import h11
 import uvicorn
+from starlette.websockets import WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.server import ServerProtocol
@@ -21,7 +24,7 @@ from m100link.station.web.door import Door
 from m100link.station.web.logs import SparingLogger
 
 if TYPE_CHECKING:
-    from websockets.http11 import Response
+    from websockets.http11 import Request, Response
 
 __all__ = ["HEADERS", "Config", "HttpConnection", "WebSocketConnection"]
 
@@ -75,6 +78,28 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         super().__init__(*args, **keywords)
         self.logger = cast(logging.Logger, self.config.log)
         self.conn = _Handshake(max_size=self.config.ws_max_size, logger=self.logger)
+
+    def handle_connect(self, event: Request) -> None:
+        """Let the application find this connection as ``state["connection"]``."""
+        super().handle_connect(event)
+        if self.response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
+            self.scope["state"]["connection"] = self
+
+    async def send_all(self, messages: Iterable[str | bytes]) -> None:
+        """Send messages in one write, after what was written before has gone out.
+
+        Raises:
+            WebSocketDisconnect: The connection is closed.
+        """
+        await self.writable.wait()
+        if self.disconnected or self.close_sent or self.transport.is_closing():
+            raise WebSocketDisconnect(1006)
+        for message in messages:
+            if isinstance(message, str):
+                self.conn.send_text(message.encode())
+            else:
+                self.conn.send_binary(message)
+        self.transport.write(b"".join(self.conn.data_to_send()))
 
 
 class HttpConnection(H11Protocol):

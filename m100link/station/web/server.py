@@ -11,6 +11,7 @@ import errno
 import logging
 import socket
 import ssl
+import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -31,7 +32,7 @@ from m100link.station.ros.node_2015 import Node
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import App, Gate
 from m100link.station.web.logs import SparingLogger
-from m100link.station.web.protocol import PATIENCE, Config, HttpConnection
+from m100link.station.web.protocol import PATIENCE, Config, HttpConnection, WebSocketConnection
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -42,7 +43,9 @@ __all__ = ["Bridge", "Server", "listen"]
 
 PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
 _POLICY_VIOLATION = 1008
-_FRAMES_IN_A_ROW = 2
+_PACKING_TIME = 0.001
+"""Seconds after which what was packed for a client is written, and others have their turn."""
+_WRITE_SIZE = 64 * 1024
 
 
 class Bridge:
@@ -151,22 +154,17 @@ class Bridge:
     async def _write(self, websocket: WebSocket, session: Client, wake: asyncio.Event) -> None:
         # A client that does not read does not answer pings either: the server cuts it off then,
         # and a send that waits for it ends.
+        connection: WebSocketConnection = websocket.scope["state"]["connection"]
         with contextlib.suppress(WebSocketDisconnect):
-            sent = 0
             while session.close_reason is None:
                 wake.clear()
                 session.advance(self._agent.now)
-                frame = session.next_frame()
-                if frame is None:
-                    await self._wait(session, wake)
-                    continue
-                if isinstance(frame, str):
-                    await websocket.send_text(frame)
-                else:
-                    await websocket.send_bytes(frame)
-                sent += 1
-                if not sent % _FRAMES_IN_A_ROW:
+                frames = _frames(session)
+                if frames:
+                    await connection.send_all(frames)
                     await asyncio.sleep(0)  # the loop that flies has its turn in between
+                else:
+                    await self._wait(session, wake)
             self._log.warning("%s is disconnected: %s", session.name, session.close_reason)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(1.0):
@@ -180,6 +178,18 @@ class Bridge:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout_at(due):
                 await wake.wait()
+
+
+def _frames(session: Client) -> list[str | bytes]:
+    """What waits for a client, as far as it can be packed in a short time and fits one write."""
+    frames: list[str | bytes] = []
+    size, until = 0, time.perf_counter() + _PACKING_TIME
+    while size < _WRITE_SIZE and (frame := session.next_frame()) is not None:
+        frames.append(frame)
+        size += len(frame)
+        if time.perf_counter() > until:
+            break
+    return frames
 
 
 class Server(uvicorn.Server):
