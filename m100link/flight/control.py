@@ -472,12 +472,13 @@ class Control:
 
         Raises:
             NoAuthority: Authority is not held.
-            GuardRefused: Battery below its floor.
+            GuardRefused: Battery below its floor; battery or position did not come within 1.5 s.
             TaskRefused, TaskFailed: With the situation that explains it.
             NotObserved: Neither success nor failure showed in time.
             AckTimeout: Nobody knows whether it began.
         """
-        self._guards.check_take_off()
+        self._require_authority(task_name(Task.TAKE_OFF))
+        await self._guards.admit_take_off()
         await self._run(Task.TAKE_OFF, timeout, progress)
 
     async def land(

@@ -7,21 +7,66 @@ are never guarded.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from m100link.errors import GuardRefused, UsageError
 from m100link.geodesy import LocalFrame
+from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Attitude, Battery, Position
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical
-from m100link.telemetry.state import AircraftState
 
-__all__ = ["Envelope", "Guards"]
+if TYPE_CHECKING:
+    from m100link.telemetry.state import AircraftState
+
+__all__ = ["Envelope", "GuardKeeper", "Guards", "known"]
+
+R = TypeVar("R", bound=tuple[Any, ...])
 
 GPS_HEALTH_NEEDED = 3
 """From this health on the autopilot holds a position (document 2.2.3.1)."""
 
-_FRESH_S = 1.0
+AGE_LIMITS_S: dict[type[Any], float] = {Position: 1.2, Attitude: 1.2, Battery: 5.0}
+"""Seconds after which the value of an item counts as unknown: more than one period of an item that
+is sent once a second; the charge changes slowly and may miss four packages."""
+
+FIRST_VALUES_S = 1.5
+"""Seconds that an item has for its first value: the battery item is sent once a second."""
+
+_OFF = {
+    "gps": "Guards(gps=False)",
+    "envelope": "Guards(envelope=None)",
+    "battery_floor_percent": "Guards(battery_floor_percent=None)",
+}
+
+_MAX_LATITUDE_DEG = 89.0  # nearer to a pole there is no local frame to measure in
+_TAKE_OFF_POLL_S = 0.02
+
+
+def known(state: AircraftState, record: type[R], *, within: float | None = None) -> R | None:
+    """The newest value of an item, None when it is old or impossible: nobody knows it then.
+
+    Args:
+        state: Telemetry.
+        record: Which item.
+        within: Seconds that it may be old; by default those of :data:`AGE_LIMITS_S`.
+    """
+    value = state.fresh(record, within=AGE_LIMITS_S[record] if within is None else within)
+    return value if value is not None and _is_possible(value) else None
+
+
+def _is_possible(value: tuple[Any, ...]) -> bool:
+    if not all(field is None or math.isfinite(field) for field in value):
+        return False
+    if isinstance(value, Battery):
+        return value.percent <= 100
+    if isinstance(value, Attitude):
+        return 0.5 < sum(part * part for part in value) < 2.0  # a unit quaternion, roughly
+    return not isinstance(value, Position) or (
+        abs(value.latitude_deg) <= _MAX_LATITUDE_DEG and abs(value.longitude_rad) <= 2 * math.pi
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +111,9 @@ class Guards:
 class GuardKeeper:
     """Checks setpoints against the guards and the newest telemetry.
 
+    What a guard compares must be known: a value that is old, impossible, or that did not come
+    within 1.5 s of the beginning counts as unknown, and an unknown value is refused.
+
     Args:
         guards: Which are on.
         state: Telemetry.
@@ -74,18 +122,41 @@ class GuardKeeper:
     def __init__(self, guards: Guards, state: AircraftState) -> None:
         self.guards = guards
         self._state = state
-        self._origin: LocalFrame | None = None
+        self._origin: LocalFrame | None = None  # where control began, once GPS knows it
+        self._began_at = -math.inf
 
-    def check_take_off(self) -> None:
-        """Whether a take-off may begin.
+    def start(self) -> None:
+        """Control begins here: distances are measured from this place, once GPS knows it."""
+        self._began_at = asyncio.get_running_loop().time()
+        self._from_start()
+
+    async def admit_take_off(self) -> None:
+        """Wait up to 1.5 s for what the guards compare, then say whether a take-off may begin.
 
         Raises:
-            GuardRefused: Battery below its floor.
+            GuardRefused: Battery below its floor; battery or position unknown.
         """
-        self._check_battery("take-off")
+        needed: list[type[Any]] = []
+        if self.guards.battery_floor_percent is not None:
+            needed.append(Battery)
+        envelope = self.guards.envelope
+        if self.guards.gps or (envelope is not None and envelope.max_height_m < math.inf):
+            needed.append(Position)
+        clock = asyncio.get_running_loop().time
+        deadline = clock() + FIRST_VALUES_S
+
+        def is_waiting() -> bool:
+            return clock() < deadline and any(known(self._state, item) is None for item in needed)
+
+        while is_waiting():  # noqa: ASYNC110 (75 times at most)
+            await asyncio.sleep(_TAKE_OFF_POLL_S)
+        self._check_battery("take-off", must_be_known=True)
+        if Position in needed and known(self._state, Position) is None:
+            guard = "gps" if self.guards.gps else "envelope"
+            raise self._unknown("take-off", Position, guard=guard, limit=None)
 
     def check(self, setpoint: Setpoint) -> None:
-        """Whether a setpoint may be sent.
+        """Whether a setpoint may be sent now.
 
         Raises:
             GuardRefused: With the guard's name, the measured value and the limit.
@@ -100,10 +171,42 @@ class GuardKeeper:
             self._check_speed(setpoint, envelope)
             self._check_radius(setpoint, envelope)
 
-    def _check_battery(self, what: str) -> None:
+    def _may_still_come(self, record: type[Any]) -> bool:
+        """Whether an item has never come, and had no time yet."""
+        now = asyncio.get_running_loop().time()
+        return self._state.get(record) is None and now - self._began_at < FIRST_VALUES_S
+
+    def _unknown(
+        self, what: str, record: type[Any], *, guard: str, limit: object, off: str = ""
+    ) -> GuardRefused:
+        """A refusal because nobody knows what the guard would compare."""
+        age, name = self._state.age(record), BY_RECORD[record].name
+        if age is None:
+            seen = f"the {name} item has never come"
+        elif age > AGE_LIMITS_S[record]:
+            seen = f"the {name} item is {age:.1f} s old"
+        else:
+            seen = f"the {name} item is impossible: {self._state.get(record)}"
+        return GuardRefused(
+            f"{what} was refused: {seen}",
+            guard=guard,
+            measured=None,
+            limit=limit,
+            cause="the item is not sent, or the sensor does not work (yet)",
+            remedy="set the item to 1 Hz or more in the PC assistant, or switch the guard off: "
+            + (off or _OFF[guard]),
+        )
+
+    def _check_battery(self, what: str, *, must_be_known: bool = False) -> None:
         floor = self.guards.battery_floor_percent
-        battery = self._state.get(Battery)
-        if floor is not None and battery is not None and battery.percent < floor:
+        if floor is None:
+            return
+        battery = known(self._state, Battery)
+        if battery is None:
+            if not must_be_known and self._may_still_come(Battery):
+                return
+            raise self._unknown(what, Battery, guard="battery_floor_percent", limit=floor)
+        if battery.percent < floor:
             raise GuardRefused(
                 f"{what} was refused: the battery has {battery.percent} %, the floor is {floor} %",
                 guard="battery_floor_percent",
@@ -113,7 +216,7 @@ class GuardKeeper:
             )
 
     def _check_gps(self, setpoint: Setpoint) -> None:
-        position = self._state.fresh(Position, within=_FRESH_S)
+        position = known(self._state, Position)
         health = None if position is None else position.gps_health
         if health is None or health < GPS_HEALTH_NEEDED:
             mode = setpoint.mode.horizontal.name.lower().replace("_", " ")
@@ -125,21 +228,31 @@ class GuardKeeper:
                 measured=health,
                 limit=GPS_HEALTH_NEEDED,
                 cause="the autopilot ignores such setpoints without GPS; or the position item "
-                "is not sent",
+                "is not sent, old or impossible",
                 remedy="wait for GPS, fly tilt setpoints, or Guards(gps=False) with Guidance",
             )
 
     def _check_height(self, setpoint: Setpoint, envelope: Envelope) -> None:
         limit = envelope.max_height_m
-        position = self._state.get(Position)
+        if limit == math.inf:
+            return
+        position = known(self._state, Position)
         measured = None if position is None else position.height_m
-        wanted: float | None = None
-        if setpoint.mode.vertical is Vertical.HEIGHT:
-            wanted = setpoint.z
-        elif (
-            setpoint.mode.vertical is Vertical.VELOCITY and setpoint.z > 0
-        ) or setpoint.mode.vertical is Vertical.THRUST:
+        mode = setpoint.mode.vertical
+        if mode is Vertical.HEIGHT:
+            wanted: float | None = setpoint.z
+        elif mode is Vertical.THRUST or setpoint.z > 0:
             wanted = measured
+            if measured is None and not self._may_still_come(Position):
+                raise self._unknown(
+                    "a setpoint that climbs" if mode is Vertical.VELOCITY else "thrust",
+                    Position,
+                    guard="envelope",
+                    limit=limit,
+                    off="Guards(envelope=Envelope(max_height_m=math.inf))",
+                )
+        else:
+            return
         if wanted is not None and wanted > limit:
             raise GuardRefused(
                 f"a setpoint to or above {wanted:.1f} m was refused: the envelope ends at "
@@ -164,13 +277,9 @@ class GuardKeeper:
                 remedy="fly slower, or control(guards=Guards(envelope=Envelope(max_speed_m_s=…)))",
             )
 
-    def start(self) -> None:
-        """Control begins here: distances are measured from this place, once GPS knows it."""
-        self._from_start()
-
     def _from_start(self) -> tuple[float, float] | None:
         """Metres north and east of where control began, None while nobody knows."""
-        position = self._state.fresh(Position, within=_FRESH_S)
+        position = known(self._state, Position)
         if position is None:
             return None
         if position.gps_health is not None and position.gps_health < GPS_HEALTH_NEEDED:
@@ -181,36 +290,53 @@ class GuardKeeper:
         return self._origin.to_local(*here)
 
     def _check_radius(self, setpoint: Setpoint, envelope: Envelope) -> None:
+        limit = envelope.max_radius_m
+        if limit == math.inf or (setpoint.x, setpoint.y) == (0.0, 0.0):
+            return
         place = self._from_start()
         if place is None:
-            return
-        north, east = place
-        here = math.hypot(north, east)
-        step_north, step_east = self._ground(setpoint)
-        if setpoint.mode.horizontal is Horizontal.POSITION_OFFSET:
-            there = math.hypot(north + step_north, east + step_east)
-        else:
-            # Outside, a velocity or a tilt is allowed only if it does not lead further away.
-            is_outward = north * step_north + east * step_east > 0
-            there = here if is_outward else 0.0
-        if there > envelope.max_radius_m and there >= here:
+            if self._origin is not None and known(self._state, Position) is None:
+                raise self._unknown(
+                    "a setpoint that moves",
+                    Position,
+                    guard="envelope",
+                    limit=limit,
+                    off="Guards(envelope=Envelope(max_radius_m=math.inf))",
+                )
+            return  # without reception nobody can tell, and tilt is how one flies then
+        there, here = self._reach(setpoint, *place), math.hypot(*place)
+        if there > limit and there >= here:
             raise GuardRefused(
                 f"a setpoint {there:.0f} m from the start was refused: the envelope ends at "
-                f"{envelope.max_radius_m:g} m",
+                f"{limit:g} m",
                 guard="envelope",
                 measured=there,
-                limit=envelope.max_radius_m,
+                limit=limit,
                 remedy="fly back, or control(guards=Guards(envelope=Envelope(max_radius_m=…)))",
             )
 
-    def _ground(self, setpoint: Setpoint) -> tuple[float, float]:
+    def _reach(self, setpoint: Setpoint, north: float, east: float) -> float:
+        """How far from the start a setpoint leads from there; a way back counts as 0 m."""
+        step = self._ground(setpoint)
+        is_offset = setpoint.mode.horizontal is Horizontal.POSITION_OFFSET
+        if step is None:  # without a heading it may lead anywhere
+            return math.hypot(north, east) + is_offset * math.hypot(setpoint.x, setpoint.y)
+        if is_offset:
+            return math.hypot(north + step[0], east + step[1])
+        # Outside, a velocity or a tilt is allowed only if it does not lead further away.
+        is_outward = north * step[0] + east * step[1] > 0
+        return math.hypot(north, east) if is_outward else 0.0
+
+    def _ground(self, setpoint: Setpoint) -> tuple[float, float] | None:
         """The way of a setpoint as north and east: velocity, offset, or direction of a tilt."""
         forward, right = setpoint.x, setpoint.y
         if setpoint.mode.horizontal is Horizontal.TILT:
             forward, right = -setpoint.y, setpoint.x  # negative pitch flies forward
         if setpoint.frame is ReferenceFrame.GROUND:
             return forward, right
-        attitude = self._state.get(Attitude)
-        yaw = 0.0 if attitude is None else math.radians(attitude.yaw_deg)
+        attitude = known(self._state, Attitude)
+        if attitude is None:
+            return None
+        yaw = math.radians(attitude.yaw_deg)
         cos, sin = math.cos(yaw), math.sin(yaw)
         return forward * cos - right * sin, forward * sin + right * cos

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
+from m100link.flight.guards import known
 from m100link.flight.pacing import Ticker
 from m100link.geodesy import LocalFrame, normalize_degrees
 from m100link.protocol.records import Attitude, Position, Velocity
@@ -89,12 +90,18 @@ class Flyer(Protocol):
 
 
 def _position(flyer: Flyer) -> Position:
-    position = flyer.state.fresh(Position, within=_FRESH_S)
+    position = known(flyer.state, Position, within=_FRESH_S)
     if position is None:
         age = flyer.state.age(Position)
         raise TelemetryStalled(
             "the position is needed and "
-            + ("was never received" if age is None else f"is {age:.1f} s old"),
+            + (
+                "was never received"
+                if age is None
+                else f"is {age:.1f} s old"
+                if age > _FRESH_S
+                else f"is impossible: {flyer.state.get(Position)}"
+            ),
             cause="the position item is not sent, or the line is broken",
             remedy="set the item to 10 Hz or more in the PC assistant",
         )
@@ -102,10 +109,10 @@ def _position(flyer: Flyer) -> Position:
 
 
 def _heading(flyer: Flyer) -> float:
-    attitude = flyer.state.fresh(Attitude, within=_FRESH_S)
+    attitude = known(flyer.state, Attitude, within=_FRESH_S)
     if attitude is None:
         raise TelemetryStalled(
-            "the heading is needed and the attitude item does not arrive",
+            "the heading is needed and the attitude item does not arrive, or is impossible",
             remedy="set the item to 10 Hz or more in the PC assistant",
         )
     return attitude.yaw_deg
@@ -119,7 +126,7 @@ class _Settling:
         self._since: float | None = None
 
     def update(self, is_within: bool) -> bool:
-        velocity = self._flyer.state.get(Velocity)
+        velocity = known(self._flyer.state, Velocity, within=_FRESH_S)
         is_slow = velocity is None or (
             velocity.ground_speed_m_s < _SETTLED_M_S and abs(velocity.up_m_s) < _SETTLED_M_S
         )

@@ -7,7 +7,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from m100link.errors import AckTimeout, AuthorityLost, AuthorityRefused, LossReason, M100Error
-from m100link.flight.authority import AuthorityInput, AuthorityState
+from m100link.flight.authority import AuthorityInput
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -10,16 +11,21 @@ from typing import Any
 import pytest
 
 from m100link import (
+    Attitude,
+    Battery,
     Control,
     Envelope,
     FlightPhase,
     GuardRefused,
     Guards,
+    Position,
     ReferenceFrame,
     Setpoint,
     TelemetryStalled,
     UsageError,
 )
+from m100link.flight.guards import GuardKeeper
+from m100link.sim import AssistantSettings
 from tests.rig import NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -27,6 +33,10 @@ pytestmark = pytest.mark.anyio
 TILT = Setpoint.tilt(roll_deg=0, pitch_deg=-5, up=0, yaw_rate_deg_s=0)
 OFFSET = Setpoint.position_offset(north=5, east=0, up=0, yaw_rate_deg_s=0)
 CLIMB = Setpoint.velocity(north=0, east=0, up=1, yaw_rate_deg_s=0)
+
+
+CLIMB_BY_TILT = Setpoint.tilt(roll_deg=0, pitch_deg=0, up=1, yaw_rate_deg_s=0)
+THRUST = Setpoint.tilt(roll_deg=0, pitch_deg=0, thrust_percent=45, yaw_rate_deg_s=0)
 
 
 def velocity(north: float = 0.0, east: float = 0.0, up: float = 0.0) -> Setpoint:
@@ -39,6 +49,19 @@ def put(flown: Rig, north: float = 0.0, east: float = 0.0, height: float = 5.0) 
     flight.start_motors()
     flight.dynamics.place(north, east, height)
     flight.phase = FlightPhase.IN_AIR
+
+
+def position(flown: Rig) -> Position:
+    found = flown.aircraft.state.get(Position)
+    assert found is not None
+    return found
+
+
+def pretend(flown: Rig, value: tuple[Any, ...]) -> None:
+    """Telemetry says so from now on, whatever the aircraft sends."""
+    state = flown.aircraft.state
+    get = state.get
+    state.get = lambda record: value if record is type(value) else get(record)  # type: ignore[method-assign]
 
 
 @asynccontextmanager
@@ -125,6 +148,86 @@ async def test_battery_below_its_floor_refuses_take_off_and_setpoints_but_never_
             assert flown.virtual.height == 0.0
 
 
+async def test_the_usual_program_is_refused_a_take_off_with_a_low_battery() -> None:
+    """connect, activate, control, take off: the battery item has not come yet."""
+    async with rig(activated=False) as flown:
+        flown.virtual.battery_percent = 15
+        await flown.aircraft.activate(flown.virtual.credentials)
+        async with flown.aircraft.control() as control:
+            with pytest.raises(GuardRefused, match="15 %, the floor is 20 %"):
+                await control.take_off()
+        assert not flown.is_running
+
+
+async def test_the_usual_program_takes_off_as_soon_as_the_battery_is_known() -> None:
+    async with rig(activated=False) as flown:
+        await flown.aircraft.activate(flown.virtual.credentials)
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+            assert flown.phase is FlightPhase.IN_AIR
+
+
+@pytest.mark.parametrize(
+    ("item", "guard", "off"),
+    [
+        ("battery", "battery_floor_percent", Guards(battery_floor_percent=None)),
+        ("position", "gps", Guards(gps=False, envelope=None)),
+    ],
+)
+async def test_a_take_off_is_refused_when_what_a_guard_compares_does_not_come(
+    item: str, guard: str, off: Guards
+) -> None:
+    assistant = AssistantSettings(rates_hz={item: 0})
+    async with rig(assistant=assistant) as flown, flown.aircraft.control() as control:
+        began_at = flown.now
+        with pytest.raises(GuardRefused, match=f"the {item} item has never come") as caught:
+            await control.take_off()
+        assert (caught.value.guard, caught.value.measured) == (guard, None)
+        assert flown.now - began_at == pytest.approx(1.5, abs=0.05)
+        assert not flown.is_running
+    async with rig(assistant=assistant) as flown, flown.aircraft.control(guards=off):
+        began_at = flown.now
+        await GuardKeeper(off, flown.aircraft.state).admit_take_off()
+        assert flown.now == began_at
+
+
+async def test_the_envelope_alone_needs_the_height_for_a_take_off() -> None:
+    assistant = AssistantSettings(rates_hz={"position": 0})
+    guards = Guards(gps=False)
+    async with rig(assistant=assistant) as flown, flown.aircraft.control(guards=guards) as control:
+        with pytest.raises(GuardRefused) as caught:
+            await control.take_off()
+        assert caught.value.guard == "envelope"
+
+
+async def test_a_battery_item_that_stopped_is_no_charge() -> None:
+    async with hovering() as (flown, control):
+        flown.virtual.set_rates(battery=0)
+        await asyncio.sleep(3.9)
+        control.send(TILT)
+        await asyncio.sleep(1.5)
+        error = refusal(flown, control, TILT)
+        assert (error.guard, error.measured) == ("battery_floor_percent", None)
+        assert "the battery item is" in error.seen
+        assert "s old" in error.seen
+
+
+async def test_a_battery_item_that_never_came_has_a_second_and_a_half() -> None:
+    async with rig(assistant=AssistantSettings(rates_hz={"battery": 0})) as flown:
+        put(flown)
+        async with flown.aircraft.control() as control:
+            control.send(TILT)
+            await asyncio.sleep(1.6)
+            assert "has never come" in refusal(flown, control, TILT).seen
+
+
+@pytest.mark.parametrize("percent", [101, 255])
+async def test_a_charge_that_is_impossible_is_unknown(percent: int) -> None:
+    async with hovering() as (flown, control):
+        pretend(flown, Battery(percent))
+        assert "impossible" in refusal(flown, control, TILT).seen
+
+
 async def test_going_home_is_never_refused() -> None:
     async with hovering(Guards(envelope=Envelope(max_height_m=2.0))) as (flown, control):
         flown.virtual.battery_percent = 15
@@ -169,6 +272,80 @@ async def test_above_the_envelope_climbing_and_thrust_are_refused_descending_is_
         assert refusal(flown, control, thrust).guard == "envelope"
         control.send(velocity(up=-1))
         control.send(velocity(up=0))
+
+
+@pytest.mark.parametrize("setpoint", [CLIMB_BY_TILT, THRUST], ids=["climb", "thrust"])
+async def test_without_a_height_nothing_climbs(setpoint: Setpoint) -> None:
+    """The item stops at 5 m; whoever believes it flies to the Moon."""
+    async with hovering(Guards(envelope=Envelope(max_height_m=10))) as (flown, control):
+        flown.virtual.set_rates(position=0)
+        await asyncio.sleep(1.5)
+        error = refusal(flown, control, setpoint)
+        assert (error.guard, error.measured, error.limit) == ("envelope", None, 10)
+        assert "the position item is 1." in error.seen
+        assert "max_height_m=math.inf" in error.remedy
+        control.send(Setpoint.tilt(roll_deg=0, pitch_deg=0, up=-1, yaw_rate_deg_s=0))
+        control.send(Setpoint.tilt(roll_deg=0, pitch_deg=0, height=9, yaw_rate_deg_s=0))
+
+
+async def test_a_place_that_was_lost_allows_no_movement_but_standing_still() -> None:
+    async with hovering(Guards(gps=False)) as (flown, control):
+        control.send(TILT)
+        flown.virtual.set_rates(position=0)
+        await asyncio.sleep(1.5)
+        for setpoint in (TILT, NORTH, OFFSET):
+            assert refusal(flown, control, setpoint).guard == "envelope"
+        control.send(NORTH.neutral())
+
+
+@pytest.mark.parametrize(
+    "impossible",
+    [
+        {"latitude_rad": math.nan},
+        {"longitude_rad": math.inf},
+        {"longitude_rad": 7.0},
+        {"latitude_rad": math.radians(89.5)},
+        {"latitude_rad": -2.0},
+        {"height_m": math.nan},
+    ],
+    ids=str,
+)
+async def test_an_impossible_position_is_an_unknown_one(impossible: dict[str, Any]) -> None:
+    async with hovering() as (flown, control):
+        pretend(flown, position(flown)._replace(**impossible))
+        error = refusal(flown, control, NORTH)
+        assert (error.guard, error.measured) == ("gps", None)
+        error = refusal(flown, control, CLIMB_BY_TILT)
+        assert (error.guard, error.measured) == ("envelope", None)
+        with pytest.raises(TelemetryStalled, match="position"):
+            await control.fly_to(north=1, east=0, up=0)
+
+
+async def test_the_radius_is_measured_from_the_first_position_that_is_possible() -> None:
+    async with rig() as flown:
+        put(flown, north=100)
+        await asyncio.sleep(0.1)
+        real = position(flown)
+        pretend(flown, real._replace(latitude_rad=math.nan))
+        async with flown.aircraft.control(
+            guards=Guards(envelope=Envelope(max_radius_m=50))
+        ) as control:
+            pretend(flown, real)
+            control.send(velocity(north=1))
+
+
+@pytest.mark.parametrize(
+    "impossible", [Attitude(math.nan, 0.0, 0.0, 0.0), Attitude(0.0, 0.0, 0.0, 0.0)]
+)
+async def test_an_impossible_attitude_is_an_unknown_heading(impossible: Attitude) -> None:
+    async with hovering(Guards(envelope=Envelope(max_radius_m=50))) as (flown, control):
+        put(flown, north=60)
+        await asyncio.sleep(0.1)
+        pretend(flown, impossible)
+        forward = Setpoint.velocity(forward=1, right=0, up=0, yaw_rate_deg_s=0)
+        assert refusal(flown, control, forward).guard == "envelope"
+        with pytest.raises(TelemetryStalled, match="heading"):
+            await control.turn_to(90)
 
 
 async def test_climbing_for_ever_ends_at_the_envelope() -> None:
@@ -315,7 +492,8 @@ def test_an_envelope_that_allows_nothing_is_no_envelope(name: str, value: float)
 
 
 async def test_stale_telemetry_guard_off_by_its_name() -> None:
-    async with hovering(Guards(stale_telemetry_s=None)) as (flown, control):
+    guards = Guards(stale_telemetry_s=None, battery_floor_percent=None, envelope=None)
+    async with hovering(guards) as (flown, control):
         flown.virtual.line.stall(to_host=True, to_aircraft=False)
         await asyncio.sleep(5.0)
         control.send(TILT)

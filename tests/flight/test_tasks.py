@@ -168,7 +168,8 @@ async def test_without_telemetry_items_the_result_query_decides() -> None:
         flown.virtual.set_rates(flight_status=0, position=0)
         async with flown.virtual.connect() as blind:
             blind.use_key(flown.virtual.credentials)
-            async with blind.control() as control:
+            guards = Guards(gps=False, envelope=None)
+            async with blind.control(guards=guards) as control:
                 await control.take_off()
                 assert blind.state.flight_status is None
                 assert flown.virtual.height > 1.0
