@@ -12,6 +12,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from m100link.sim.telemetry import is_telemetry
 from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ __all__ = ["NO_FAULTS", "Direction", "Line", "LineFaults", "split_frames"]
 
 _BITS_PER_BYTE = 10  # 8N1
 _BUFFER_S = 0.5  # what a slow sender keeps waiting; beyond it frames are dropped
+_TELEMETRY_WAITS_S = 0.02  # telemetry that would wait longer is not sent at all
 _RADIO_TURNAROUND_S = 0.002
+_RADIO_BAUD_RATE = 230_400
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,8 +39,8 @@ class LineFaults:
         jitter: Up to so many seconds more, differently for each frame; the order stays.
         noise: Bursts of random bytes per second.
         noise_bytes: Longest burst.
-        baud_rate: Bits per second that the line carries (8N1); None is unlimited. What a sender
-            cannot place within half a second is dropped.
+        baud_rate: Bits per second of something slow on the way (8N1). What a sender cannot place
+            within half a second is dropped.
         radio: The half-duplex 433 MHz modules of the document's quick start: while one side
             transmits, the other cannot, and half of what starts in that time is lost.
     """
@@ -97,27 +100,37 @@ class Direction:
 
     Attributes:
         faults: What is wrong with it; may be replaced at any time.
+        baud_rate: Of the port (8N1): a frame arrives when its last bit could. None takes no time.
         is_stalled: Nothing passes; what is sent waits, up to half a second's worth.
         frames: Pieces sent into it.
         lost: Pieces that do not arrive.
+        busy_until: When the last bit of what was sent so far has left.
         damaged: Pieces that arrive with flipped bits.
         duplicated: Pieces that arrive twice.
     """
 
-    def __init__(self, random: Random, faults: LineFaults = NO_FAULTS) -> None:
+    def __init__(
+        self, random: Random, faults: LineFaults = NO_FAULTS, *, baud_rate: int | None = None
+    ) -> None:
         self._random = random
         self._waiting: deque[tuple[float, bytes]] = deque()
         self._last_arrival = -math.inf
         self._next_noise: float | None = None
         self.busy_until = -math.inf
         self.faults = faults
+        self.baud_rate = baud_rate
         self.is_stalled = False
         self.frames = self.lost = self.damaged = self.duplicated = 0
 
     @property
     def is_clean(self) -> bool:
         """Whether bytes pass untouched and at once, with none waiting."""
-        return not self.is_stalled and not self._waiting and self.faults is NO_FAULTS
+        return (
+            self.faults is NO_FAULTS
+            and self.baud_rate is None
+            and not self.is_stalled
+            and not self._waiting
+        )
 
     def put(self, piece: bytes, now: float, other: Direction | None = None) -> None:
         """Send a frame, or any piece of bytes, into the line."""
@@ -154,11 +167,17 @@ class Direction:
             start = max(start, other.busy_until + _RADIO_TURNAROUND_S)
         if start - now > _BUFFER_S or (self.is_stalled and len(self._waiting) > 50):
             return None
-        baud_rate = faults.baud_rate or (230_400 if faults.radio else None)
+        baud_rate = self._slowest()
         if baud_rate is None:
             return now
         self.busy_until = start + len(piece) * _BITS_PER_BYTE / baud_rate
         return self.busy_until
+
+    def _slowest(self) -> int | None:
+        faults = self.faults
+        radio = _RADIO_BAUD_RATE if faults.radio else None
+        rates = (faults.baud_rate, self.baud_rate, radio)
+        return min((rate for rate in rates if rate is not None), default=None)
 
     def _damage(self, piece: bytes) -> bytes:
         damaged = bytearray(piece)
@@ -217,6 +236,7 @@ class Line:
         to_host: From the aircraft.
         to_aircraft: To the aircraft.
         is_plugged: Unplugged, everything is lost both ways.
+        skipped: Packets of telemetry that the aircraft did not send because the line was busy.
     """
 
     def __init__(
@@ -225,11 +245,13 @@ class Line:
         faults: LineFaults = NO_FAULTS,
         *,
         to_aircraft: LineFaults | None = None,
+        baud_rate: int | None = None,
     ) -> None:
-        self.to_host = Direction(random)
-        self.to_aircraft = Direction(random)
+        self.to_host = Direction(random, baud_rate=baud_rate)
+        self.to_aircraft = Direction(random, baud_rate=baud_rate)
         self.set_faults(faults, to_aircraft=to_aircraft)
         self.is_plugged = True
+        self.skipped = 0
 
     def set_faults(
         self, faults: LineFaults = NO_FAULTS, *, to_aircraft: LineFaults | None = None
@@ -238,6 +260,10 @@ class Line:
         self.to_host.faults = NO_FAULTS if faults.is_clean else faults
         back = faults if to_aircraft is None else to_aircraft
         self.to_aircraft.faults = NO_FAULTS if back.is_clean else back
+
+    def pace(self, baud_rate: int | None) -> None:
+        """Let bytes take the time that they need at a baud rate; None, no time."""
+        self.to_host.baud_rate = self.to_aircraft.baud_rate = baud_rate
 
     def stall(self, *, to_host: bool = True, to_aircraft: bool = True) -> None:
         """Stop the line, or let it go on (both False)."""
@@ -255,8 +281,20 @@ class Line:
         self.is_plugged = True
 
     def from_aircraft(self, frames: list[bytes], now: float) -> list[bytes]:
-        """Send frames of the aircraft; returns what arrives at the host by now."""
-        return self._pass(self.to_host, frames, now, self.to_aircraft)
+        """Send frames of the aircraft; returns what arrives at the host by now.
+
+        Answers do not queue behind old telemetry: a packet that would have to wait is skipped, as
+        by a sender who looks whether its port is free.
+        """
+        line = self.to_host
+        if not self.is_plugged or line.is_clean:
+            return self._pass(line, frames, now, self.to_aircraft)
+        for frame in frames:
+            if line.busy_until > now + _TELEMETRY_WAITS_S and is_telemetry(frame):
+                self.skipped += 1
+            else:
+                line.put(frame, now, self.to_aircraft)
+        return line.take(now)
 
     def from_host(self, data: bytes, now: float) -> list[bytes]:
         """Send bytes of the host; returns what arrives at the aircraft by now."""

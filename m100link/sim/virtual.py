@@ -41,6 +41,8 @@ class VirtualAircraft:
         settings: The aircraft, its site and the open questions of the protocol.
         assistant: Settings of the PC assistant.
         faults: What is wrong with the line.
+        paced: Bytes take the time that they need at the assistant's baud rate, in both directions.
+            By default they take none: exact times for tests. ``m100link sim`` is paced.
         server: A registry to share among aircraft; by default one of its own.
         serial_number: Of the autopilot; by default drawn from the seed.
 
@@ -65,6 +67,7 @@ class VirtualAircraft:
         settings: AircraftSettings | None = None,
         assistant: AssistantSettings | None = None,
         faults: LineFaults = NO_FAULTS,
+        paced: bool = False,
         server: ActivationServer | None = None,
         serial_number: str | None = None,
     ) -> None:
@@ -94,7 +97,11 @@ class VirtualAircraft:
         if cold:
             self.vehicle.search_gps(settings.gps_seconds)
         # The line has a generator of its own, so that faults do not change the weather.
-        self.line = Line(Random(random.getrandbits(64)), faults)
+        self.line = Line(
+            Random(random.getrandbits(64)),
+            faults,
+            baud_rate=assistant.baud_rate if paced else None,
+        )
 
     # --- the pilot --------------------------------------------------------------------------
 

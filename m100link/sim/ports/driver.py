@@ -154,9 +154,14 @@ class Driver:
         if self._is_stopped:
             return
         now = self.loop.time()
-        for piece in self.aircraft.line.from_host(data, now):
+        line = self.aircraft.line
+        for piece in line.from_host(data, now):
             self.aircraft.autopilot.receive_data(piece, now)
         self._flush(now)
+        arrival = line.next_wakeup()
+        if arrival is not None and self._timer is not None and arrival < self._timer.when():
+            self._timer.cancel()
+            self._timer = self.loop.call_at(arrival, self._on_timer)
 
     def _on_timer(self) -> None:
         self._timer = None

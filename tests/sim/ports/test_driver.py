@@ -11,12 +11,20 @@ import pytest
 import m100link
 from m100link.link import Link, parse_url
 from m100link.protocol import GetVersion, TelemetryPacket
-from m100link.sim import Driver, LineFaults, VirtualAircraft, open_sim, serve_tcp
+from m100link.sim import (
+    DEFAULT_RATES_HZ,
+    AssistantSettings,
+    Driver,
+    LineFaults,
+    VirtualAircraft,
+    open_sim,
+    serve_tcp,
+)
 from m100link.sim.orders.scenario import Scenario, Step
 from m100link.sim.ports.driver import Backlog, StreamPort
 from m100link.sim.telemetry import is_telemetry
 from m100link.testing import ConnectableAircraft, VirtualClock
-from m100link.wire import FrameDecoder, encode_frame
+from m100link.wire import Frame, FrameDecoder, encode_frame
 from tests.waiting import until
 
 pytestmark = pytest.mark.anyio
@@ -112,6 +120,105 @@ async def test_a_delayed_line_delays_the_answer(virtual_aircraft: ConnectableAir
     began = loop.time()
     await link.request(GetVersion().encode(virtual_aircraft.autopilot.profile), name="version")
     assert loop.time() - began == pytest.approx(0.4, abs=0.03)
+
+
+class Recorder(asyncio.Protocol):
+    """When which bytes came."""
+
+    def __init__(self) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.decoder = FrameDecoder()
+        self.arrived: list[tuple[float, Frame]] = []
+
+    def data_received(self, data: bytes) -> None:
+        self.arrived += [(self.loop.time(), frame) for frame in self.decoder.feed(data)]
+
+    def acks(self) -> list[tuple[float, Frame]]:
+        return [(when, frame) for when, frame in self.arrived if frame.is_ack]
+
+
+def size(frame: Frame) -> int:
+    """Bytes on the line."""
+    return len(frame.data) + 16
+
+
+@pytest.mark.parametrize("baud_rate", [57_600, 115_200, 230_400])
+@pytest.mark.parametrize("firmware", ["1.0", "3.1"])
+@pytest.mark.usefixtures("virtual_clock")
+async def test_no_frame_of_a_paced_line_arrives_before_its_bytes_could(
+    firmware: str, baud_rate: int
+) -> None:
+    assistant = AssistantSettings(baud_rate=baud_rate)
+    driver = Driver(VirtualAircraft(firmware=firmware, assistant=assistant, paced=True))
+    host = Recorder()
+    transport = driver.connect(host)
+    for sequence in range(100):
+        transport.write(encode_frame(bytes(3), session=2, sequence=sequence))
+        await asyncio.sleep(0.05)
+    driver.stop()
+    end = 0.0
+    for when, frame in host.arrived:
+        assert when >= end + size(frame) * 10 / baud_rate - 1e-6
+        end = when
+    assert len(host.acks()) == 100
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "3.1"])
+@pytest.mark.usefixtures("virtual_clock")
+async def test_an_answer_takes_the_time_of_both_frames_and_hardly_more(firmware: str) -> None:
+    quiet = AssistantSettings(rates_hz=dict.fromkeys(DEFAULT_RATES_HZ, 0))
+    for assistant, at_most in ((quiet, 0.0), (AssistantSettings(), 0.04)):
+        driver = Driver(VirtualAircraft(firmware=firmware, assistant=assistant, paced=True))
+        host = Recorder()
+        transport = driver.connect(host)
+        await asyncio.sleep(2.003)
+        request = encode_frame(bytes(3), session=2, sequence=7)
+        began = host.loop.time()
+        transport.write(request)
+        await asyncio.sleep(0.2)
+        driver.stop()
+        ((when, ack),) = host.acks()
+        fastest = (len(request) + size(ack)) * 10 / 230_400
+        assert fastest - 1e-6 <= when - began <= fastest + at_most + 1e-6
+
+
+@pytest.mark.usefixtures("virtual_clock")
+@pytest.mark.parametrize(
+    ("firmware", "baud_rate", "least", "most"),
+    [
+        ("1.0", 230_400, 0.0, 0.0),
+        ("3.1", 230_400, 0.0, 0.0),
+        ("1.0", 115_200, 0.0, 0.0),
+        ("3.1", 115_200, 0.02, 0.06),  # 11961 bytes per second, and the line carries 11520
+        ("1.0", 57_600, 0.45, 0.55),
+    ],
+)
+async def test_telemetry_that_does_not_fit_is_thinned(
+    firmware: str, baud_rate: int, least: float, most: float
+) -> None:
+    assistant = AssistantSettings(baud_rate=baud_rate)
+    driver = Driver(VirtualAircraft(firmware=firmware, assistant=assistant, paced=True))
+    host = Recorder()
+    driver.connect(host)
+    await asyncio.sleep(20.0)
+    driver.stop()
+    assert least <= driver.aircraft.line.skipped / 2000 <= most
+    assert driver.aircraft.line.to_host.lost == 0
+    assert host.arrived[-1][0] > 19.9
+
+
+@pytest.mark.usefixtures("virtual_clock")
+async def test_without_pacing_an_answer_takes_no_time() -> None:
+    driver = Driver(VirtualAircraft())
+    host = Recorder()
+    transport = driver.connect(host)
+    await asyncio.sleep(1.003)
+    transport.write(encode_frame(bytes(3), session=2, sequence=7))
+    began = host.loop.time()
+    await asyncio.sleep(0.1)
+    driver.stop()
+    ((when, _),) = host.acks()
+    assert when == began
 
 
 @pytest.mark.parametrize("seed", range(8))
