@@ -39,7 +39,8 @@ def options_of(
     names: Iterable[str],
     *,
     environment: Mapping[str, str] | None = None,
-    singular: Mapping[str, str] | None = None,
+    called: Mapping[str, str] | None = None,
+    defaults: Mapping[str, Any] | None = None,
     is_layer: bool = False,
 ) -> Any:
     """A dataclass with an option for each of these fields.
@@ -48,7 +49,8 @@ def options_of(
         source: The dataclass that declares them.
         names: Which of its fields.
         environment: Environment variables by field, named in the help.
-        singular: Name of the option for one item of a tuple, by field.
+        called: Name of the option by field, where it is not that of the field.
+        defaults: Default by field, where people at a shell want another one than programs.
         is_layer: The options are one source of several: what was not given is None or empty, and
             the environment is read by somebody else.
     """
@@ -58,14 +60,14 @@ def options_of(
     for name in names:
         variable = (environment or {}).get(name)
         text = texts[name]
-        kind, default = hints[name], fields[name].default
+        kind, default = hints[name], (defaults or {}).get(name, fields[name].default)
         if is_layer:
             is_tuple = isinstance(default, tuple)
             kind, default = (kind, ()) if is_tuple else (kind | None, None)
             if variable is not None:
                 text = f"{text.removesuffix('.')} ({variable})."
         parameter = Parameter(
-            name=(singular or {}).get(name),
+            name=(called or {}).get(name),
             help=text,
             env_var=None if is_layer else variable,
         )

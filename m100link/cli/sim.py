@@ -10,7 +10,7 @@ import signal
 import sys
 import termios
 import tty
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +19,7 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from m100link.cli.common import Firmware, out, print_json
+from m100link.cli.options import options_of
 from m100link.cli.sim_live import LiveView, read_keys
 from m100link.errors import UsageError
 from m100link.keyfile import read_key
@@ -44,87 +45,70 @@ app = cyclopts.App(
 )
 
 
+_OfTheLine: Any = options_of(
+    LineFaults,
+    [one.name for one in fields(LineFaults)],
+    called={"baud_rate": "--line-baud"},
+)
+
+
 @Parameter(name="*", group="Line faults")
 @dataclass(frozen=True)
-class FaultOptions:
-    """What is wrong with the line, in both directions.
-
-    Attributes:
-        loss: Probability that a frame is lost.
-        damage: Probability that bits of a frame are flipped.
-        duplicate: Probability that a frame arrives twice.
-        delay: Seconds that every frame takes.
-        jitter: Up to so many seconds more.
-        noise: Bursts of random bytes per second.
-        line_baud: A slow line: bits per second that it carries.
-        radio: The half-duplex 433 MHz radio of DJI's quick start.
-    """
-
-    loss: float = 0.0
-    damage: float = 0.0
-    duplicate: float = 0.0
-    delay: float = 0.0
-    jitter: float = 0.0
-    noise: float = 0.0
-    line_baud: int | None = None
-    radio: bool = False
+class FaultOptions(_OfTheLine):  # type: ignore[misc] # a class that is made has no type
+    """What is wrong with the line, in both directions: every fault that there is."""
 
     def faults(self) -> LineFaults:
         """As the line takes them."""
-        return LineFaults(
-            loss=self.loss,
-            damage=self.damage,
-            duplicate=self.duplicate,
-            delay=self.delay,
-            jitter=self.jitter,
-            noise=self.noise,
-            baud_rate=self.line_baud,
-            radio=self.radio,
-        )
+        return LineFaults(**asdict(self))
+
+
+_OfTheSite: Any = options_of(
+    AircraftSettings,
+    (
+        *("latitude_deg", "longitude_deg", "ground_altitude", "heading_deg"),
+        *("wind_north", "wind_east", "gusts", "noise", "movement_timeout", "server_delay"),
+    ),
+    called={
+        "latitude_deg": "--latitude",
+        "longitude_deg": "--longitude",
+        "heading_deg": "--heading",
+        "noise": "--sensor-noise",
+    },
+    defaults={"noise": 1.0},
+)
 
 
 @Parameter(name="*", group="Site and sensors")
 @dataclass(frozen=True)
-class SiteOptions:
-    """Where it stands, and how good its sensors are.
-
-    Attributes:
-        latitude: Degrees north.
-        longitude: Degrees east.
-        ground_altitude: What the barometer says on the ground, metres.
-        heading: Where the nose points, degrees.
-        wind_north: Velocity of the air to the north, m/s.
-        wind_east: Velocity of the air to the east, m/s.
-        gusts: Standard deviation of gusts, m/s.
-        sensor_noise: 0 is none, 1 that of decent sensors.
-        movement_timeout: Seconds without movement commands until it hovers.
-        server_delay: Seconds that the first activation takes; attempts meanwhile are answered 3.
-    """
-
-    latitude: float = AircraftSettings().latitude_deg
-    longitude: float = AircraftSettings().longitude_deg
-    ground_altitude: float = 0.0
-    heading: float = 0.0
-    wind_north: float = 0.0
-    wind_east: float = 0.0
-    gusts: float = 0.0
-    sensor_noise: float = 1.0
-    movement_timeout: float = 0.5
-    server_delay: float = 0.0
+class SiteOptions(_OfTheSite):  # type: ignore[misc] # a class that is made has no type
+    """Where it stands, and how good its sensors are."""
 
     def settings(self) -> AircraftSettings:
         """As the aircraft takes them."""
-        return AircraftSettings(
-            latitude_deg=self.latitude,
-            longitude_deg=self.longitude,
-            ground_altitude=self.ground_altitude,
-            heading_deg=self.heading,
-            wind_north=self.wind_north,
-            wind_east=self.wind_east,
-            gusts=self.gusts,
-            noise=self.sensor_noise,
-            movement_timeout=self.movement_timeout,
-            server_delay=self.server_delay,
+        return AircraftSettings(**asdict(self))
+
+
+_OfTheAssistant: Any = options_of(AssistantSettings, ("baud_rate",), called={"baud_rate": "--baud"})
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AssistantOptions(_OfTheAssistant):  # type: ignore[misc] # a class that is made has no type
+    """What the PC assistant sets.
+
+    Attributes:
+        rate: ITEM=HZ, a telemetry rate in the assistant's settings (0, 1, 10, 50, 100); may be
+            given several times.
+    """
+
+    rate: tuple[str, ...] = ()
+
+    def settings(self, *, cold: bool) -> AssistantSettings:
+        """As the aircraft takes them."""
+        return AssistantSettings(
+            api_control_enabled=not cold,
+            baud_rate=self.baud_rate,
+            rates_hz=_read_rates(self.rate),
         )
 
 
@@ -154,12 +138,12 @@ def run(
     seed: int | None = None,
     cold: bool = False,
     speed: float = 1.0,
-    baud: int = 230_400,
-    rate: tuple[str, ...] = (),
+    pace: bool = True,
     count: int = 1,
     scenario: Path | None = None,
     duration: Annotated[float | None, Parameter(name="--for")] = None,
     json_output: Annotated[bool, Parameter(name="--json")] = False,
+    assistant: AssistantOptions = AssistantOptions(),
     faults: FaultOptions = FaultOptions(),
     site: SiteOptions = SiteOptions(),
 ) -> int:
@@ -179,13 +163,12 @@ def run(
         seed: Of everything random; by default a new one, which is printed.
         cold: The state after power-on: API control not enabled, switch in P, no app, no GPS.
         speed: Times as fast as real.
-        baud: Baud rate in the assistant's settings; a program that sets another one reads garbage.
-        rate: ITEM=HZ, a telemetry rate in the assistant's settings (0, 1, 10, 50, 100); may be
-            given several times.
+        pace: Bytes take the time that they need at --baud, in both directions.
         count: So many aircraft; the ports are numbered from 0.
         scenario: TOML file of what happens when.
         duration: End by itself after so many seconds of its own time.
         json_output: Print the line of JSON on a terminal, too, and show nothing live.
+        assistant: The assistant's settings.
         faults: Line faults.
         site: Site and sensors.
     """
@@ -201,12 +184,14 @@ def run(
         "key": _read_key(key, key_file),
         "level": level,
         "cold": cold,
+        "paced": pace,
     }
     try:
-        assistant = AssistantSettings(
-            api_control_enabled=not cold, baud_rate=baud, rates_hz=_read_rates(rate)
-        )
-        options |= {"settings": site.settings(), "faults": faults.faults(), "assistant": assistant}
+        options |= {
+            "settings": site.settings(),
+            "faults": faults.faults(),
+            "assistant": assistant.settings(cold=cold),
+        }
         aircraft = [VirtualAircraft(seed=seed + index, **options) for index in range(count)]
     except UsageError:
         raise

@@ -31,7 +31,7 @@ _FromSettings: Any = options_of(
     Settings,
     [one.name for one in fields(Settings) if one.name not in _ELSEWHERE],
     environment=ENVIRONMENT,
-    singular={"also_ports": "--also-port"},
+    called={"also_ports": "--also-port"},
     is_layer=True,
 )
 

@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -109,6 +110,23 @@ def test_one_line_of_json_once_it_answers_and_a_clean_end(
     assert simulator.end(number) == 0
     assert not link.is_symlink()
     assert not Path(hello["control_socket"]).exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "least", "most"), [("--pace", 0, 960), ("--no-pace", 5000, 2**30)]
+)
+def test_bytes_take_their_time_unless_told_otherwise(
+    start: Any, option: str, least: int, most: int
+) -> None:
+    simulator = start("--tcp", "0", "--baud", "9600", option)
+    address = simulator.hello["port"].removeprefix("tcp://").split(":")
+    with socket.create_connection((address[0], int(address[1]))) as connection:
+        began, count = time.monotonic(), 0
+        while time.monotonic() < began + 2.0:
+            count += len(connection.recv(4096))
+        elapsed = time.monotonic() - began
+    assert count <= most * elapsed + 200  # one frame may have been on its way
+    assert count >= least
 
 
 def test_orders_from_another_shell(start: Any) -> None:

@@ -14,7 +14,7 @@ import dataclasses
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_type_hints
 
 from m100link.errors import UsageError
 from m100link.sim.line import LineFaults
@@ -77,18 +77,26 @@ def _app_takes(aircraft: VirtualAircraft, _: list[str], __: dict[str, str]) -> N
         raise UsageError("the app cannot take control: not connected, or the switch is not in F")
 
 
+_FAULTS: dict[str, Any] = get_type_hints(LineFaults)
+"""Type of each fault by its name: what a word of an order is read as."""
+
+
 def _faults(aircraft: VirtualAircraft, words: list[str], named: dict[str, str]) -> None:
     changes: dict[str, Any] = {}
-    fields = {field.name for field in dataclasses.fields(LineFaults)}
-    for name, value in named.items():
+    for name, value in (dict.fromkeys(words, "on") | named).items():
         field = name.replace("-", "_")
-        if field not in fields:
-            raise UsageError(f"no fault is called {name!r}: {', '.join(sorted(fields))}")
-        number = _number([value])
-        changes[field] = int(number) if field in ("baud_rate", "noise_bytes") else number
-    if "radio" in words or "radio" in changes:
-        changes["radio"] = bool(changes.get("radio", True))
+        kind = _FAULTS.get(field)
+        if kind is None or (name in words and kind is not bool):
+            raise UsageError(f"no fault is called {name!r}: {', '.join(sorted(_FAULTS))}")
+        if kind is bool:
+            changes[field] = _switch([value])
+        else:
+            changes[field] = _number([value]) if kind is float else int(_number([value]))
     aircraft.set_faults(dataclasses.replace(aircraft.line.to_host.faults, **changes))
+
+
+def _faults_usage() -> str:
+    return " ".join(name if kind is bool else f"{name}=…" for name, kind in _FAULTS.items())
 
 
 def _rates(aircraft: VirtualAircraft, _: list[str], named: dict[str, str]) -> None:
@@ -178,7 +186,7 @@ ACTIONS: dict[str, Action] = {
             lambda aircraft, words, _: aircraft.set_wind(_number(words), _number(words, 1)),
         ),
         Action("reboot", "", "restart the autopilot", _plain("reboot")),
-        Action("faults", "loss=… damage=… delay=… noise=… radio", "spoil the line", _faults),
+        Action("faults", _faults_usage(), "spoil the line", _faults),
         Action("no-faults", "", "a clean line", _plain("set_faults")),
         Action("stall", "[on|off]", "stop the line", _switched("stall_line")),
         Action("unplug", "", "pull the plug", _plain("unplug")),

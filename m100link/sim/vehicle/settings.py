@@ -28,7 +28,7 @@ class AssistantSettings:
     Attributes:
         api_control_enabled: The box *enable API control*.
         ioc_on: Intelligent orientation control; on, it keeps the API out of the F position.
-        baud_rate: Of the serial port, 8N1.
+        baud_rate: Baud rate of the serial port, 8N1; a program that sets another one reads garbage.
         rates_hz: Rate per telemetry item: 0 (absent), 1, 10, 50 or 100 Hz.
     """
 
@@ -62,11 +62,13 @@ class AircraftSettings:
 
     Attributes:
         airframe: Numbers of the flight model.
-        latitude_deg, longitude_deg: Where the aircraft stands when it is switched on.
+        latitude_deg: Where the aircraft stands when it is switched on, degrees north.
+        longitude_deg: The same, degrees east.
         ground_altitude: Altitude of that place as the barometer has it, metres. DJI's flight sample
             waits for 0 after landing.
-        heading_deg: Where the nose points then.
-        wind_north, wind_east: Velocity of the air, m/s.
+        heading_deg: Where the nose points then, degrees from north, clockwise.
+        wind_north: Velocity of the air to the north, m/s.
+        wind_east: Velocity of the air to the east, m/s.
         gusts: Standard deviation of what comes on top of the wind, m/s.
         noise: Scale of the sensor noise; 0 is none, 1 that of decent sensors. Place, height,
             velocity, attitude and magnetometer wander slowly; acceleration and angular velocity
