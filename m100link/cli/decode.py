@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections import deque
 from collections.abc import Iterator
 from typing import Annotated, Any
 
@@ -12,16 +13,14 @@ from rich.table import Table
 
 from m100link.cli.common import ExitCode, Firmware, complain, out, print_json
 from m100link.errors import BadAck, M100Error, UsageError
-from m100link.protocol.command import Command, Request, Unrecognised, plain
-from m100link.protocol.commands.activation import Version
+from m100link.protocol.command import Request, Unrecognised
+from m100link.protocol.commands.monitor import PushTelemetry
 from m100link.protocol.commands.registry import COMMANDS, parse_command
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.protocol.packet import fitting_profiles
-from m100link.wire import Cipher, Frame, FrameDecoder
+from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 
 __all__ = ["decode", "decode_stream"]
-
-_TELEMETRY = b"\x02\x00"
 
 
 def decode(
@@ -82,73 +81,130 @@ def _from_hex(text: str) -> bytes:
         ) from None
 
 
+class _Opener(Cipher):
+    """Opens encrypted frames if there is a key, and keeps what it opened as it was.
+
+    Without a key the decoder would pass encrypted frames over.
+    """
+
+    def __init__(self, cipher: Cipher | None) -> None:
+        # No key is set up: what encrypts and decrypts is overridden.
+        self._cipher = cipher
+        self.sealed: deque[bytes] = deque()
+
+    def decrypt(self, data: bytes) -> bytes:
+        """Called once for each encrypted frame with data, in their order."""
+        self.sealed.append(data)
+        return self._cipher.decrypt(data) if self._cipher else data
+
+
+class _Seal(Cipher):
+    """Puts data back into a frame that are encrypted already."""
+
+    def __init__(self, sealed: bytes, padding: int) -> None:
+        self._sealed = sealed, padding
+
+    def encrypt(self, data: bytes) -> tuple[bytes, int]:
+        """What travelled."""
+        return self._sealed
+
+
 def decode_stream(
     stream: bytes, *, profile: FirmwareProfile, cipher: Cipher | None = None
 ) -> dict[str, Any]:
     """Everything that can be said about a stream of bytes, ready for JSON.
 
-    An ack does not say what it answers; it is decoded when the stream holds its command too.
+    An ack does not say what it answers; it is decoded when the stream holds its command too. Of an
+    encrypted frame without a key everything but its data is told.
     """
-    decoder = FrameDecoder(cipher)
+    opener = _Opener(cipher)
+    decoder = FrameDecoder(opener)
     frames = decoder.feed(stream) + decoder.close()
-    asked: dict[tuple[int, int], type[Command]] = {}
+    asked: dict[tuple[int, int], type[Request[Any]]] = {}
+    described = []
+    for frame in frames:
+        is_sealed = frame.encrypted and bool(frame.data or frame.padding)
+        sealed = opener.sealed.popleft() if is_sealed else b""
+        if sealed and cipher is None:
+            described.append(_describe_sealed(frame, sealed, stream))
+        else:
+            described.append(_describe(frame, profile, asked))
     return {
-        "frames": [_describe(frame, profile, asked) for frame in frames],
+        "frames": described,
         "discarded_bytes": decoder.discarded_bytes,
         "discards": {str(cause): count for cause, count in decoder.discards.items() if count},
     }
 
 
-def _describe(
-    frame: Frame, profile: FirmwareProfile, asked: dict[tuple[int, int], type[Command]]
-) -> dict[str, Any]:
-    described: dict[str, Any] = {
+def _outside(frame: Frame) -> dict[str, Any]:
+    return {
         "session": frame.session,
         "is_ack": frame.is_ack,
         "sequence": frame.sequence,
         "encrypted": frame.encrypted,
         "padding": frame.padding,
-        "data": frame.data.hex(),
     }
-    address = (frame.session, frame.sequence)
+
+
+def _describe_sealed(frame: Frame, sealed: bytes, stream: bytes) -> dict[str, Any]:
+    raw = encode_frame(
+        sealed,
+        session=frame.session,
+        sequence=frame.sequence,
+        is_ack=frame.is_ack,
+        cipher=_Seal(sealed, frame.padding),
+    )
+    # The header has three bits for encryption; any but 0 counts as AES, and what we build has 1.
+    is_as_sent = raw in stream
+    return _outside(frame) | {
+        "data": None,
+        "command": None,
+        "length": len(raw),
+        "data_length": len(sealed) - frame.padding,
+        "header_crc": f"0x{int.from_bytes(raw[10:12], 'little'):04X}" if is_as_sent else None,
+        "frame_crc": f"0x{int.from_bytes(raw[-4:], 'little'):08X}" if is_as_sent else None,
+        "ciphertext": sealed.hex(),
+        "problem": "encrypted, and no key was given",
+    }
+
+
+def _describe(
+    frame: Frame, profile: FirmwareProfile, asked: dict[tuple[int, int], type[Request[Any]]]
+) -> dict[str, Any]:
+    described = _outside(frame) | {"data": frame.data.hex()}
+    exchange = (frame.session, frame.sequence)
     if frame.is_ack:
-        command = asked.get(address)
-        return described | (_ack(command, frame.data) if command else {"command": None})
+        request = asked.get(exchange)
+        return described | (_ack(request, frame.data) if request else {"command": None})
     if not frame.data:
         return described | {"command": None}
-    parsed = parse_command(frame.data, profile)
-    if isinstance(parsed, Unrecognised):
-        known = COMMANDS.get(parsed.address) if parsed.address else None
-        described |= {
-            "command": known.NAME if known else None,
-            "address": str(parsed.address) if parsed.address else None,
-            "problem": parsed.reason,
-        }
-        if frame.data[:2] == _TELEMETRY:
-            described["fitting_firmware"] = fitting_profiles(frame.data[2:])
-        return described
-    asked[address] = type(parsed)
-    return described | {"command": parsed.NAME} | parsed.fields()
+    command = parse_command(frame.data, profile)
+    kind = type(command)
+    if isinstance(command, Unrecognised):
+        return described | _unrecognised(command)
+    if issubclass(kind, Request):
+        asked[exchange] = kind
+    return described | {"command": command.NAME} | command.fields()
 
 
-def _ack(command: type[Command], payload: bytes) -> dict[str, Any]:
-    described: dict[str, Any] = {"command": command.NAME}
-    if not issubclass(command, Request):
-        return described
+def _unrecognised(command: Unrecognised) -> dict[str, Any]:
+    known = COMMANDS.get(command.address) if command.address else None
+    described: dict[str, Any] = {
+        "command": known.NAME if known else None,
+        "address": str(command.address) if command.address else None,
+        "problem": command.reason,
+    }
+    if known is PushTelemetry:
+        described["fitting_firmware"] = fitting_profiles(command.value)
+    return described
+
+
+def _ack(request: type[Request[Any]], payload: bytes) -> dict[str, Any]:
     try:
-        answer = command.parse_ack(payload)
+        fields = request.ack_fields(request.parse_ack(payload))
     except BadAck as error:
-        return described | {"problem": error.seen}
-    if isinstance(answer, Version):
-        return described | {
-            "ack": plain(answer.code),
-            "version": answer.name,
-            "serial": answer.serial,
-            "crc": answer.crc,
-            "crc_matches": answer.crc_matches,
-            "firmware": str(answer.profile) if answer.profile else None,
-        }
-    return described | {"ack": plain(answer)}
+        fields = {"problem": error.seen}
+    return {"command": request.NAME} | fields
 
 
 _COMMON = ("session", "is_ack", "sequence", "encrypted", "padding", "data", "command")
@@ -168,7 +224,7 @@ def _print_table(decoded: dict[str, Any]) -> None:
             str(frame["sequence"]),
             kind,
             frame["command"] or "?",
-            frame["data"],
+            frame["data"] if frame["data"] is not None else "?",
             meaning,
         )
     out.print(table)

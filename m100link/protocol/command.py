@@ -139,6 +139,11 @@ class Request(Command, Generic[A]):
         return answer
 
     @classmethod
+    def ack_fields(cls, answer: A) -> dict[str, Any]:
+        """The decoded ack as JSON-ready values."""
+        return {"ack": plain(answer)}
+
+    @classmethod
     def unreadable(cls, profile: FirmwareProfile) -> AckCode:
         """What a firmware answers to a value that it cannot read."""
         return cls.UNREADABLE

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import CommandLine, process
-from tests.support import KEY, encrypted_frame, load_vectors, raw_frame
+from tests.support import KEY, crc16, crc32, encrypted_frame, load_vectors, raw_frame
 
 FRAMES = load_vectors("frames")
 MOVEMENT = load_vectors("movement")
@@ -187,11 +187,52 @@ def test_telemetry_that_does_not_fit_names_the_profile_that_does(cli: CommandLin
     assert found["fitting_firmware"] == ["3.1"]
 
 
-def test_encrypted_frames_without_a_key_are_counted_not_guessed(cli: CommandLine) -> None:
-    frame = encrypted_frame(b"\x01\x00\x01")
-    [decoded] = cli("decode", frame.hex()).objects
-    assert decoded["frames"] == []
-    assert decoded["discards"] == {"no_key": 1} or any("key" in c for c in decoded["discards"])
+def test_encrypted_frames_without_a_key_show_all_but_their_data(cli: CommandLine) -> None:
+    wire = encrypted_frame(b"\x01\x00\x01", session=2, sequence=7)
+    command = raw_frame(b"\x01\x02\x05", session=3, sequence=8)
+    ack = encrypted_frame(b"\x05\x00", session=3, sequence=8, is_ack=True)
+    [decoded] = cli("decode", (b"\x55" + wire + command + ack).hex()).objects
+    assert (decoded["discarded_bytes"], decoded["discards"]) == (1, {})
+    sealed, plain, sealed_ack = decoded["frames"]
+    assert sealed == {
+        "session": 2,
+        "is_ack": False,
+        "sequence": 7,
+        "encrypted": True,
+        "padding": 13,
+        "data": None,
+        "command": None,
+        "length": 32,
+        "data_length": 3,
+        "header_crc": f"0x{crc16(wire[:10]):04X}",
+        "frame_crc": f"0x{crc32(wire[:-4]):08X}",
+        "ciphertext": wire[12:-4].hex(),
+        "problem": "encrypted, and no key was given",
+    }
+    assert plain["command"] == "query_task"
+    assert sealed_ack["is_ack"]
+    assert (sealed_ack["length"], sealed_ack["data_length"]) == (32, 2)
+
+
+def test_a_table_of_frames_without_a_key(cli: CommandLine) -> None:
+    outcome = cli("decode", "--table", encrypted_frame(b"\x01\x00\x01", sequence=7).hex())
+    assert outcome.status == 0
+    assert "0 bytes discarded" in outcome.out
+    assert "no key" in " ".join(outcome.out.split())
+
+
+def test_every_golden_stream_without_its_key_has_the_same_frames(cli: CommandLine) -> None:
+    for vector in STREAMS:
+        [decoded] = cli("decode", vector["bytes"]).objects
+        frames, expected = decoded["frames"], vector["frames"]
+        found = [(f["session"], f["is_ack"], f["padding"], f["sequence"]) for f in frames]
+        assert found == [(f["session"], bool(f["ack"]), f["padding"], f["seq"]) for f in expected]
+        stream = bytes.fromhex(vector["bytes"])
+        for shown in frames:
+            if shown["data"] is None:
+                assert bytes.fromhex(shown["ciphertext"]) in stream
+                checksum = bytes.fromhex(shown["frame_crc"][2:])[::-1]
+                assert bytes.fromhex(shown["ciphertext"]) + checksum in stream
 
 
 def test_nan_in_a_movement_is_json_all_the_same(cli: CommandLine) -> None:

@@ -14,7 +14,7 @@ from m100link.protocol.codes import (
     RatesCode,
     VersionCode,
 )
-from m100link.protocol.command import Address, Request, encode_code, read_code
+from m100link.protocol.command import Address, Request, encode_code, plain, read_code
 from m100link.protocol.firmware import FirmwareProfile, Generation, recognised
 from m100link.protocol.items import BY_NAME
 from m100link.wire.cipher import Key
@@ -147,6 +147,18 @@ class GetVersion(Request[Version]):
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """Any value will do (errata 13)."""
         return cls()
+
+    @classmethod
+    def ack_fields(cls, answer: Version) -> dict[str, Any]:
+        """The code and everything behind it, and the profile that it calls for."""
+        return {
+            "ack": plain(answer.code),
+            "version": answer.name,
+            "serial": answer.serial,
+            "crc": answer.crc,
+            "crc_matches": answer.crc_matches,
+            "firmware": str(answer.profile) if answer.profile else None,
+        }
 
     @classmethod
     def encode_ack(cls, answer: Version | AckCode) -> bytes:
