@@ -137,6 +137,7 @@ def run(
     firmware: Firmware = "1.0",
     seed: int | None = None,
     cold: bool = False,
+    activated: bool = False,
     speed: float = 1.0,
     pace: bool = True,
     count: int = 1,
@@ -162,6 +163,7 @@ def run(
         firmware: Which firmware speaks.
         seed: Of everything random; by default a new one, which is printed.
         cold: The state after power-on: API control not enabled, switch in P, no app, no GPS.
+        activated: Activated for that app already, as by an earlier program.
         speed: Times as fast as real.
         pace: Bytes take the time that they need at --baud, in both directions.
         count: So many aircraft; the ports are numbered from 0.
@@ -185,6 +187,7 @@ def run(
         "level": level,
         "cold": cold,
         "paced": pace,
+        "activated": activated,
     }
     try:
         options |= {

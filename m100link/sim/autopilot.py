@@ -223,6 +223,8 @@ class Autopilot:
             if reply is not None:
                 encrypted = frame.encrypted and not reply.plain
                 self.endpoint.acknowledge(frame, reply.payload, now=now, encrypted=encrypted)
+                if reply.begins_anew:
+                    self.endpoint.receiver.forget()
 
     def _is_readable(self, frame: Frame) -> bool:
         return self._has_key and self._commands.knows(frame.data)

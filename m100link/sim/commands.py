@@ -51,10 +51,12 @@ class Reply(NamedTuple):
     Attributes:
         payload: Data of the ack.
         plain: Send it plain even if the command came encrypted.
+        begins_anew: A program begins: what was answered before is forgotten.
     """
 
     payload: bytes
     plain: bool = False
+    begins_anew: bool = False
 
 
 class LastCommand(NamedTuple):
@@ -128,7 +130,7 @@ class Commands:
             return reply
         command, answer = self._execute(kind, frame)
         if issubclass(kind, Request) and answer is not None:
-            reply = Reply(kind.encode_ack(answer), kind.ACK_IS_PLAIN)
+            reply = Reply(kind.encode_ack(answer), kind.ACK_IS_PLAIN, kind is GetVersion)
         self._note(frame, command, reply)
         return reply
 

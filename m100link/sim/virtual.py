@@ -11,7 +11,8 @@ from dataclasses import replace
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.commands.activation import Activate, Credentials
 from m100link.protocol.records import RcMode
 from m100link.sim.autopilot import Autopilot
 from m100link.sim.line import NO_FAULTS, Line, LineFaults
@@ -38,6 +39,7 @@ class VirtualAircraft:
         firmware: Name of the firmware profile, or the profile.
         app_id, key, level: The app registered at the server.
         cold: See above.
+        activated: Activated for that app already, as by an earlier program.
         settings: The aircraft, its site and the open questions of the protocol.
         assistant: Settings of the PC assistant.
         faults: What is wrong with the line.
@@ -64,6 +66,7 @@ class VirtualAircraft:
         key: Key | bytes | str = DEMO_KEY,
         level: int = 2,
         cold: bool = False,
+        activated: bool = False,
         settings: AircraftSettings | None = None,
         assistant: AssistantSettings | None = None,
         faults: LineFaults = NO_FAULTS,
@@ -96,12 +99,26 @@ class VirtualAircraft:
         self.vehicle = self.autopilot.vehicle
         if cold:
             self.vehicle.search_gps(settings.gps_seconds)
+        if activated:
+            self.activate()
         # The line has a generator of its own, so that faults do not change the weather.
         self.line = Line(
             Random(random.getrandbits(64)),
             faults,
             baud_rate=assistant.baud_rate if paced else None,
         )
+
+    def activate(self) -> None:
+        """Activate it for its app at once, as an earlier program would have.
+
+        Raises:
+            ValueError: The server would not allow the app, or it asks for another level.
+        """
+        self.vehicle.activation.allow(self.credentials.app_id)
+        request = Activate.from_credentials(self.credentials, self.autopilot.profile)
+        code = self.autopilot.activate(request)
+        if code != ActivationCode.SUCCESS:
+            raise ValueError(f"app {self.credentials.app_id} cannot be activated: {code.meaning}")
 
     # --- the pilot --------------------------------------------------------------------------
 

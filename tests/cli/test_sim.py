@@ -156,6 +156,13 @@ def test_tcp_many_and_scenario(start: Any, tmp_path: Path) -> None:
     blocking_until(lambda: json.loads(simulator.ctl("status").stdout)["gps_health"] == 1)
 
 
+def test_it_starts_activated_for_a_program_that_does_not_activate(start: Any) -> None:
+    simulator = start("--tcp", "0", "--activated")
+    url = simulator.hello["port"].replace("tcp://", "socket://")
+    with serial.serial_for_url(url, timeout=0.2) as port:
+        assert version_of(port)[:2] == b"\0\0"
+
+
 def test_it_ends_by_itself_after_its_time(start: Any) -> None:
     simulator = start("--for", "2", "--speed", "10")
     assert simulator.process.wait(timeout=PATIENCE) == 0

@@ -229,6 +229,47 @@ def test_registration_refuses_what_cannot_be() -> None:
         server.register(1 << 32, DEMO_KEY)
 
 
+@pytest.mark.parametrize(
+    ("asks_version", "seconds"),
+    [(False, 6.0), (True, 1.0)],
+    ids=["activation alone", "version first"],
+)
+def test_the_sample_of_2015_started_three_times_activates_at_the_second(
+    asks_version: bool, seconds: float
+) -> None:
+    """It begins each time with the same session and number, and gets its answer from no memory."""
+    host = Host()
+    request = host.activation().encode(host.profile)
+    codes = []
+    for _ in range(3):
+        if asks_version:
+            host.send(b"\x00\x00\x00", session=2, sequence=0)
+        host.send(request, session=3, sequence=1)
+        codes.append(host.acks(3, 1)[-1].data)
+        host.wait(seconds)
+    assert codes == [b"\x03\x00", b"\x00\x00", b"\x00\x00"]
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_an_aircraft_can_start_activated(firmware: str) -> None:
+    host = Host(VirtualAircraft(firmware=firmware, activated=True))
+    assert host.ask(GetVersion()).is_activated
+    host.use_key(Cipher(DEMO_KEY))
+    host.obtain()
+    assert host.ask(host.activation(), encrypted=False) == ActivationCode.SUCCESS
+    host.aircraft.reboot()
+    host.wait(3.0)
+    assert not host.ask(GetVersion()).is_activated
+    assert host.ask(host.activation(), encrypted=False) == ActivationCode.SUCCESS
+
+
+def test_an_app_that_the_server_refuses_cannot_be_active_from_the_start() -> None:
+    server = ActivationServer()
+    server.is_refusing = True
+    with pytest.raises(ValueError, match="refuses"):
+        VirtualAircraft(activated=True, server=server)
+
+
 # --- version query --------------------------------------------------------------------------
 
 

@@ -121,7 +121,7 @@ def test_the_first_command_with_sequence_0_is_no_repetition() -> None:
 
 def test_a_host_that_starts_anew_at_sequence_0_is_answered_from_memory() -> None:
     """The trap that the document's rule sets; a random first number avoids it."""
-    host = Host()
+    host = Host(aircraft(settings={"forget_acks_after": None}))
     host.activate()
     host.send(SendToMobile(b"old").encode(host.profile), session=2, sequence=0)
     host.wait(600.0, step=60.0)
@@ -129,8 +129,8 @@ def test_a_host_that_starts_anew_at_sequence_0_is_answered_from_memory() -> None
     assert list(host.aircraft.app.received) == [b"old"]
 
 
-def test_stored_acks_may_be_forgotten_after_a_time() -> None:
-    host = Host(aircraft(settings={"forget_acks_after": 5.0}))
+def test_stored_acks_are_forgotten_after_5_s() -> None:
+    host = Host()
     host.activate()
     host.send(SendToMobile(b"1").encode(host.profile), session=2, sequence=0)
     host.wait(4.0)
@@ -138,6 +138,19 @@ def test_stored_acks_may_be_forgotten_after_a_time() -> None:
     host.wait(2.0)
     host.send(SendToMobile(b"3").encode(host.profile), session=2, sequence=0)
     assert list(host.aircraft.app.received) == [b"1", b"3"]
+
+
+def test_a_version_query_forgets_every_stored_ack() -> None:
+    host = Host(aircraft(settings={"forget_acks_after": None}))
+    host.activate()
+    for text in (b"1", b"2"):
+        host.send(SendToMobile(text).encode(host.profile), session=3, sequence=0)
+    assert list(host.aircraft.app.received) == [b"1"]
+    for _ in range(2):  # the second is a repeat by its number, and begins anew all the same
+        host.send(VERSION, session=2, sequence=0)
+        host.send(SendToMobile(b"3").encode(host.profile), session=3, sequence=0)
+    assert list(host.aircraft.app.received) == [b"1", b"3", b"3"]
+    assert len(host.acks(2, 0)) == 2
 
 
 def test_reboot_forgets_stored_acks() -> None:

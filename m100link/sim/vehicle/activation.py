@@ -96,6 +96,17 @@ class Activation:
         self.active = verdict
         return ActivationCode.SUCCESS
 
+    def allow(self, app_id: int) -> None:
+        """Know an app as one that the server allowed before: its next request is answered 0.
+
+        Raises:
+            ValueError: The server would not allow it.
+        """
+        verdict = self._server.activate(app_id, self._serial_number, None)
+        if isinstance(verdict, Refusal):
+            raise ValueError(f"the server does not allow app {app_id}: {verdict.value}")
+        self.known[app_id] = verdict
+
     def _server_grant(self, verdict: Grant) -> Grant:
         """What is remembered: the registered level, so that a later request may ask for it."""
         return Grant(verdict.app_id, verdict.key, self._server.apps[verdict.app_id].level)

@@ -88,7 +88,8 @@ class AircraftSettings:
         server_delay: Seconds that the server takes to answer; the first attempt of an app on a new
             aircraft is answered 3, and so are all others in this time.
         forget_acks_after: Seconds after which a stored ack is forgotten; None keeps it, as the
-            document says (1.4).
+            document says (1.4). A version query forgets all of them in any case: it is what a
+            program begins with, and DJI's begin with the same numbers each time.
         undecodable: Answer to encrypted commands that cannot be read.
         encrypted_control_only: Refuse plain commands of set 0x01, as the document's "should be
             encrypted" may be read; off by default because DJI's own sample moves plain.
@@ -122,7 +123,7 @@ class AircraftSettings:
     movement_timeout: float = 0.5
     rc_lost_after: float = 3.0
     server_delay: float = 0.0
-    forget_acks_after: float | None = None
+    forget_acks_after: float | None = 5.0
     undecodable: Undecodable = Undecodable.NOT_SUPPORTED
     encrypted_control_only: bool = False
     authority_push_session: int = 0
