@@ -13,12 +13,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from m100link.station.ros.allowance import Allowance
 from m100link.station.ros.encoding import Reassembly
 from m100link.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
 from m100link.station.ros.messages import BadMessage, canonical_type
 from m100link.station.ros.outbox import COMPRESSIONS, Outbox, Wish
 
 __all__ = ["Client", "Limits"]
+
+_COMPLAINT_PAUSE = 1.0
+"""Seconds between two statuses that tell a client that it does too much."""
 
 _LEVELS = ("none", "error", "warning", "info")
 
@@ -29,6 +33,9 @@ class Limits:
 
     Attributes:
         message_size: Bytes of a frame it sends, and of a message from fragments.
+        bytes_rate: Bytes per second over time; four messages of full size at once.
+        work_rate: Seconds of processor time per second over time, for what it sends and gets.
+        work_burst: The same at once.
         rate: Frames per second over time.
         burst: Frames at once.
         subscriptions: Subscriptions in force.
@@ -38,10 +45,14 @@ class Limits:
             are dropped.
         answers: Answers and statuses that wait; beyond it the client is disconnected.
         queue_length: Longest queue of a throttled subscription.
-        faults: Frames over the rate or without meaning until the client is disconnected.
+        faults: Frames beyond a limit or without meaning until the client is disconnected; each
+            is forgotten after a while.
     """
 
-    message_size: int = 256 * 1024
+    message_size: int = 64 * 1024
+    bytes_rate: float = 128 * 1024
+    work_rate: float = 0.1
+    work_burst: float = 0.2
     rate: float = 200.0
     burst: float = 400.0
     subscriptions: int = 100
@@ -51,6 +62,10 @@ class Limits:
     answers: int = 500
     queue_length: int = 100
     faults: int = 1000
+
+
+class _Overdone(Exception):
+    """The client uses more than it may, in words for it."""
 
 
 class _Fault(Exception):
@@ -69,6 +84,8 @@ class Client:
     Attributes:
         refused: Frames not carried out.
         close_reason: Set when the client has to be disconnected.
+        recent_work: Seconds of work that it caused; whoever looks sets it back to 0.
+        heard_at: When it last said anything.
         data: For the node: what it knows about this client.
     """
 
@@ -86,14 +103,20 @@ class Client:
         self.on_output = on_output
         self.refused = 0
         self.close_reason: str | None = None
+        self.recent_work = 0.0
+        self.heard_at = float("-inf")
         self.data: dict[str, Any] = {}
         self._outbox = Outbox(self.limits.waiting, self._output)
         self._advertised: dict[str, set[str]] = {}
         self._reassembly = Reassembly(self.limits.message_size)
         self._level = _LEVELS.index("error")
         self._calls = 0
-        self._allowance = self.limits.burst
-        self._allowance_at: float | None = None
+        self._frames = Allowance(self.limits.rate, self.limits.burst)
+        self._bytes = Allowance(self.limits.bytes_rate, 4 * self.limits.message_size)
+        self._work = Allowance(self.limits.work_rate, self.limits.work_burst)
+        self._faults = Allowance(self.limits.faults / 1000.0, self.limits.faults)
+        # When it was last told that it does too much.
+        self._complained_at = float("-inf")
         self._operations: dict[str, Callable[[dict[str, Any], float], None]] = {
             "advertise": self._advertise,
             "unadvertise": self._unadvertise,
@@ -117,29 +140,49 @@ class Client:
     def receive(self, frame: str | bytes, now: float) -> None:
         """Take a frame of the client. Never raises: what is wrong with it is told to the client."""
         identity = None
+        self.heard_at = now
         try:
-            if not self._within_rate(now):
-                raise _Fault(f"more than {self.limits.rate:g} frames per second: frame dropped")
+            self._admit(frame, now)
             message = self._parse(frame)
             given = message.get("id")
             identity = given if isinstance(given, int) else str(given)[:256] if given else None
             self._execute(message, now)
+        except _Overdone as fault:
+            self._count_fault(now)
+            if now - self._complained_at >= _COMPLAINT_PAUSE:
+                self._complained_at = now
+                self.status("error", f"{fault}: frame dropped")
         except (_Fault, BadMessage) as fault:
-            self.refused += 1
+            self._count_fault(now)
             self.status("error", str(fault), identity)
-            if self.refused > self.limits.faults:
-                self._disconnect("too many frames that could not be carried out")
 
-    def _within_rate(self, now: float) -> bool:
+    def _count_fault(self, now: float) -> None:
+        self.refused += 1
+        if not self._faults.take(now):
+            self.disconnect("too many frames that could not be carried out")
+
+    def _admit(self, frame: str | bytes, now: float) -> None:
+        """Refuse a frame before anything in it is looked at.
+
+        Raises:
+            _Overdone: The client uses more than it may.
+        """
         limits = self.limits
-        if self._allowance_at is not None:
-            gained = (now - self._allowance_at) * limits.rate
-            self._allowance = min(limits.burst, self._allowance + gained)
-        self._allowance_at = now
-        if self._allowance < 1.0:
-            return False
-        self._allowance -= 1.0
-        return True
+        if not self._frames.take(now):
+            raise _Overdone(f"more than {limits.rate:g} frames per second")
+        if not self._bytes.take(now, len(frame)):
+            raise _Overdone(f"more than {limits.bytes_rate:g} bytes per second")
+        if self._work.wait(now) > 0.0:
+            raise _Overdone("more work per second than one client may cause")
+
+    def charge(self, seconds: float, now: float) -> None:
+        """The client has made the station work for so long."""
+        self._work.spend(now, seconds)
+        self.recent_work += seconds
+
+    def work_pause(self, now: float) -> float:
+        """Seconds until more may be done for this client."""
+        return self._work.wait(now)
 
     def _parse(self, frame: str | bytes) -> dict[str, Any]:
         if len(frame) > self.limits.message_size:
@@ -311,13 +354,19 @@ class Client:
     def _answer(self, frame: str) -> None:
         self._outbox.answers.append(frame)
         if len(self._outbox.answers) > self.limits.answers:
-            self._disconnect("the client does not read")
+            self.disconnect("the client does not read")
         self._output()
 
-    def _disconnect(self, reason: str) -> None:
+    def disconnect(self, reason: str) -> None:
+        """Let go of this client; its socket is closed by whoever holds it."""
         if self.close_reason is None:
             self.close_reason = reason
             self._output()
+
+    @property
+    def subscribes(self) -> bool:
+        """Whether it gets anything."""
+        return bool(self._outbox.subscriptions)
 
     @property
     def dropped(self) -> int:

@@ -1,9 +1,9 @@
 """The ROS message and service types that the station speaks, and checks of values against them.
 
-Types are written as ROS writes them, one field after the other. A value is checked field by field:
-what is missing gets its default, what is unknown or of the wrong type is an error that names the
-field. Values live in Python form: a dict per message, ``bytes`` for ``uint8[]``, NaN for the JSON
-``null`` of a float.
+Types are written as ROS writes them, one field after the other; ``[<=16]`` bounds what clients may
+send in an array. A value is checked field by field: what is missing gets its default, what is
+unknown or of the wrong type or size is an error that names the field. Values live in Python form: a
+dict per message, ``bytes`` for ``uint8[]``, NaN for the JSON ``null`` of a float.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ float64[9] linear_acceleration_covariance
 sensor_msgs/NavSatStatus: int8 status, uint16 service
 sensor_msgs/NavSatFix: std_msgs/Header header, sensor_msgs/NavSatStatus status, float64 latitude, \
 float64 longitude, float64 altitude, float64[9] position_covariance, uint8 position_covariance_type
-sensor_msgs/Joy: std_msgs/Header header, float32[] axes, int32[] buttons
+sensor_msgs/Joy: std_msgs/Header header, float32[<=16] axes, int32[<=16] buttons
 sensor_msgs/MagneticField: std_msgs/Header header, geometry_msgs/Vector3 magnetic_field, \
 float64[9] magnetic_field_covariance
 sensor_msgs/BatteryState: std_msgs/Header header, float32 voltage, float32 current, \
 float32 charge, float32 capacity, float32 design_capacity, float32 percentage, \
 uint8 power_supply_status, uint8 power_supply_health, uint8 power_supply_technology, \
 bool present, float32[] cell_voltage, string location, string serial_number
-dji_sdk/MobileData: uint8[] data
+dji_sdk/MobileData: uint8[<=100] data
 """
 
 _SERVICE_DEFINITIONS = """
@@ -65,7 +65,7 @@ dji_sdk/DroneTaskControl: uint8 task -> bool result, uint8 cmd_set, uint8 cmd_id
 dji_sdk/DroneArmControl: uint8 arm -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
 dji_sdk/QueryDroneVersion: -> uint32 version, string hardware
 dji_sdk/SetLocalPosRef: -> bool result
-dji_sdk/SendMobileData: uint8[] data -> bool result
+dji_sdk/SendMobileData: uint8[<=100] data -> bool result
 m100link/Lease: string action, string name, string token -> bool success, string message, \
 string holder, string token, float64 remaining
 rosapi/Topics: -> string[] topics, string[] types
@@ -81,7 +81,8 @@ _INTEGERS = {
     for name, bits in [(f"{sign}int{bits}", bits) for sign in ("", "u") for bits in (8, 16, 32, 64)]
 } | {"byte": (-128, 127), "char": (0, 255)}
 _FLOAT32_MAX = 3.4028235677973366e38
-_MAX_ARRAY = 100_000
+_MAX_ARRAY = 1000
+"""Elements of an array without a bound of its own."""
 
 # RFC 8746 tags of little-endian typed arrays, and the struct letter of their elements.
 _TYPED_ARRAYS = {
@@ -110,11 +111,13 @@ class Field:
         name: Its name.
         type: Type of the value, or of the elements of an array.
         length: None for a single value, 0 for an array of any length, else the exact length.
+        bound: Elements that an array of any length may have when a client sends it.
     """
 
     name: str
     type: str
     length: int | None
+    bound: int = _MAX_ARRAY
 
     @property
     def is_bytes(self) -> bool:
@@ -206,8 +209,10 @@ def _fields(text: str) -> tuple[Field, ...]:
         if not part.strip():
             continue
         kind, name = part.split()
-        kind, bracket, length = kind.partition("[")
-        fields.append(Field(name, kind, int(length[:-1] or 0) if bracket else None))
+        kind, bracket, size = kind.rstrip("]").partition("[")
+        bound = int(size[2:]) if size.startswith("<=") else _MAX_ARRAY
+        length = int(size) if size.isdecimal() else 0
+        fields.append(Field(name, kind, length if bracket else None, bound))
     return tuple(fields)
 
 
@@ -261,17 +266,24 @@ def _scalar_default(kind: str) -> Any:
 def _read(field: Field, value: Any, path: str) -> Any:
     if field.length is None:
         return _read_scalar(field.type, value, path)
+    # The size is judged before any element is read: reading costs what a stranger sends.
+    if field.is_bytes and not isinstance(value, list | str | bytes):
+        raise BadMessage(_NO_BYTES.format(path))
+    if not field.is_bytes and not isinstance(value, list):
+        raise BadMessage(f"{path} is no list")
+    most = field.length or field.bound
+    if len(value) > (4 * (most // 3 + 1) if isinstance(value, str) else most):
+        raise BadMessage(f"{path} has more than {most} elements")
     if field.is_bytes:
         value = _read_bytes(value, path)
-    elif not isinstance(value, list):
-        raise BadMessage(f"{path} is no list")
-    if len(value) > _MAX_ARRAY:
-        raise BadMessage(f"{path} has {len(value)} elements")
     if field.length and len(value) != field.length:
         raise BadMessage(f"{path} has {len(value)} elements, it takes {field.length}")
     if field.is_bytes:
         return value
     return [_read_scalar(field.type, one, f"{path}[{i}]") for i, one in enumerate(value)]
+
+
+_NO_BYTES = "{} is neither base64 nor a list of bytes"
 
 
 def _read_bytes(value: Any, path: str) -> bytes:
@@ -282,7 +294,7 @@ def _read_bytes(value: Any, path: str) -> bytes:
             return bytes(value)
     except (binascii.Error, ValueError, TypeError):
         pass
-    raise BadMessage(f"{path} is neither base64 nor a list of bytes")
+    raise BadMessage(_NO_BYTES.format(path))
 
 
 def _fail(path: str, wanted: str) -> Any:

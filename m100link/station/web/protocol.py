@@ -31,6 +31,8 @@ __all__ = ["HEADERS", "Config", "HttpConnection", "WebSocketConnection"]
 PATIENCE = 5.0
 """Seconds in which a connection has to have asked something completely."""
 
+_FLUSH_TIME = 2.0
+
 ANSWER_TIME = 30.0
 """Seconds after which an answer that its client does not read to the end is given up."""
 
@@ -77,6 +79,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
     def __init__(self, *args: Any, **keywords: Any) -> None:
         super().__init__(*args, **keywords)
         self.logger = cast(logging.Logger, self.config.log)
+        self._heard_at = 0.0
         self.conn = _Handshake(max_size=self.config.ws_max_size, logger=self.logger)
 
     def handle_connect(self, event: Request) -> None:
@@ -84,6 +87,25 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         super().handle_connect(event)
         if self.response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
             self.scope["state"]["connection"] = self
+
+    def data_received(self, data: bytes) -> None:
+        """A client that says anything is alive."""
+        self._heard_at = self.loop.time()
+        super().data_received(data)
+
+    def keepalive_timeout(self) -> None:
+        """No pong came in time: the client is gone, unless it said something else since.
+
+        Its pong may stand behind what the station has not read yet, or came while the station
+        itself did not run.
+        """
+        if self._heard_at > self.ping_sent_at or self.read_paused:
+            self.pong_timer, self.pending_ping_payload = None, None
+            self.schedule_ping()
+            return
+        super().keepalive_timeout()
+        # What it does not read must not keep the connection.
+        self.loop.call_later(_FLUSH_TIME, self.transport.abort)
 
     async def send_all(self, messages: Iterable[str | bytes]) -> None:
         """Send messages in one write, after what was written before has gone out.

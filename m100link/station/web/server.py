@@ -43,6 +43,11 @@ __all__ = ["Bridge", "Server", "listen"]
 
 PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
 _POLICY_VIOLATION = 1008
+SILENCE = 10.0
+"""Seconds without a word after which a client may have to make room for another."""
+_ROOM_PAUSE = 1.0
+_GUARD_INTERVAL = 0.05
+_LAG = 0.1
 _PACKING_TIME = 0.001
 """Seconds after which what was packed for a client is written, and others have their turn."""
 _WRITE_SIZE = 64 * 1024
@@ -74,10 +79,13 @@ class Bridge:
         self._limits = limits or Limits()
         self._max_clients = max_clients
         self._log = SparingLogger(logging.getLogger("m100link.station"))
+        # When a silent client last made room for another.
+        self._made_room_at = float("-inf")
         self.graph = Graph()
         self.clients = Clients(agent, self.graph)
         Node(agent, self.graph, self.clients)
         DjiSdk(agent, self.graph, self.clients)
+        agent.background.spawn(self._guard(), "lag")
         routes: list[BaseRoute] = [
             WebSocketRoute("/{path:path}", self._serve),
             Route("/health", self._health),
@@ -111,10 +119,49 @@ class Bridge:
         }
         return JSONResponse(report, status_code=200 if is_connected else 503)
 
+    # -- all clients -----------------------------------------------------------------------------
+
+    @property
+    def _sessions(self) -> list[Client]:
+        return [one for one in self.graph.sessions if isinstance(one, Client)]
+
+    def _make_room(self) -> bool:
+        """Whether one more client may come; one that has long been silent goes for it.
+
+        Whoever holds the lease needs no place, and loses none.
+        """
+        now = self._agent.now
+        others = [one for one in self._sessions if self.clients.lease(one) is None]
+        if len(others) < self._max_clients:
+            return True
+        silent = [one for one in others if now - one.heard_at >= SILENCE]
+        if not silent or now - self._made_room_at < _ROOM_PAUSE:
+            return False
+        self._made_room_at = now
+        longest = min(silent, key=lambda one: (one.subscribes, one.heard_at))
+        longest.disconnect(f"another client needs the place; here it was silent for {SILENCE:g} s")
+        longest.close(now)
+        return True
+
+    async def _guard(self) -> None:
+        """Let go of a client that keeps the loop from running: setpoints wait for it, too."""
+        while True:
+            due = self._agent.now + _GUARD_INTERVAL
+            await asyncio.sleep(_GUARD_INTERVAL)
+            lag = self._agent.now - due
+            sessions = self._sessions
+            heaviest = max(sessions, key=lambda one: one.recent_work, default=None)
+            if heaviest is not None and lag >= _LAG and heaviest.recent_work >= lag / 2:
+                heaviest.disconnect(
+                    f"it kept the station from running for {1000 * heaviest.recent_work:.0f} ms"
+                )
+            for one in sessions:
+                one.recent_work = 0.0
+
     # -- one client ------------------------------------------------------------------------------
 
     async def _serve(self, websocket: WebSocket) -> None:
-        if len(self.graph.sessions) >= self._max_clients:
+        if not self._make_room():
             self._log.warning("a client was refused: %d are connected", len(self.graph.sessions))
             await websocket.close(_POLICY_VIOLATION)
             return
@@ -122,6 +169,7 @@ class Bridge:
         name = f"rosbridge {peer.host}:{peer.port}" if peer else "rosbridge"
         wake = asyncio.Event()
         session = Client(self.graph, name, limits=self._limits, on_output=wake.set)
+        session.heard_at = self._agent.now
         try:
             await websocket.accept()
             self._log.info("%s connected", name)
@@ -147,7 +195,9 @@ class Bridge:
             if message["type"] == "websocket.disconnect":
                 return
             data = message.get("text")
-            session.receive(message.get("bytes", b"") if data is None else data, self._agent.now)
+            began, now = time.thread_time(), self._agent.now
+            session.receive(message.get("bytes", b"") if data is None else data, now)
+            session.charge(time.thread_time() - began, now)
             # Frames may wait in a row: others have their turn between them.
             await asyncio.sleep(0)
 
@@ -158,13 +208,18 @@ class Bridge:
         with contextlib.suppress(WebSocketDisconnect):
             while session.close_reason is None:
                 wake.clear()
-                session.advance(self._agent.now)
+                began, now = time.thread_time(), self._agent.now
+                session.advance(now)
                 frames = _frames(session)
-                if frames:
-                    await connection.send_all(frames)
-                    await asyncio.sleep(0)  # the loop that flies has its turn in between
-                else:
+                if not frames:
                     await self._wait(session, wake)
+                    continue
+                packed_at = time.thread_time()
+                await connection.send_all(frames)
+                session.charge(packed_at - began, now)
+                # The loop that flies has its turn in between; who wants too much waits longer,
+                # and loses messages.
+                await asyncio.sleep(session.work_pause(self._agent.now))
             self._log.warning("%s is disconnected: %s", session.name, session.close_reason)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(1.0):

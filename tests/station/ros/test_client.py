@@ -202,7 +202,8 @@ def test_subscriptions_of_one_client_merge() -> None:
 def test_fragments_both_ways() -> None:
     bench = Bench()
     bench.send("subscribe", topic="/joy", fragment_size=100)
-    bench.graph.publish(bench.joy, bench.joy.type.read({"axes": [1.0] * 50}), 0.0)
+    message = bench.joy.type.default() | {"axes": [1.0] * 50}
+    bench.graph.publish(bench.joy, message, 0.0)
     pieces = bench.output()
     assert len(pieces) > 3
     assert {piece["op"] for piece in pieces} == {"fragment"}
@@ -386,3 +387,55 @@ def test_a_client_that_leaves_leaves_nothing() -> None:
     bench.client.close(0.0)
     bench.calls[0].respond({})  # the answer comes after the client
     assert (left, bench.graph.sessions, bench.height.subscribers) == ([bench.client], set(), set())
+
+
+def test_an_array_is_judged_by_its_size_before_an_element_is_read() -> None:
+    bench = Bench()
+    bench.graph.add_topic("/mobile", "dji_sdk/MobileData", lambda _, message, __: None)
+    bench.graph.topics["/joy"].on_publish = lambda _, message, __: bench.published.append(message)
+    for topic, msg in (
+        ("/joy", {"axes": ["not read"] * 17}),
+        ("/joy", {"buttons": ["not read"] * 17}),
+        ("/mobile", {"data": "A" * 137}),
+        ("/mobile", {"data": ["not read"] * 101}),
+    ):
+        bench.send("advertise", topic=topic, type=bench.graph.topics[topic].type.name)
+        (status,) = bench.send("publish", topic=topic, msg=msg)
+        assert "more than" in status["msg"]
+    assert bench.send("publish", topic="/joy", msg={"axes": [1.0] * 16}) == []
+    assert len(bench.published) == 1
+
+
+def test_bytes_are_a_budget() -> None:
+    bench = Bench(Limits(message_size=1000, bytes_rate=1000.0))
+    frame = json.dumps({"op": "status", "msg": "x" * 900})
+    for _ in range(10):
+        bench.client.receive(frame, 0.0)
+    assert bench.client.refused == 6  # four messages of full size at once
+    (status,) = bench.output()  # one complaint a second
+    assert "bytes per second" in status["msg"]
+    bench.client.receive(frame, 1.0)
+    assert bench.client.refused == 6
+
+
+def test_work_is_a_budget() -> None:
+    bench = Bench(Limits(work_rate=0.1, work_burst=0.2))
+    bench.client.charge(0.5, 0.0)
+    assert bench.client.work_pause(0.0) == pytest.approx(3.0)
+    bench.send("status")
+    assert bench.client.refused == 1
+    bench.now = 3.1
+    bench.send("status")
+    assert bench.client.refused == 1
+
+
+def test_faults_are_forgotten_after_a_while() -> None:
+    bench = Bench(Limits(faults=10))
+    for _ in range(10):
+        bench.send("nonsense")
+    bench.now = 1001.0
+    bench.send("nonsense")
+    assert bench.client.close_reason is None
+    for _ in range(10):
+        bench.send("nonsense")
+    assert bench.client.close_reason is not None

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import socket
+import time
 import tracemalloc
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Opcode
 
 from m100link.errors import PortBusy, UsageError
 from m100link.sim.virtual import VirtualAircraft
@@ -171,7 +173,7 @@ async def test_oversized_frames_close_their_own_socket_only() -> None:
 
 
 @pytest.mark.parametrize(
-    "frame", ["{", "[]", "null", '{"op":"publish"}', b"\x00\xff", "[" * 100_000, '{"op":"x"}']
+    "frame", ["{", "[]", "null", '{"op":"publish"}', b"\x00\xff", "[" * 50_000, '{"op":"x"}']
 )
 async def test_malformed_frames_are_answered_and_nothing_else(frame: str | bytes) -> None:
     async with station() as one, connect(address(one)) as client:
@@ -213,6 +215,11 @@ async def test_a_thousand_subscriptions_are_bounded() -> None:
         await until(lambda: session.refused >= 900)
         assert session.close_reason is None
         reading.cancel()
+
+
+async def drain_all(client: ClientConnection) -> None:
+    while True:
+        await client.recv()
 
 
 async def drain(client: ClientConnection) -> None:
@@ -262,6 +269,79 @@ async def test_more_clients_than_allowed_are_refused() -> None:
         with pytest.raises(InvalidStatus):
             async with connect(address(one)):
                 pass
+
+
+async def test_silent_sockets_make_room_and_the_pilot_keeps_his(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("m100link.station.web.server.SILENCE", 0.3)
+    monkeypatch.setattr("m100link.station.web.server._ROOM_PAUSE", 0.0)
+    async with station(max_clients=2) as one, contextlib.AsyncExitStack() as stack:
+
+        async def come() -> ClientConnection:
+            return await stack.enter_async_context(connect(address(one), close_timeout=1))
+
+        pilot = await come()
+        await opened(one, pilot)
+        watcher, idle = await come(), await come()  # the pilot takes none of the two places
+        await send(watcher, "subscribe", topic="/flight_status")
+        with pytest.raises(InvalidStatus):
+            await come()
+        await asyncio.sleep(0.4)
+        third = await come()
+        await send(third, "subscribe", topic="/flight_status")
+        await receive(third)
+        with pytest.raises(ConnectionClosed) as caught:
+            await idle.recv()
+        assert caught.value.rcvd is not None
+        assert "another client needs the place" in caught.value.rcvd.reason
+        await receive(watcher)
+        await asyncio.sleep(0.4)
+        await come()  # the pilot is silent, too
+        await send(pilot, "call_service", service="/rosapi/services")
+        while (await receive(pilot))["op"] != "service_response":
+            pass
+
+
+async def test_who_keeps_the_loop_from_running_is_let_go() -> None:
+    async with station() as one, connect(address(one)) as calm:
+        async with connect(address(one), close_timeout=1) as hostile:
+            await until(lambda: len(one.bridge.graph.sessions) == 2)
+
+            def block(call: Any) -> None:
+                until = time.thread_time() + 0.3
+                while time.thread_time() < until:
+                    pass
+                call.respond({})
+
+            one.bridge.graph.add_service("/block", "std_srvs/Empty", block)
+            for _ in range(3):
+                await send(hostile, "call_service", service="/block")
+            with pytest.raises(ConnectionClosed) as caught:
+                await drain_all(hostile)
+            assert caught.value.rcvd is not None
+            assert "kept the station from running" in caught.value.rcvd.reason
+        await send(calm, "subscribe", topic="/flight_status")
+        await receive(calm)
+
+
+async def test_a_pong_that_comes_late_by_our_own_fault_cuts_nobody(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("m100link.station.web.server.PING_INTERVAL", 0.1)
+    monkeypatch.setattr("m100link.station.web.server.PING_TIMEOUT", 0.2)
+    async with station() as one, connect(address(one), ping_interval=None) as client:
+        # A client whose pongs are late, and that goes on talking.
+        send_frame = client.protocol.send_frame
+        monkeypatch.setattr(
+            client.protocol,
+            "send_frame",
+            lambda frame: None if frame.opcode is Opcode.PONG else send_frame(frame),
+        )
+        for _ in range(10):
+            await send(client, "call_service", service="/rosapi/services")
+            await receive(client)
+            await asyncio.sleep(0.05)
 
 
 async def test_a_replayed_lease_is_refused() -> None:
