@@ -15,10 +15,11 @@ from typing import Self
 from m100link.agent.activation import Activation
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.connection import Connect, Connection
-from m100link.agent.flying import SETPOINT_LIFETIME, Pattern
+from m100link.agent.flying import Pattern
 from m100link.agent.holding import Holding, HoldingInput
 from m100link.agent.journal import Journal
 from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
+from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.commands.control import Task
@@ -48,6 +49,7 @@ class Agent:
         activation: How the aircraft was activated.
         desk: Who may steer.
         holding: Control authority for whoever may.
+        on_lease: Called with the reason and the lease in force, or None, after each change.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class Agent:
         self.activation = Activation(credentials, self.journal)
         self.desk = LeaseDesk(lifetime=lease_lifetime, on_change=self._lease_changed)
         self.holding = Holding(self.journal, self.background)
+        self.on_lease: list[Callable[[LeaseChange, Lease | None], None]] = []
         self.connection.on_aircraft.append(self._aircraft_changed)
 
     @property
@@ -101,14 +104,16 @@ class Agent:
             self.desk.advance(self.now)
 
     def _lease_changed(self, why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
+        self.halt("control changed hands")  # before anybody is told
+        self.holding.feed(HoldingInput.LET_GO if new is None else HoldingInput.TAKEN_OVER)
+        for callback in self.on_lease:
+            callback(why, new)
         if new is not None:
             whom = f" from {old.name}" if old is not None else ""
             self.journal.note(f"{new.name} has control ({why.value}{whom})")
         elif old is not None:
             level = "warning" if why is LeaseChange.EXPIRED else "info"
             self.journal.note(f"{old.name} gave control back ({why.value})", level)
-        self.halt("control changed hands")
-        self.holding.feed(HoldingInput.LET_GO if new is None else HoldingInput.TAKEN_OVER)
 
     def _renewed(self, token: str) -> Lease:
         return self.desk.renew(token, self.now)

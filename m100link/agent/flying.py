@@ -10,15 +10,13 @@ import anyio
 
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.journal import Journal
+from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
 from m100link.flight.control import Control
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["SETPOINT_LIFETIME", "Flying", "Pattern"]
-
-SETPOINT_LIFETIME = 0.2
-"""Seconds that a setpoint of a program lasts when it is not renewed."""
+__all__ = ["Flying", "Pattern"]
 
 _AT_ONCE = 1e-3
 

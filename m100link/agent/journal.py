@@ -5,31 +5,15 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
-__all__ = ["Event", "Journal"]
+from m100link.agent.messages import Event
+
+__all__ = ["Journal"]
 
 _logger = logging.getLogger("m100link.agent")
 
 _MAX_EVENTS = 200
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that happened, for people.
-
-    Attributes:
-        number: Counts events from 1.
-        at: Time on the event loop's clock, s.
-        level: ``"info"``, ``"warning"`` or ``"error"``.
-        text: What happened.
-    """
-
-    number: int
-    at: float
-    level: str
-    text: str
 
 
 class Journal:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from m100link.errors import UsageError
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 
-__all__ = ["ANGLE_MODE", "VELOCITY_MODE", "setpoint_of"]
+__all__ = ["ANGLE_MODE", "SETPOINT_LIFETIME", "VELOCITY_MODE", "setpoint_of"]
+
+SETPOINT_LIFETIME = 0.2
+"""Seconds that a setpoint of a program lasts when it is not renewed."""
 
 ANGLE_MODE = 1
 """Key 8: tilt angles in the body frame, climb rate, yaw rate (mode 2 of the document, 0x0a)."""

@@ -18,7 +18,7 @@ from m100link.errors import UsageError
 from m100link.station.config import ENVIRONMENT, Settings, resolve
 
 if TYPE_CHECKING:
-    from m100link.agent.journal import Event
+    from m100link.agent.messages import Event
     from m100link.station.run import Running
 
 __all__ = ["console", "serve"]

@@ -1,0 +1,471 @@
+"""What a front holds of an agent: what it knows, and what it can ask for.
+
+Everything here is true as of the newest message. The agent decides again when a wish arrives: a
+lease that has ended meanwhile, or authority that was lost, is refused there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+
+from m100link.agent.background import BackgroundTasks
+from m100link.agent.carriers import Channel
+from m100link.agent.fault import Fault
+from m100link.agent.lease import Lease, LeaseRefused, TakeOver
+from m100link.agent.messages import (
+    VERSION,
+    Action,
+    Activating,
+    Ask,
+    AuthorityTaken,
+    Event,
+    FromMobile,
+    Hello,
+    LeaseAction,
+    LeaseAsk,
+    LeaseChanged,
+    LeaseGranted,
+    Message,
+    Note,
+    Outcome,
+    Stage,
+    State,
+    Steer,
+    SteerRefused,
+    TakeOverOffered,
+    Telemetry,
+)
+from m100link.agent.steering import SETPOINT_LIFETIME
+from m100link.errors import AuthorityLost, LayoutMismatch, LinkError, M100Error
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.commands.control import Task
+from m100link.protocol.firmware import PROFILES
+from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
+from m100link.telemetry.subscription import Hub, Policy, Subscription
+
+__all__ = ["AgentClient"]
+
+_MAX_EVENTS = 200
+_ACTIONS = {
+    Task.TAKE_OFF: Action.TAKE_OFF,
+    Task.LAND: Action.LAND,
+    Task.GO_HOME: Action.GO_HOME,
+}
+
+
+class AgentClient:
+    """One front's end of the way to an agent; to be used as ``async with``.
+
+    Args:
+        channel: The way.
+        name: Who this is, for people.
+
+    Attributes:
+        state: Where the agent stands.
+        holder: Who has the lease.
+        telemetry: Newest values and their ages; None while no aircraft is connected. When the
+            agent itself is gone the values stay, and grow old.
+        events: What happened lately.
+        background: Tasks that end with this client.
+        unread: Telemetry packages that this version cannot read.
+        on_event: Called with each event.
+        on_activating: Called with each answer of the aircraft to an activation.
+        on_authority_taken: Called when somebody else took control authority.
+        on_steer_refused: Called with the fence and the reason when a setpoint was not flown.
+    """
+
+    def __init__(self, channel: Channel, name: str) -> None:
+        loop = asyncio.get_running_loop()
+        self._clock = loop.time
+        self._create_future = loop.create_future
+        self._channel = channel
+        self._name = name
+        self.state = State(at=self.now)
+        self.holder = LeaseChanged(0, "")
+        self.telemetry: AircraftState | None = None
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+        self.background = BackgroundTasks()
+        self.unread = 0
+        self.on_event: list[Callable[[Event], None]] = []
+        self.on_activating: list[Callable[[ActivationCode], None]] = []
+        self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
+        self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
+        self._samples: Hub[Sample] = Hub()
+        self._from_mobile: Hub[bytes] = Hub()
+        self._count = 0
+        self._answers: dict[int, asyncio.Future[Any]] = {}
+        self._accepted: dict[int, Callable[[], None]] = {}
+        self._gone: str | None = None  # why, once the agent has gone
+        self._handlers: dict[type[Any], Callable[[Any], None]] = {
+            Hello: self._on_hello,
+            State: self._on_state,
+            Telemetry: self._on_telemetry,
+            FromMobile: self._on_from_mobile,
+            Event: self._on_event,
+            LeaseChanged: self._on_lease_changed,
+            LeaseGranted: self._on_granted,
+            TakeOverOffered: self._on_offered,
+            Outcome: self._on_outcome,
+            Activating: self._on_activating,
+            AuthorityTaken: self._on_authority_taken,
+            SteerRefused: self._on_steer_refused,
+        }
+
+    @property
+    def now(self) -> float:
+        """Time on the event loop's clock, s."""
+        return self._clock()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the aircraft is connected."""
+        return self.state.connection == "connected"
+
+    async def __aenter__(self) -> Self:
+        self._channel.send(Hello(VERSION, self._name, self.now))
+        self._channel.open(self._receive, self._closed)
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self.background.end()
+        self._channel.close("the front ends")
+        self._closed("it was closed here")
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def _receive(self, message: Message) -> None:
+        handler = self._handlers.get(type(message))
+        if handler is not None:
+            handler(message)
+
+    def _closed(self, reason: str) -> None:
+        if self._gone is not None:
+            return
+        self._gone = reason
+        self.state = replace(
+            self.state,
+            connection="lost",
+            connection_fault=Fault.of(_has_gone(reason)),
+            has_authority=False,
+            holding="none",
+            task="",
+            pattern="",
+        )
+        self.holder = LeaseChanged(0, "")
+        waiting, self._answers = list(self._answers.values()), {}
+        for answer in waiting:
+            if not answer.done():
+                answer.set_exception(_has_gone(reason))
+
+    def _on_hello(self, hello: Hello) -> None:
+        if hello.version != VERSION:
+            reason = f"it speaks version {hello.version}, this front {VERSION}"
+            self._channel.close(reason)
+            self._closed(reason)
+
+    def _on_state(self, state: State) -> None:
+        was_connected, self.state = self.is_connected, state
+        if self.is_connected and (not was_connected or self.telemetry is None):
+            self.telemetry = AircraftState(self._clock)
+        elif not self.is_connected:
+            self.telemetry = None
+
+    def _on_telemetry(self, message: Telemetry) -> None:
+        profile = PROFILES.get(message.profile)
+        if profile is None or self.telemetry is None:
+            self.unread += 1
+            return
+        try:
+            sample = Sample(message.value, profile, message.received_at)
+        except LayoutMismatch:
+            self.unread += 1
+            return
+        self.telemetry.update(sample)
+        self._samples.publish(sample, self.now)
+
+    def _on_from_mobile(self, message: FromMobile) -> None:
+        self._from_mobile.publish(message.data, self.now)
+
+    def _on_event(self, event: Event) -> None:
+        self.events.append(event)
+        for callback in self.on_event:
+            callback(event)
+
+    def _on_lease_changed(self, message: LeaseChanged) -> None:
+        self.holder = message
+
+    def _on_activating(self, message: Activating) -> None:
+        for callback in self.on_activating:
+            callback(ActivationCode(message.code))
+
+    def _on_authority_taken(self, message: AuthorityTaken) -> None:
+        error = message.fault.error()
+        if isinstance(error, AuthorityLost):
+            for callback in self.on_authority_taken:
+                callback(error)
+
+    def _on_steer_refused(self, message: SteerRefused) -> None:
+        for callback in self.on_steer_refused:
+            callback(message.fence, message.fault.error())
+
+    def _on_granted(self, message: LeaseGranted) -> None:
+        self._resolve(message.id, Lease(message.name, message.token, message.number))
+
+    def _on_offered(self, message: TakeOverOffered) -> None:
+        offer = TakeOver(
+            message.name, message.from_name, message.token, message.number, message.expires_at
+        )
+        self._resolve(message.id, offer)
+
+    def _on_outcome(self, outcome: Outcome) -> None:
+        if outcome.stage is Stage.ACCEPTED:
+            accepted = self._accepted.get(outcome.id)
+            if accepted is not None:
+                accepted()
+            return
+        answer = self._answers.get(outcome.id)
+        if outcome.fault is None:
+            self._resolve(outcome.id, outcome)
+        elif answer is not None and not answer.done():
+            answer.set_exception(outcome.fault.error())
+
+    def _resolve(self, number: int, value: object) -> None:
+        answer = self._answers.get(number)
+        if answer is not None and not answer.done():
+            answer.set_result(value)
+
+    # -- what goes out ---------------------------------------------------------------------------
+
+    async def _question(
+        self, ask: Callable[[int], Message], accepted: Callable[[], None] | None = None
+    ) -> Any:
+        if self._gone is not None:
+            raise _has_gone(self._gone)
+        self._count += 1
+        number = self._count
+        answer = self._answers[number] = self._create_future()
+        if accepted is not None:
+            self._accepted[number] = accepted
+        try:
+            self._channel.send(ask(number))
+            return await answer
+        finally:
+            self._answers.pop(number, None)
+            self._accepted.pop(number, None)
+
+    async def _ask(
+        self,
+        action: Action,
+        lease: Lease | None = None,
+        *,
+        number: int = 0,
+        data: bytes = b"",
+        accepted: Callable[[], None] | None = None,
+    ) -> Outcome:
+        fence = lease.number if lease is not None else 0
+        outcome: Outcome = await self._question(
+            lambda identity: Ask(identity, action, fence, number, data), accepted
+        )
+        return outcome
+
+    async def _ask_lease(self, action: LeaseAction, name: str = "", token: str = "") -> Any:
+        return await self._question(lambda number: LeaseAsk(number, action, name, token))
+
+    # -- telemetry -------------------------------------------------------------------------------
+
+    def samples(self, policy: Policy) -> Subscription[Sample]:
+        """Subscribe to the telemetry of this and every later aircraft."""
+        return self._samples.subscribe(policy)
+
+    def from_mobile(self, policy: Policy) -> Subscription[bytes]:
+        """Subscribe to the data of the app on the pilot's phone."""
+        return self._from_mobile.subscribe(policy)
+
+    # -- the lease -------------------------------------------------------------------------------
+
+    def holds(self, lease: Lease | None) -> bool:
+        """Whether that lease is in force, as far as is known here."""
+        return lease is not None and lease.number == self.holder.number
+
+    def check(self, lease: Lease | None) -> Lease:
+        """The lease, if it is in force as far as is known here.
+
+        Raises:
+            LeaseRefused: It is not.
+        """
+        if lease is None or not self.holds(lease):
+            holder = f"; {self.holder.name} has control" if self.holder.number else ""
+            raise LeaseRefused(
+                f"this lease is not in force{holder}",
+                cause="it expired, was given back or was taken over; an ended lease never returns",
+                remedy="take control anew",
+            )
+        return lease
+
+    async def acquire(self, name: str) -> Lease:
+        """Take the lease if it is free.
+
+        Raises:
+            LeaseHeld: It is not; the holder's name is in the error.
+            LinkError: The agent has gone.
+        """
+        lease: Lease = await self._ask_lease(LeaseAction.ACQUIRE, name=name)
+        return lease
+
+    async def renew(self, token: str) -> Lease:
+        """Let the lease last another lifetime from now.
+
+        Raises:
+            LeaseRefused: The token is not in force.
+            LinkError: The agent has gone.
+        """
+        lease: Lease = await self._ask_lease(LeaseAction.RENEW, token=token)
+        return lease
+
+    async def release_lease(self, token: str) -> None:
+        """Give the lease back; motion stops and authority goes back.
+
+        Raises:
+            LeaseRefused: The token is not in force.
+            LinkError: The agent has gone.
+        """
+        await self._ask_lease(LeaseAction.RELEASE, token=token)
+
+    async def ask_take_over(self, name: str) -> TakeOver:
+        """First step of a take-over: learn who would lose control.
+
+        Raises:
+            LeaseRefused: Nobody holds the lease; it can simply be acquired.
+            LinkError: The agent has gone.
+        """
+        offer: TakeOver = await self._ask_lease(LeaseAction.TAKE_OVER, name=name)
+        return offer
+
+    async def confirm(self, token: str) -> Lease:
+        """Second step: take the lease from the client that the first step named.
+
+        Raises:
+            LeaseRefused: There is nothing to confirm any more.
+            LinkError: The agent has gone.
+        """
+        lease: Lease = await self._ask_lease(LeaseAction.CONFIRM, token=token)
+        return lease
+
+    def keep(self, lease: Lease) -> None:
+        """Renew a lease without waiting for the answer."""
+        self._channel.send(LeaseAsk(0, LeaseAction.RENEW, token=lease.token))
+
+    def let_go(self, lease: Lease) -> None:
+        """Give a lease back without waiting for the answer: motion stops at once."""
+        self._channel.send(LeaseAsk(0, LeaseAction.RELEASE, token=lease.token))
+
+    # -- flying ----------------------------------------------------------------------------------
+
+    def steer(self, lease: Lease, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
+        """Fly this setpoint until it is renewed or its lifetime ends.
+
+        Renews the lease. A refusal comes to :attr:`on_steer_refused`.
+        """
+        self._channel.send(Steer(lease.number, self.now, lifetime, setpoint))
+
+    def halt(self, why: str = "") -> None:
+        """Stop moving; anybody may. A task goes on in the autopilot."""
+        self._channel.send(Ask(0, Action.HALT, text=why))
+
+    async def stop(self) -> None:
+        """Stop whatever happens: motion, program, and the task that the aircraft flies."""
+        await self._ask(Action.STOP)
+
+    async def activate(self, lease: Lease | None = None) -> None:
+        """Activate the aircraft. Needs the lease, or that nobody holds it.
+
+        Raises:
+            UsageError: The agent has no credentials.
+            LeaseRefused, ActivationRefused, AckTimeout, LinkError: See each class.
+        """
+        await self._ask(Action.ACTIVATE, lease)
+
+    async def obtain(self, lease: Lease | None) -> None:
+        """Obtain control authority for the holder of the lease.
+
+        Raises:
+            LeaseRefused, AuthorityRefused, NotActivated, NoAuthority, LinkError, AckTimeout: See
+                each class.
+        """
+        await self._ask(Action.OBTAIN, lease)
+
+    async def release(self, lease: Lease | None) -> None:
+        """Give control authority back; the lease stays.
+
+        Raises:
+            LeaseRefused, LinkError: See each class.
+        """
+        await self._ask(Action.RELEASE, lease)
+
+    async def fly(
+        self, lease: Lease | None, task: Task, accepted: Callable[[], None] | None = None
+    ) -> None:
+        """Take off, land or go home; done when seen to be done.
+
+        Args:
+            lease: The lease.
+            task: Which of them.
+            accepted: Called when the aircraft has begun.
+
+        Raises:
+            LeaseRefused, NoAuthority, TaskRefused, TaskFailed, NotObserved, AckTimeout, LinkError:
+                See each class.
+        """
+        await self._ask(_ACTIONS[task], lease, accepted=accepted)
+
+    async def start_pattern(self, lease: Lease | None, number: int) -> None:
+        """Let the simple task of that number fly, until it ends or anything stops it.
+
+        Raises:
+            UsageError: There is no such task.
+            LeaseRefused, NoAuthority, LinkError: See each class.
+        """
+        await self._ask(Action.PATTERN, lease, number=number)
+
+    # -- everything else -------------------------------------------------------------------------
+
+    async def version(self) -> tuple[str, int]:
+        """Name and CRC of the aircraft's version, asked for now.
+
+        Raises:
+            AckTimeout, LinkError: See each class.
+        """
+        outcome = await self._ask(Action.VERSION)
+        return outcome.text, outcome.number
+
+    async def send_to_mobile(self, lease: Lease | None, data: bytes) -> None:
+        """Send up to 100 bytes to the app on the pilot's phone.
+
+        Raises:
+            LeaseRefused, PayloadTooLarge, CommandRefused, AckTimeout, LinkError: See each class.
+        """
+        await self._ask(Action.SEND_TO_MOBILE, lease, data=data)
+
+    def note(self, text: str, level: str = "info") -> None:
+        """Add an event to the agent's journal; many at once are dropped."""
+        self._channel.send(Note(level, text))
+
+
+def _has_gone(reason: str) -> LinkError:
+    why = f": {reason}" if reason else ""
+    return LinkError(
+        f"the agent that owns the aircraft has gone{why}",
+        remedy="start it again; until then nothing here is up to date",
+    )

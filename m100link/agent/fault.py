@@ -1,0 +1,69 @@
+"""Errors of this package as values, so that a front raises what the agent met."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from m100link import errors
+from m100link.agent.lease import LeaseHeld, LeaseRefused
+from m100link.errors import M100Error
+
+__all__ = ["Fault", "MessageError"]
+
+
+class MessageError(M100Error):
+    """Bytes that are not a message, or a message that cannot be sent."""
+
+
+_ERRORS: dict[str, type[M100Error]] = {
+    name: found
+    for name in errors.__all__
+    if isinstance(found := getattr(errors, name), type) and issubclass(found, M100Error)
+} | {kind.__name__: kind for kind in (LeaseRefused, LeaseHeld, MessageError)}
+
+_TOLD = ("seen", "cause", "remedy")
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """An error of this package on its way.
+
+    Attributes:
+        kind: Name of its class.
+        seen: What was observed.
+        cause: The most likely cause.
+        remedy: What to do about it.
+        details: Its other attributes that are texts, numbers, truth values or None.
+    """
+
+    kind: str
+    seen: str
+    cause: str = ""
+    remedy: str = ""
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, error: M100Error) -> Fault:
+        """The error as a value."""
+        known = next(kind for kind in type(error).__mro__ if _ERRORS.get(kind.__name__) is kind)
+        details = {
+            name: _plain(value)
+            for name, value in vars(error).items()
+            if name not in _TOLD and isinstance(value, str | int | float | None)
+        }
+        return cls(known.__name__, error.seen, error.cause, error.remedy, details)
+
+    def error(self) -> M100Error:
+        """The error again: an object of its class, or of the base when the class is unknown."""
+        kind = _ERRORS.get(self.kind, M100Error)
+        error = kind.__new__(kind)
+        M100Error.__init__(error, self.seen, cause=self.cause, remedy=self.remedy)
+        vars(error).update(self.details)
+        return error
+
+
+def _plain(value: object) -> object:
+    return value.value if isinstance(value, Enum) else value

@@ -1,0 +1,192 @@
+"""A front's end of the way: what it knows, and what it is told when it asks."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack
+
+import anyio
+import pytest
+
+from m100link.agent.carriers.memory import MemoryChannel, memory_channels
+from m100link.agent.client import AgentClient
+from m100link.agent.lease import LeaseHeld, LeaseRefused
+from m100link.agent.messages import VERSION, Hello, State, Telemetry
+from m100link.agent.service import Service
+from m100link.errors import LinkError, M100Error, NoAuthority, TaskRefused
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Attitude
+from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.subscription import Newest
+from tests.agent.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+@pytest.fixture
+async def clients(rig: Rig) -> AsyncIterator[list[AgentClient]]:
+    rig.agent.desk.release(rig.token, rig.agent.now)
+    service = Service(rig.agent)
+    async with AsyncExitStack() as stack:
+        made = []
+        for name in ("first", "second"):
+            ours, its = memory_channels(as_bytes=True)
+            service.attach(its)
+            made.append(await stack.enter_async_context(AgentClient(ours, name)))
+        yield made
+
+
+async def test_telemetry_has_ages_and_subscriptions(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    async with client.samples(Newest(5)) as samples:
+        sample = await anext(samples)
+    assert client.telemetry is not None
+    assert sample.received_at <= rig.agent.now
+    await anyio.sleep(0.5)
+    assert client.telemetry.age(Attitude) == pytest.approx(0.0, abs=0.03)
+    rig.aircraft.stall_line()
+    await anyio.sleep(1.5)
+    assert client.telemetry.age(Attitude) == pytest.approx(1.5, abs=0.1)
+
+
+async def test_leases_are_seen_by_all(rig: Rig, clients: list[AgentClient]) -> None:
+    first, second = clients
+    lease = await first.acquire("first")
+    assert first.holds(lease)
+    assert second.holder.name == "first"
+    assert first.check(lease) is lease
+    with pytest.raises(LeaseHeld) as caught:
+        await second.acquire("second")
+    assert caught.value.holder == "first"
+    taken = await second.confirm((await second.ask_take_over("second")).token)
+    assert not first.holds(lease)
+    with pytest.raises(LeaseRefused, match="second has control"):
+        first.check(lease)
+    with pytest.raises(LeaseRefused):
+        await first.renew(lease.token)
+    await second.release_lease(taken.token)
+    assert first.holder.number == 0
+
+
+async def test_errors_are_those_of_the_agent(rig: Rig, clients: list[AgentClient]) -> None:
+    first, second = clients
+    with pytest.raises(LeaseRefused):
+        await first.fly(None, Task.TAKE_OFF)
+    lease = await first.acquire("first")
+    with pytest.raises(NoAuthority):
+        await first.fly(lease, Task.TAKE_OFF)
+    await first.obtain(lease)
+    begun = anyio.Event()
+    async with anyio.create_task_group() as group:
+
+        async def alive() -> None:
+            while True:
+                first.keep(lease)
+                await anyio.sleep(0.5)
+
+        group.start_soon(alive)
+        async with anyio.create_task_group() as flight:
+            flight.start_soon(first.fly, lease, Task.TAKE_OFF, begun.set)
+            await begun.wait()
+            with pytest.raises(TaskRefused, match="during take off"):
+                await first.fly(lease, Task.LAND)
+            assert second.state.task == "take off"
+        group.cancel_scope.cancel()
+    with pytest.raises(M100Error, match="no simple task"):
+        await first.start_pattern(lease, 77)
+
+
+async def test_a_refused_setpoint_is_told(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    told: list[tuple[int, M100Error]] = []
+    client.on_steer_refused.append(lambda fence, error: told.append((fence, error)))
+    lease = await client.acquire("first")
+    client.steer(lease, NORTH)
+    ((fence, error),) = told
+    assert fence == lease.number
+    assert isinstance(error, NoAuthority)
+
+
+async def test_letting_go_stops_at_once(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    lease = await client.acquire("first")
+    await client.obtain(lease)
+    client.let_go(lease)
+    assert not client.holds(lease)
+    await rig.until(lambda: client.state.holding == "none", within=1.0)
+
+
+async def test_a_pilot_who_takes_over_is_told(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    lost: list[str] = []
+    client.on_authority_taken.append(lambda error: lost.append(error.reason))
+    lease = await client.acquire("first")
+    await client.obtain(lease)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: bool(lost), within=1.0)
+    assert lost == ["mode_switch"]
+    assert client.state.holding in ("paused", "taken")
+
+
+async def test_a_lost_line_takes_the_values_with_it(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    await rig.until(lambda: client.telemetry is not None)
+    rig.aircraft.unplug()
+    await rig.until(lambda: not client.is_connected)
+    assert client.telemetry is None
+    assert client.state.connection_fault is not None
+    with pytest.raises(LinkError):
+        await client.version()
+    rig.aircraft.replug()
+    await rig.until(lambda: client.is_connected)
+    assert client.telemetry is not None
+
+
+async def test_an_agent_that_has_gone_is_told_and_everything_grows_old(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    ours, its = memory_channels()
+    async with AgentClient(ours, "front") as client:
+        its.open(lambda message: None, lambda reason: None)
+        its.send(State(at=0.0, connection="connected", has_authority=True, holding="held"))
+        aircraft = rig.agent.connection.aircraft
+        assert aircraft is not None
+        async with aircraft.telemetry(Attitude) as samples:
+            sample = await anext(samples)
+        its.send(Telemetry(sample.value, sample.profile.name, rig.agent.now))
+        async with anyio.create_task_group() as group:
+
+            async def ask() -> None:
+                with pytest.raises(LinkError, match="has gone: killed"):
+                    await client.version()
+
+            group.start_soon(ask)
+            await anyio.sleep(0.1)
+            its.close("killed")
+        assert not client.is_connected
+        assert not client.state.has_authority
+        await anyio.sleep(5.0)
+        assert client.telemetry is not None
+        assert client.telemetry.age(Attitude) == pytest.approx(5.1, abs=0.01)
+        with pytest.raises(LinkError, match="has gone"):
+            await client.acquire("anybody")
+
+
+async def test_an_agent_of_another_version_is_left(rig: Rig) -> None:
+    ours, its = memory_channels()
+    async with AgentClient(ours, "front") as client:
+        its.send(Hello(VERSION + 1, "agent", 0.0))
+        assert client.state.connection_fault is not None
+        assert "version" in client.state.connection_fault.seen
+
+
+async def test_telemetry_that_cannot_be_read_is_counted(rig: Rig) -> None:
+    ours: MemoryChannel
+    ours, its = memory_channels()
+    async with AgentClient(ours, "front") as client:
+        its.send(State(at=0.0, connection="connected"))
+        its.send(Telemetry(b"\0", "1.0", 0.0))
+        its.send(Telemetry(b"\0\0", "9.9", 0.0))
+        assert client.unread == 2

@@ -1,0 +1,200 @@
+"""Messages and their bytes: what goes in comes out, and nonsense is refused by one error."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from m100link.agent.codec import MAX_BYTES, MAX_TEXT
+from m100link.agent.fault import Fault, MessageError
+from m100link.agent.lease import LeaseChange
+from m100link.agent.messages import (
+    MAX_SIZE,
+    VERSION,
+    Action,
+    Activating,
+    Ask,
+    AuthorityTaken,
+    Event,
+    FromMobile,
+    Hello,
+    LeaseAction,
+    LeaseAsk,
+    LeaseChanged,
+    LeaseGranted,
+    Message,
+    Note,
+    Outcome,
+    Stage,
+    State,
+    Steer,
+    SteerRefused,
+    TakeOverOffered,
+    Telemetry,
+    decode,
+    encode,
+)
+from m100link.protocol.setpoint import ReferenceFrame, Setpoint
+
+FAULT = Fault("LinkLost", "the port went away", "a cable", "plug it in", {"code": 3, "who": None})
+NORTH = Setpoint.velocity(north=1.5, east=-0.1, up=0.25, yaw_rate_deg_s=-3.0, stable=True)
+TILT = Setpoint.tilt(roll_deg=1, pitch_deg=2, thrust_percent=40, yaw_deg=-180)
+
+EXAMPLES: list[Message] = [
+    Hello(VERSION, "console", 12.5),
+    Telemetry(bytes(range(200)), "3.1", 1e6),
+    FromMobile(b"\0\xff"),
+    Event(7, 3.25, "warning", 'umlaut ü and a quote "'),
+    State(at=1.0),
+    State(
+        at=2.0,
+        connection="lost",
+        connection_fault=FAULT,
+        firmware="1.0",
+        is_activated=True,
+        activation_code=3,
+        activation_fault=FAULT,
+        holding="held",
+        has_authority=True,
+        task="land",
+        pattern="simple task 0",
+        lease_remaining=2.5,
+        round_trip=0.01,
+        discards=1,
+        late_acks=2,
+        dropped_writes=3,
+        mismatches=4,
+    ),
+    LeaseChanged(0, ""),
+    LeaseChanged(3, "tab", LeaseChange.TAKEN_OVER),
+    LeaseGranted(1, "tab", "secret", 3),
+    TakeOverOffered(2, "other", "tab", "secret", 3, 12.0),
+    Activating(6),
+    AuthorityTaken(FAULT),
+    SteerRefused(3, FAULT),
+    Outcome(5, Stage.FAILED, FAULT),
+    Outcome(6, Stage.DONE, None, "SDK-v1.0", 0xFFFFFFFF),
+    LeaseAsk(1, LeaseAction.TAKE_OVER, "other", "token"),
+    Steer(3, 12.125, 0.3, NORTH),
+    Steer(3, 12.125, 0.3, Setpoint.tilt(roll_deg=1, pitch_deg=2, thrust_percent=40, yaw_deg=-180)),
+    Steer(
+        1,
+        0.0,
+        0.2,
+        Setpoint.tilt(roll_deg=1, pitch_deg=2, height=9, yaw_deg=1, frame=ReferenceFrame.GROUND),
+    ),
+    Ask(9, Action.SEND_TO_MOBILE, 3, 0, b"data"),
+    Ask(0, Action.HALT, text="its client stopped it"),
+    Note("info", "something"),
+]
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda one: type(one).__name__)
+def test_what_goes_in_comes_out(message: Message) -> None:
+    assert decode(encode(message)) == message
+
+
+def test_every_kind_has_an_example() -> None:
+    assert {type(one) for one in EXAMPLES} == set(Message.__args__)
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda one: type(one).__name__)
+def test_tokens_are_not_shown(message: Message) -> None:
+    token = getattr(message, "token", "")
+    assert not token or token not in repr(message)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b"\xff\xfe",
+        b"[" * 5000,
+        b'{"kind":"Nothing"}',
+        b'{"kind":5}',
+        b'{"kind":["Hello"]}',
+        b'{"kind":"Hello","version":1,"name":"x"}',
+        b'{"kind":"Hello","version":1,"name":"x","at":1,"more":1}',
+        b'{"kind":"Hello","version":true,"name":"x","at":1}',
+        b'{"kind":"Hello","version":1,"name":"x","at":NaN}',
+        b'{"kind":"Hello","version":1,"name":"x","at":1e999}',
+        b'{"kind":"Hello","version":%s,"name":"x","at":1}' % (b"9" * 40),
+        b'{"kind":"Hello","version":1,"name":%s,"at":1}'
+        % json.dumps("x" * (MAX_TEXT + 1)).encode(),
+        b'{"kind":"FromMobile","data":"?"}',
+        b'{"kind":"Activating","code":1.0}',
+        b'{"kind":"Ask","id":1,"action":"explode","fence":0,"number":0,"data":"","text":""}',
+        b'{"kind":"Steer","fence":1,"sent_at":0,"lifetime":1,"setpoint":[72,99,0,0,0]}',
+        b'{"kind":"Steer","fence":1,"sent_at":0,"lifetime":1,"setpoint":[200,0,0,0,0]}',
+        b'{"kind":"Steer","fence":1,"sent_at":0,"lifetime":1,"setpoint":[72,0,0,0]}',
+        b'{"kind":"Steer","fence":1,"sent_at":0,"lifetime":1,"setpoint":[72,%s,0,0,0]}'
+        % (b"9" * 400),
+        b'{"kind":"Steer","fence":1,"sent_at":0,"lifetime":1,"setpoint":[72,null,0,0,0]}',
+        b" " * (MAX_SIZE + 1),
+    ],
+)
+def test_what_is_not_a_message_is_refused(data: bytes) -> None:
+    with pytest.raises(MessageError) as caught:
+        decode(data)
+    assert len(str(caught.value)) < 500
+
+
+@given(
+    st.sampled_from(EXAMPLES),
+    st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=4),
+)
+def test_damaged_bytes_are_a_message_or_the_one_error(
+    message: Message, damage: list[tuple[int, int]]
+) -> None:
+    data = bytearray(encode(message))
+    for place, value in damage:
+        data[place % len(data)] = value
+    try:
+        found = decode(bytes(data))
+    except MessageError:
+        return
+    assert decode(encode(found)) == found
+
+
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=5,
+)
+
+
+@given(st.sampled_from(EXAMPLES), st.data())
+def test_fields_of_any_other_value_are_refused_or_fit(message: Message, data: Any) -> None:
+    value = json.loads(encode(message))
+    value[data.draw(st.sampled_from(sorted(value)))] = data.draw(_VALUES)
+    try:
+        found = decode(json.dumps(value).encode())
+    except MessageError:
+        return
+    for field in dataclasses.fields(found):
+        one = getattr(found, field.name)
+        assert not isinstance(one, float) or math.isfinite(one)
+
+
+@pytest.mark.parametrize(
+    "message", [Hello(1, "x", math.nan), Hello(1, "x", math.inf), FromMobile(bytes(MAX_BYTES + 1))]
+)
+def test_what_cannot_be_sent_is_refused_by_the_sender(message: Message) -> None:
+    with pytest.raises(MessageError):
+        encode(message)
+
+
+def test_long_texts_are_cut() -> None:
+    found = decode(encode(Event(1, 0.0, "info", "ü" * 10_000)))
+    assert isinstance(found, Event)
+    assert len(found.text) == MAX_TEXT
+    assert found.text.endswith("…")

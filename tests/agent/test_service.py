@@ -1,0 +1,263 @@
+"""What a front can make an agent do, by messages alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import anyio
+import pytest
+
+from m100link.agent.carriers.memory import memory_channels
+from m100link.agent.messages import (
+    VERSION,
+    Action,
+    Ask,
+    Event,
+    Hello,
+    LeaseAction,
+    LeaseAsk,
+    LeaseChanged,
+    LeaseGranted,
+    Message,
+    Note,
+    Outcome,
+    Stage,
+    State,
+    Steer,
+    SteerRefused,
+    TakeOverOffered,
+    Telemetry,
+)
+from m100link.agent.service import MAX_SETPOINT_AGE, STATE_INTERVAL, Service
+from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.sample import Sample
+from tests.agent.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+M = TypeVar("M")
+
+
+class Front:
+    """A front by hand: sends messages, keeps what comes."""
+
+    def __init__(self, rig: Rig, service: Service, *, greets: bool = True) -> None:
+        self.rig = rig
+        self.channel, its = memory_channels(as_bytes=True)
+        service.attach(its)
+        self.inbox: list[Message] = []
+        self.closed: list[str] = []
+        self.channel.open(self.inbox.append, self.closed.append)
+        if greets:
+            self.send(Hello(VERSION, "front", rig.agent.now))
+
+    def send(self, message: Message) -> None:
+        self.channel.send(message)
+
+    def all(self, kind: type[M]) -> list[M]:
+        return [one for one in self.inbox if isinstance(one, kind)]
+
+    def lease(self, **fields: Any) -> LeaseGranted:
+        self.send(LeaseAsk(99, LeaseAction.ACQUIRE, **({"name": "pilot"} | fields)))
+        return self.all(LeaseGranted)[-1]
+
+    async def outcome(self, identity: int, stage: Stage = Stage.DONE) -> Outcome:
+        def found() -> list[Outcome]:
+            return [one for one in self.all(Outcome) if (one.id, one.stage) == (identity, stage)]
+
+        await self.rig.until(lambda: bool(found()))
+        return found()[0]
+
+    async def airborne(self) -> int:
+        fence = self.lease().number
+        self.rig.agent.background.spawn(self._alive(), "alive")
+        self.send(Ask(1, Action.OBTAIN, fence))
+        await self.outcome(1)
+        self.send(Ask(2, Action.TAKE_OFF, fence))
+        await self.outcome(2)
+        return fence
+
+    async def _alive(self) -> None:
+        token = self.all(LeaseGranted)[-1].token
+        while True:
+            await anyio.sleep(0.5)
+            self.send(LeaseAsk(0, LeaseAction.RENEW, token=token))
+
+    @property
+    def moves(self) -> list[Any]:
+        return list(self.rig.aircraft.autopilot.received_movements)
+
+
+@pytest.fixture
+async def service(rig: Rig) -> Service:
+    rig.agent.desk.release(rig.token, rig.agent.now)  # the lease is the front's to take
+    return Service(rig.agent)
+
+
+async def test_a_front_is_greeted_with_everything_it_has_to_know(
+    rig: Rig, service: Service
+) -> None:
+    front = Front(rig, service)
+    hello, lease, state, *events = front.inbox
+    assert isinstance(hello, Hello)
+    assert hello.version == VERSION
+    assert lease == LeaseChanged(0, "")
+    assert isinstance(state, State)
+    assert (state.connection, state.is_activated, state.holding) == ("connected", True, "none")
+    assert [one.text for one in events if isinstance(one, Event)] == [
+        one.text for one in rig.agent.journal.events
+    ]
+    await anyio.sleep(1.0)
+    assert len(front.all(Telemetry)) > 40
+    states = len(front.all(State))
+    await anyio.sleep(2.0)
+    assert len(front.all(State)) - states == pytest.approx(2.0 / STATE_INTERVAL, abs=1.1)
+
+
+async def test_a_flight_by_messages(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    fence = await front.airborne()
+    assert front.all(State)[-1].has_authority
+    stages = [one.stage for one in front.all(Outcome) if one.id == 2]
+    assert stages == [Stage.ACCEPTED, Stage.DONE]
+    front.send(Steer(fence, rig.agent.now, 0.3, NORTH))
+    await anyio.sleep(0.1)
+    assert front.moves[-1].roll_or_x == 1.0
+    front.send(Ask(0, Action.HALT))
+    await anyio.sleep(0.03)
+    assert front.moves[-1].roll_or_x == 0.0
+    front.send(Ask(3, Action.RELEASE, fence))
+    await front.outcome(3)
+    assert front.all(State)[-1].holding == "none"
+    front.send(Ask(4, Action.VERSION))
+    assert "M100" in (await front.outcome(4)).text
+
+
+async def test_the_state_is_told_before_the_outcome(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    front.send(Ask(1, Action.OBTAIN, front.lease().number))
+    await front.outcome(1)
+    place = front.inbox.index(Outcome(1, Stage.DONE))
+    states = [one for one in front.inbox[:place] if isinstance(one, State)]
+    assert states[-1].has_authority
+
+
+async def test_a_front_that_has_gone_costs_a_hover(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    fence = await front.airborne()
+    front.send(Steer(fence, rig.agent.now, 5.0, NORTH))
+    await anyio.sleep(0.5)
+    front.channel.close("killed")
+    await anyio.sleep(0.03)
+    assert front.moves[-1].roll_or_x == 0.0
+    assert rig.agent.desk.holder(rig.agent.now) is None
+    await rig.until(lambda: not rig.aircraft.autopilot.authority.is_requested, within=2.0)
+    assert rig.aircraft.height > 1.0
+    other = Front(rig, service)  # and another one flies on
+    assert other.lease().number > fence
+
+
+async def test_a_front_that_hangs_loses_its_lease(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    fence = front.lease().number
+    front.send(Ask(1, Action.OBTAIN, fence))
+    await front.outcome(1)
+    await rig.until(lambda: front.all(LeaseChanged)[-1].number == 0, within=3.5)
+    await rig.until(lambda: not rig.holding.has_authority, within=1.0)
+
+
+async def test_a_setpoint_that_was_long_on_its_way_is_not_flown(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    fence = await front.airborne()
+    front.send(Steer(fence, rig.agent.now - MAX_SETPOINT_AGE - 0.01, 0.3, NORTH))
+    await anyio.sleep(0.1)
+    assert front.moves == []
+    (refused,) = front.all(SteerRefused)
+    assert refused.fault.details["guard"] == "setpoint_age"
+    front.send(Steer(fence, rig.agent.now - MAX_SETPOINT_AGE + 0.01, 0.3, NORTH))
+    await anyio.sleep(0.1)
+    assert front.moves[-1].roll_or_x == 1.0
+
+
+async def test_a_fence_of_another_front_moves_nothing(rig: Rig, service: Service) -> None:
+    fence = await Front(rig, service).airborne()
+    other = Front(rig, service)
+    other.send(Steer(fence, rig.agent.now, 0.3, NORTH))
+    for number, action in enumerate((Action.LAND, Action.RELEASE, Action.PATTERN), start=10):
+        other.send(Ask(number, action, fence))
+        outcome = await other.outcome(number, Stage.FAILED)
+        assert outcome.fault is not None
+        assert outcome.fault.kind == "LeaseRefused"
+    await anyio.sleep(0.1)
+    assert other.moves == []
+    assert other.all(SteerRefused)[0].fault.kind == "LeaseRefused"
+    assert rig.holding.has_authority
+
+
+async def test_an_old_fence_moves_nothing(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    fence = await front.airborne()
+    token = front.all(LeaseGranted)[-1].token
+    front.send(LeaseAsk(5, LeaseAction.RELEASE, token=token))
+    await front.outcome(5)
+    new = front.lease().number
+    assert new > fence
+    front.send(Steer(fence, rig.agent.now, 0.3, NORTH))
+    assert front.all(SteerRefused)[-1].fence == fence
+
+
+async def test_a_take_over_names_who_loses_it(rig: Rig, service: Service) -> None:
+    first, second = Front(rig, service), Front(rig, service)
+    first.lease(name="first")
+    second.send(LeaseAsk(1, LeaseAction.ACQUIRE, "second"))
+    refused = await second.outcome(1, Stage.FAILED)
+    assert refused.fault is not None
+    assert refused.fault.details["holder"] == "first"
+    second.send(LeaseAsk(2, LeaseAction.TAKE_OVER, "second"))
+    (offer,) = second.all(TakeOverOffered)
+    assert offer.from_name == "first"
+    second.send(LeaseAsk(3, LeaseAction.CONFIRM, token=offer.token))
+    assert second.all(LeaseGranted)[-1].id == 3
+    assert first.all(LeaseChanged)[-1].name == "second"
+
+
+async def test_another_version_is_not_served(rig: Rig, service: Service) -> None:
+    front = Front(rig, service, greets=False)
+    front.send(Hello(VERSION + 1, "from the future", 0.0))
+    assert front.closed == [f"this agent speaks version {VERSION}, not {VERSION + 1}"]
+
+
+@pytest.mark.parametrize("greets", [False, True])
+async def test_what_a_front_does_not_send_ends_it(rig: Rig, service: Service, greets: bool) -> None:
+    front = Front(rig, service, greets=greets)
+    front.send(Telemetry(b"", "1.0", 0.0) if greets else Ask(1, Action.HALT))
+    assert len(front.closed) == 1
+    assert front.all(Outcome) == []
+
+
+async def test_notes_and_questions_are_bounded(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    for number in range(1000):
+        front.send(Note("info", f"note {number}"))
+        front.send(Ask(number + 1, Action.VERSION))
+    notes = [one for one in rig.agent.journal.events if one.text.startswith("note ")]
+    assert len(notes) == 20
+    refused = [one for one in front.all(Outcome) if one.stage is Stage.FAILED]
+    assert len(refused) == 1000 - 64
+    front.send(Note("shout", "x"))
+    assert rig.agent.journal.events[-1].level != "shout"
+
+
+async def test_telemetry_of_a_profile_of_ones_own_is_not_told_under_a_known_name(
+    rig: Rig, service: Service
+) -> None:
+    front = Front(rig, service)
+    aircraft = rig.agent.connection.aircraft
+    assert aircraft is not None
+    own = replace(aircraft.firmware, summary="one's own")
+    for callback in rig.agent.connection.on_sample:
+        callback(Sample(b"\0\0", own, 0.0))
+    assert front.all(Telemetry) == []
