@@ -9,8 +9,11 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 
 from m100link.agent.agent import Agent
+from m100link.agent.carriers.memory import memory_channels
+from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver, by_url
 from m100link.agent.connection import Connect
+from m100link.agent.service import Service
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
 from m100link.sim.ports.driver import Driver
@@ -95,12 +98,15 @@ async def running(
         for one in sockets:
             stack.callback(one.close)
         agent = await stack.enter_async_context(Agent(connect, credentials=credentials))
-        bridge = Bridge(agent, max_clients=settings.max_clients, pages=settings.pages)
+        service = Service(agent)
+        front = await _front(stack, service, "rosbridge")
+        bridge = Bridge(front, max_clients=settings.max_clients, pages=settings.pages)
         server = Server.make(bridge.app(settings), settings)
         await stack.enter_async_context(_serving(server, sockets))
         console_port = access = None
         if with_console:
-            console_port, access = await _add_console(stack, agent, settings, virtual)
+            front = await _front(stack, service, "console")
+            console_port, access = await _add_console(stack, front, settings, virtual)
         yield Running(
             agent,
             bridge,
@@ -111,8 +117,18 @@ async def running(
         )
 
 
+async def _front(stack: AsyncExitStack, service: Service, name: str) -> AgentClient:
+    """A front's end of a way to the agent inside this process."""
+    ours, its = memory_channels()
+    service.attach(its)
+    return await stack.enter_async_context(AgentClient(ours, name))
+
+
 async def _add_console(
-    stack: AsyncExitStack, agent: Agent, settings: Settings, virtual: VirtualAircraft | None
+    stack: AsyncExitStack,
+    agent: AgentClient,
+    settings: Settings,
+    virtual: VirtualAircraft | None,
 ) -> tuple[int, Access | None]:
     try:
         from m100link.station.console.app import console_app

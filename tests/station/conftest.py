@@ -11,8 +11,10 @@ import anyio
 import pytest
 
 from m100link.agent.agent import Agent
+from m100link.agent.carriers.memory import memory_channels
+from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver
-from m100link.agent.connection import ConnectionState
+from m100link.agent.service import Service
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -86,11 +88,14 @@ class Rig:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Rig]:
-        async with self.agent:
-            clients = Clients(self.agent, self.graph)
-            Node(self.agent, self.graph, clients)
-            DjiSdk(self.agent, self.graph, clients)
-            await self.until(lambda: self.agent.connection.state is ConnectionState.CONNECTED)
+        # As bytes, so that every message of every test also goes through its codec.
+        ours, its = memory_channels(as_bytes=True)
+        async with self.agent, AgentClient(ours, "station") as self.front:
+            Service(self.agent).attach(its)
+            clients = Clients(self.front, self.graph)
+            Node(self.front, self.graph, clients)
+            DjiSdk(self.front, self.graph, clients)
+            await self.until(lambda: self.front.is_connected)
             yield self
         self.driver.stop()
 

@@ -25,7 +25,7 @@ from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import Gate
 
 if TYPE_CHECKING:
-    from m100link.agent.agent import Agent
+    from m100link.agent.client import AgentClient
     from m100link.sim.virtual import VirtualAircraft
     from m100link.station.config import Settings
 
@@ -42,7 +42,7 @@ _MAX_TABS = 32
 class Tabs:
     """The tabs that are open, by the secret part of their socket's address."""
 
-    def __init__(self, agent: Agent) -> None:
+    def __init__(self, agent: AgentClient) -> None:
         self._agent = agent
         self._count = 0
         self.tabs: dict[str, Tab] = {}
@@ -60,7 +60,7 @@ class Tabs:
         """A tab is gone for good."""
         tab = self.tabs.pop(key, None)
         if tab is not None:
-            tab.lost()
+            tab.close()
 
     async def serve(self, websocket: WebSocket) -> None:
         """The socket of a tab: beats in, instruments out."""
@@ -98,15 +98,15 @@ class Tabs:
     async def _write(self, websocket: WebSocket) -> None:
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                await websocket.send_json(live(self._agent.connection.aircraft, self._agent.now))
+                await websocket.send_json(live(self._agent.telemetry, self._agent.now))
                 await asyncio.sleep(LIVE_INTERVAL)
 
 
-def console_app(agent: Agent, settings: Settings, virtual: VirtualAircraft | None) -> Gate:
+def console_app(agent: AgentClient, settings: Settings, virtual: VirtualAircraft | None) -> Gate:
     """The application behind its gate.
 
     Args:
-        agent: The aircraft and its lease.
+        agent: The agent that owns the aircraft.
         settings: Who may connect, and the folder with tiles.
         virtual: The virtual aircraft, for the panel that plays pilot and weather.
 

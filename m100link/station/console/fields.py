@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.aircraft import Aircraft
 from m100link.protocol.records import (
     AngularVelocity,
     Attitude,
@@ -19,6 +18,7 @@ from m100link.protocol.records import (
     Time,
     Velocity,
 )
+from m100link.telemetry.state import AircraftState
 
 __all__ = ["FIELDS", "Field", "Reading", "live", "read"]
 
@@ -98,23 +98,22 @@ FIELDS: tuple[Field, ...] = (
 """The fields, in the order of the page."""
 
 
-def read(field: Field, aircraft: Aircraft | None) -> Reading:
-    """A field as it is now."""
-    record = aircraft.state.get(field.record) if aircraft is not None else None
-    if aircraft is None or record is None:
-        return Reading("–", is_stale=True, note="never arrived" if aircraft else "")
-    age = aircraft.state.age(field.record) or 0.0
+def read(field: Field, telemetry: AircraftState | None) -> Reading:
+    """A field as it is now; without telemetry, as it is while no aircraft is connected."""
+    record = telemetry.get(field.record) if telemetry is not None else None
+    if telemetry is None or record is None:
+        return Reading("–", is_stale=True, note="never arrived" if telemetry is not None else "")
+    age = telemetry.age(field.record) or 0.0
     if age <= field.stale_after:
         return Reading(field.text(record), is_stale=False)
     return Reading(field.text(record), is_stale=True, note=f"{age:.0f} s old")
 
 
-def live(aircraft: Aircraft | None, now: float) -> dict[str, Any]:
+def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     """What the instruments draw, twenty times a second; None for what is stale or missing."""
     message: dict[str, Any] = {"op": "live", "t": round(now, 3)}
-    if aircraft is None:
+    if state is None:
         return message
-    state = aircraft.state
     attitude = state.fresh(Attitude, within=1.0)
     position = state.fresh(Position, within=1.0)
     velocity = state.fresh(Velocity, within=1.0)

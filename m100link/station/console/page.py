@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
-from m100link.agent.agent import Agent
-from m100link.agent.connection import ConnectionState
+from m100link.agent.client import AgentClient
 from m100link.agent.lease import LeaseHeld
 from m100link.errors import M100Error
+from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude
 from m100link.station.console.fields import FIELDS, read
@@ -42,12 +42,12 @@ class Page:
     """One tab's page.
 
     Args:
-        agent: The aircraft and its lease.
+        agent: The agent that owns the aircraft.
         tab: Who looks at it.
         virtual: The virtual aircraft, or None.
     """
 
-    def __init__(self, agent: Agent, tab: Tab, virtual: VirtualAircraft | None) -> None:
+    def __init__(self, agent: AgentClient, tab: Tab, virtual: VirtualAircraft | None) -> None:
         self._agent, self._tab, self._virtual = agent, tab, virtual
         self._fields: dict[str, tuple[Any, Any, Any]] = {}
         self._numbers: dict[str, Any] = {}
@@ -205,9 +205,9 @@ class Page:
 
     _wants_dialog = False
 
-    def _ask_take_over(self) -> None:
+    async def _ask_take_over(self) -> None:
         try:
-            wanted = self._tab.ask_take_over()
+            wanted = await self._tab.ask_take_over()
         except M100Error:
             return  # it is free by now
         with ui.dialog() as dialog, ui.card():
@@ -225,21 +225,21 @@ class Page:
 
     # -- updates ---------------------------------------------------------------------------------
 
-    def _update(self) -> None:
+    async def _update(self) -> None:
         if self._wants_dialog:
             self._wants_dialog = False
-            self._ask_take_over()
-        aircraft = self._agent.connection.aircraft
+            await self._ask_take_over()
+        telemetry = self._agent.telemetry
         for field in FIELDS:
             row, value, note = self._fields[field.name]
-            reading = read(field, aircraft)
+            reading = read(field, telemetry)
             value.set_text(reading.text)
             note.set_text(reading.note)
             row.classes(add="stale") if reading.is_stale else row.classes(remove="stale")
         self._update_link()
         self._update_banner()
         self._update_events()
-        attitude = aircraft.state.fresh(Attitude, within=1.0) if aircraft is not None else None
+        attitude = telemetry.fresh(Attitude, within=1.0) if telemetry is not None else None
         if attitude is not None:
             self._model.rotate(
                 math.radians(attitude.roll_deg),
@@ -248,66 +248,64 @@ class Page:
             )
 
     def _update_banner(self) -> None:
-        agent, tab = self._agent, self._tab
-        holder = agent.desk.holder(agent.now)
-        if holder is None:
+        agent, state, tab = self._agent, self._agent.state, self._tab
+        holder = agent.holder
+        if not holder.number:
             text, kind = "Nobody has control here: the pilot flies", ""
         elif not tab.has_lease:
             text, kind = f"{holder.name} has control", "theirs"
-        elif agent.holding.has_authority:
+        elif state.has_authority:
             text, kind = "You have control", "mine"
         else:
             text, kind = "You hold the lease, but the aircraft obeys the pilot", "theirs"
         self._banner.set_text(text)
         self._banner.classes(replace=f"banner grow {kind}")
-        is_pilot = tab.has_lease and agent.holding.has_authority
+        is_pilot = tab.has_lease and state.has_authority
         for name in ("take_off", "land", "go_home", "simple_task"):
-            _enable(self._buttons[name], is_pilot and agent.holding.task is None)
+            _enable(self._buttons[name], is_pilot and not state.task)
         _enable(self._buttons["release"], tab.has_lease)
-        _enable(self._buttons["obtain"], not is_pilot and agent.connection.aircraft is not None)
-        _enable(self._buttons["activate"], agent.connection.aircraft is not None)
-        task = agent.holding.task or ("simple task" if agent.holding.pattern else "")
+        _enable(self._buttons["obtain"], not is_pilot and agent.is_connected)
+        _enable(self._buttons["activate"], agent.is_connected)
+        task = state.task or ("simple task" if state.pattern else "")
         self._task.set_text(f"flying: {task}" if task else "")
         self._problem.set_text(tab.problem)
         self._activation.set_text(self._activation_text())
 
     def _activation_text(self) -> str:
-        agent = self._agent
-        if agent.activation.error is not None:
-            return f"Activation: {agent.activation.error}"
-        if agent.connection.aircraft is not None and agent.connection.aircraft.is_activated:
+        state = self._agent.state
+        if state.activation_fault is not None:
+            return f"Activation: {state.activation_fault.error()}"
+        if state.is_activated:
             return "Activation: active"
-        if agent.activation.code is not None:
-            return f"Activation: {agent.activation.code.meaning}"
+        if state.activation_code is not None:
+            return f"Activation: {ActivationCode(state.activation_code).meaning}"
         return "Activation: not done"
 
     def _update_link(self) -> None:
-        agent, numbers = self._agent, self._numbers
-        numbers["connection"].set_text(agent.connection.state.value)
-        error = agent.connection.error
-        shown = error if agent.connection.state is not ConnectionState.CONNECTED else None
-        self._reason.set_text(str(shown) if shown is not None else "")
-        holder = agent.desk.holder(agent.now)
-        remaining = agent.desk.remaining(agent.now)
-        numbers["clients"].set_text(f"{holder.name}, {remaining:.0f} s" if holder else "free")
-        aircraft = agent.connection.aircraft
-        if aircraft is None:
+        agent, state, numbers = self._agent, self._agent.state, self._numbers
+        numbers["connection"].set_text(state.connection)
+        fault = state.connection_fault
+        self._reason.set_text(str(fault.error()) if fault is not None else "")
+        holder, remaining = agent.holder, state.lease_remaining
+        numbers["clients"].set_text(
+            f"{holder.name}, {remaining:.0f} s" if holder.number else "free"
+        )
+        if agent.telemetry is None:
             for name in ("firmware", "aircraft_ms", "age", "discards", "late", "dropped"):
                 numbers[name].set_text("–")
             return
-        link = aircraft.statistics()
-        numbers["firmware"].set_text(str(aircraft.firmware))
-        trip = agent.connection.round_trip
+        numbers["firmware"].set_text(state.firmware)
+        trip = state.round_trip
         numbers["aircraft_ms"].set_text("no answer" if trip is None else f"{1000 * trip:.0f} ms")
-        age = aircraft.state.newest_age
+        age = agent.telemetry.newest_age
         numbers["age"].set_text("never" if age is None else f"{age:.2f} s ago")
-        numbers["discards"].set_text(str(sum(link.discards.values())))
-        numbers["late"].set_text(str(link.late_acks + link.foreign_acks))
-        numbers["dropped"].set_text(str(link.dropped_writes))
-        numbers["mismatches"].set_text(str(aircraft.telemetry_mismatches))
+        numbers["discards"].set_text(str(state.discards))
+        numbers["late"].set_text(str(state.late_acks))
+        numbers["dropped"].set_text(str(state.dropped_writes))
+        numbers["mismatches"].set_text(str(state.mismatches))
 
     def _update_events(self) -> None:
-        for event in self._agent.journal.events:
+        for event in self._agent.events:
             if event.number > self._last_event:
                 self._last_event = event.number
                 self._events.push(f"{event.at:9.1f}  {event.text}", classes=event.level)

@@ -13,9 +13,8 @@ import math
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from m100link.agent.agent import Agent
+from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, TakeOver
-from m100link.agent.patterns import pattern
 from m100link.agent.steering import setpoint_of
 from m100link.errors import M100Error
 from m100link.protocol.commands.control import Task
@@ -33,18 +32,18 @@ class Tab:
     """What one tab may do, and has.
 
     Args:
-        agent: The aircraft.
+        agent: The agent that owns the aircraft.
         name: Who it is, for the banner.
 
     Attributes:
         name: As given; the operator may change it.
         lease: Its lease, in force or not.
         problem: What was refused last, for people.
-        beats: Beats that moved the aircraft.
+        beats: Beats that were sent on.
         refused: Messages that could not be used.
     """
 
-    def __init__(self, agent: Agent, name: str) -> None:
+    def __init__(self, agent: AgentClient, name: str) -> None:
         self._agent = agent
         self.name = name
         self.lease: Lease | None = None
@@ -53,16 +52,12 @@ class Tab:
         self.refused = 0
         self._last_number = -1
         self._complained_at = -math.inf
+        agent.on_steer_refused.append(self._steer_refused)
 
     @property
     def has_lease(self) -> bool:
         """Whether this tab may steer."""
-        return self.lease is not None and self._agent.desk.holder(self._agent.now) == self.lease
-
-    @property
-    def token(self) -> str:
-        """Proof of the lease; empty without one."""
-        return self.lease.token if self.lease is not None else ""
+        return self._agent.holds(self.lease)
 
     # -- what the buttons do ---------------------------------------------------------------------
 
@@ -78,7 +73,7 @@ class Tab:
 
     async def activate(self) -> None:
         """Activate the aircraft."""
-        await self._agent.activate(self.token or None)
+        await self._agent.activate(self.lease if self.has_lease else None)
 
     async def obtain(self) -> None:
         """Take the lease and control authority.
@@ -87,40 +82,40 @@ class Tab:
             LeaseHeld: Another client has the lease; see :meth:`ask_take_over`.
         """
         if not self.has_lease:
-            self.lease = self._agent.desk.acquire(self.name, self._agent.now)
+            self.lease = await self._agent.acquire(self.name)
         try:
-            await self._agent.obtain(self.token)
+            await self._agent.obtain(self.lease)
         except M100Error:
             self.let_go()
             raise
 
-    def ask_take_over(self) -> TakeOver:
+    async def ask_take_over(self) -> TakeOver:
         """First step of a take-over."""
-        return self._agent.desk.ask_take_over(self.name, self._agent.now)
+        return await self._agent.ask_take_over(self.name)
 
     async def confirm_take_over(self, wanted: TakeOver) -> None:
         """Second step: take the lease, and authority if the station does not hold it."""
-        self.lease = self._agent.desk.confirm(wanted.token, self._agent.now)
-        await self._agent.obtain(self.token)
+        self.lease = await self._agent.confirm(wanted.token)
+        await self._agent.obtain(self.lease)
 
     async def release(self) -> None:
         """Give authority and lease back."""
-        await self._agent.release(self.token)
+        await self._agent.release(self.lease)
         self.let_go()
 
     def let_go(self) -> None:
         """Give the lease back, if this tab has it; motion stops."""
-        if self.has_lease:
-            self._agent.desk.release(self.token, self._agent.now)
+        if self.lease is not None and self.has_lease:
+            self._agent.let_go(self.lease)
         self.lease = None
 
     async def fly(self, task: Task) -> None:
         """Take off, land or go home."""
-        await self._agent.fly(self.token, task)
+        await self._agent.fly(self.lease, task)
 
     async def simple_task(self, number: int) -> None:
         """Fly a simple task."""
-        self._agent.start_pattern(self.token, f"simple task {number}", pattern(number))
+        await self._agent.start_pattern(self.lease, number)
 
     async def stop(self) -> None:
         """Stop. Any tab may."""
@@ -139,33 +134,47 @@ class Tab:
             self.refused += 1  # an old message again
             return None
         self._last_number = number
-        if self.has_lease:
-            self._agent.desk.renew(self.token, self._agent.now)
+        if self.lease is not None and self.has_lease:
             if message["op"] == "beat":
-                self._steer(message)
-            elif message["op"] == "rest":
-                self._agent.halt()
+                self._steer(self.lease, message)
+            else:
+                if message["op"] == "rest":
+                    self._agent.halt()
+                self._agent.keep(self.lease)
         return {"op": "echo", "at": message["at"]}
 
-    def _steer(self, message: dict[str, Any]) -> None:
+    def _steer(self, lease: Lease, message: dict[str, Any]) -> None:
+        self.problem = ""
         try:
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]
             )
-            self._agent.steer(self.token, setpoint, BEAT_LIFETIME)
-            self.beats += 1
-            self.problem = ""
         except M100Error as error:
-            self.refused += 1
-            self.problem = str(error)
-            now = self._agent.now
-            if now - self._complained_at >= _COMPLAINT_PAUSE:
-                self._complained_at = now
-                self._agent.journal.note(f"{self.name}: {error.seen}", "warning")
+            self._agent.keep(lease)  # the operator is there
+            self._steer_refused(lease.number, error)
+        else:
+            self.beats += 1
+            self._agent.steer(lease, setpoint, BEAT_LIFETIME)
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        if self.lease is None or self.lease.number != fence:
+            return
+        self.refused += 1
+        self.problem = str(error)
+        now = self._agent.now
+        if now - self._complained_at >= _COMPLAINT_PAUSE:
+            self._complained_at = now
+            self._agent.note(f"{self.name}: {error.seen}", "warning")
 
     def lost(self) -> None:
         """The socket is gone: stop, and let others have control."""
         self.let_go()
+
+    def close(self) -> None:
+        """The tab is gone for good."""
+        self.lost()
+        if self._steer_refused in self._agent.on_steer_refused:
+            self._agent.on_steer_refused.remove(self._steer_refused)
 
 
 def _read(text: str | bytes) -> dict[str, Any] | None:

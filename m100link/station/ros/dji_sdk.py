@@ -15,8 +15,7 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from m100link.agent.agent import Agent
-from m100link.aircraft import Aircraft
+from m100link.agent.client import AgentClient
 from m100link.errors import BadSetpoint, CommandRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Task
@@ -80,23 +79,22 @@ class DjiSdk:
     """Topics and services under ``/dji_sdk``.
 
     Args:
-        agent: The aircraft and its lease.
+        agent: The agent that owns the aircraft.
         graph: Where the topics are offered.
         clients: Who holds the lease.
     """
 
-    def __init__(self, agent: Agent, graph: Graph, clients: Clients) -> None:
+    def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
         self._sequence = 0
         self._origin: tuple[LocalFrame, float] | None = None
-        self._watching: asyncio.Task[None] | None = None
         self._topics: list[tuple[Topic, Callable[[Sample], Message | None]]] = []
         self._add_telemetry()
         self._add_setpoints()
         self._add_services()
         self._from_mobile = graph.add_topic("/dji_sdk/from_mobile_data", "dji_sdk/MobileData")
-        self._mobile: asyncio.Task[None] | None = None
-        agent.connection.on_aircraft.append(self._aircraft_changed)
+        agent.background.spawn(self._watch(), "dji_sdk topics")
+        agent.background.spawn(self._watch_mobile(), "mobile data")
 
     # -- telemetry -------------------------------------------------------------------------------
 
@@ -118,17 +116,8 @@ class DjiSdk:
         ):
             self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", kind), build))
 
-    def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
-        for task in (self._watching, self._mobile):
-            if task is not None:
-                task.cancel()
-        self._watching = self._mobile = None
-        if aircraft is not None:
-            self._watching = self._agent.background.spawn(self._watch(aircraft), "dji_sdk topics")
-            self._mobile = self._agent.background.spawn(self._watch_mobile(aircraft), "mobile data")
-
-    async def _watch(self, aircraft: Aircraft) -> None:
-        async with aircraft.telemetry(policy=Newest(20)) as samples:
+    async def _watch(self) -> None:
+        async with self._agent.samples(Newest(20)) as samples:
             async for sample in samples:
                 for topic, build in self._topics:
                     # Nobody pays for a topic that nobody reads.
@@ -137,8 +126,8 @@ class DjiSdk:
                         if message is not None:
                             self._graph.publish(topic, message, sample.received_at)
 
-    async def _watch_mobile(self, aircraft: Aircraft) -> None:
-        async with aircraft.from_mobile() as messages:
+    async def _watch_mobile(self) -> None:
+        async with self._agent.from_mobile(Newest(50)) as messages:
             async for data in messages:
                 self._graph.publish(self._from_mobile, {"data": data}, self._agent.now)
 
@@ -293,7 +282,7 @@ class DjiSdk:
                         raise UsageError("the fifth axis is the control flag, 0 to 255")
                     flag = int(axes[4])
                 setpoint = joy_setpoint(flag, axes[0], axes[1], axes[2], axes[3])
-                self._agent.steer(self._clients.held_token(session), setpoint)
+                self._agent.steer(self._clients.held(session), setpoint)
             except M100Error as error:
                 self._clients.complain(session, error)
 
@@ -331,22 +320,21 @@ class DjiSdk:
         return lambda call: void(self._agent.background.spawn(answer(call), name))
 
     async def _activate(self, call: Call) -> Message:
-        lease = self._clients.lease(call.session)
-        await self._agent.activate(lease.token if lease is not None else None)
+        await self._agent.activate(self._clients.lease(call.session))
         return {"result": True, "cmd_set": 0, "cmd_id": 1}
 
     async def _authority(self, call: Call) -> Message:
         wanted = call.request["control_enable"]
         if wanted > 1:
             raise UsageError("control_enable is 1 to obtain and 0 to release")
-        token = self._clients.token(call.session)
+        lease = await self._clients.take(call.session)
         try:
             if wanted:
-                await self._agent.obtain(token)
+                await self._agent.obtain(lease)
             else:
-                await self._agent.release(token)
+                await self._agent.release(lease)
         finally:
-            if not self._agent.holding.has_authority:
+            if not self._agent.state.has_authority:
                 self._clients.let_go(call.session)
         return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
 
@@ -355,7 +343,7 @@ class DjiSdk:
         if number not in Task.__members__.values():
             raise UsageError("tasks are 4 (take-off), 6 (landing) and 1 (go-home)")
         begun = asyncio.Event()
-        work = self._agent.fly(self._clients.held_token(call.session), Task(number), begun.set)
+        work = self._agent.fly(self._clients.held(call.session), Task(number), begun.set)
         flying = self._agent.background.spawn(work, f"task {number}")
         accepted = self._agent.background.spawn(begun.wait(), "acceptance")
         await asyncio.wait((flying, accepted), return_when=asyncio.FIRST_COMPLETED)
@@ -365,15 +353,16 @@ class DjiSdk:
         return {"result": True, "cmd_set": 1, "cmd_id": 1, "ack_data": 2}
 
     async def _version(self, call: Call) -> Message:
-        version = await self._agent.connection.require_aircraft().version()
-        numbers = version.name.rpartition("-")[2].split(".")
+        name, _ = await self._agent.version()
+        numbers = name.rpartition("-")[2].split(".")
         packed = 0
         for number in numbers:
             packed = packed << 8 | (int(number) & 0xFF if number.isdecimal() else 0)
-        return {"version": packed & 0xFFFFFFFF, "hardware": version.name}
+        return {"version": packed & 0xFFFFFFFF, "hardware": name}
 
     async def _set_origin(self, call: Call) -> Message:
-        position = self._agent.connection.require_aircraft().state.fresh(Position, within=1.0)
+        telemetry = self._agent.telemetry
+        position = telemetry.fresh(Position, within=1.0) if telemetry is not None else None
         if position is None:
             return {"result": False}
         has_fix = position.gps_health is None or position.gps_health >= _GPS_GOOD
@@ -383,8 +372,7 @@ class DjiSdk:
         return {"result": has_fix}
 
     async def _send_to_mobile(self, call: Call) -> Message:
-        self._clients.held_token(call.session)
-        await self._agent.connection.require_aircraft().send_to_mobile(call.request["data"])
+        await self._agent.send_to_mobile(self._clients.held(call.session), call.request["data"])
         return {"result": True}
 
 

@@ -8,10 +8,10 @@ it ends when the client closes control or its socket is gone. Newer clients use 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any
 
-from m100link.agent.agent import Agent
+from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, LeaseRefused
 from m100link.errors import M100Error, NoAuthority
 from m100link.station.ros.graph import Call, Graph, Listener
@@ -27,58 +27,60 @@ class Clients:
     """Which rosbridge client holds the lease.
 
     Args:
-        agent: The aircraft and its lease.
+        agent: The agent that owns the aircraft.
         graph: Where the clients are.
     """
 
-    def __init__(self, agent: Agent, graph: Graph) -> None:
+    def __init__(self, agent: AgentClient, graph: Graph) -> None:
         self._agent = agent
         self._graph = graph
         graph.on_leave(self._left)
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
+        agent.on_steer_refused.append(self._steer_refused)
         agent.background.spawn(self._keep_renewing(), "renewal")
 
     def lease(self, session: Listener) -> Lease | None:
         """The lease in force of that client."""
-        held = session.data.get(_LEASE)
-        return held if held is not None and held == self._holder() else None
+        held: Lease | None = session.data.get(_LEASE)
+        return held if self._agent.holds(held) else None
 
-    def _holder(self) -> Lease | None:
-        return self._agent.desk.holder(self._agent.now)
-
-    def token(self, session: Listener) -> str:
-        """The token of that client's lease, which is taken now if it is free.
+    async def take(self, session: Listener) -> Lease:
+        """The lease of that client, which is taken now if it is free.
 
         Raises:
             LeaseHeld: Another client has it.
+            NoAuthority: The client has gone meanwhile.
         """
         held = self.lease(session)
         if held is None:
-            held = self._agent.desk.acquire(session.name, self._agent.now)
+            held = await self._agent.acquire(session.name)
+            if session not in self._graph.sessions:
+                self._agent.let_go(held)
+                raise NoAuthority(f"{session.name} has gone; control was not taken for it")
             session.data[_LEASE] = held
-        return held.token
+        return held
 
-    def held_token(self, session: Listener) -> str:
-        """The token of that client's lease.
+    def held(self, session: Listener) -> Lease:
+        """The lease of that client.
 
         Raises:
             NoAuthority: It has none; who has is in the error.
         """
         held = self.lease(session)
         if held is None:
-            holder = self._holder()
-            who = f"{holder.name} has control" if holder else "nobody has control"
+            holder = self._agent.holder
+            who = f"{holder.name} has control" if holder.number else "nobody has control"
             raise NoAuthority(
                 f"{who}; nothing was sent", remedy="open control first (/nav_open_close_request 1)"
             )
-        return held.token
+        return held
 
     def let_go(self, session: Listener) -> None:
         """Give that client's lease back, if it has one."""
         held = self.lease(session)
         session.data.pop(_LEASE, None)
         if held is not None:
-            self._agent.desk.release(held.token, self._agent.now)
+            self._agent.let_go(held)
 
     def complain(self, session: Listener, error: Exception) -> None:
         """Tell a client what is wrong, at most once a second: keys repeat thirty times."""
@@ -98,6 +100,12 @@ class Clients:
 
         self._agent.background.spawn(guarded(), f"{name} for {session.name}")
 
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        for session in self._graph.sessions:
+            held = session.data.get(_LEASE)
+            if held is not None and held.number == fence:
+                self.complain(session, error)
+
     def _left(self, session: Listener, now: float) -> None:
         self.let_go(session)
 
@@ -109,9 +117,9 @@ class Clients:
                 if held is None:
                     continue
                 try:
-                    self._agent.desk.renew(held.token, self._agent.now)
-                except LeaseRefused as error:
-                    del session.data[_LEASE]
+                    await self._agent.renew(held.token)
+                except M100Error as error:
+                    session.data.pop(_LEASE, None)
                     session.status("error", str(error))
 
     # -- the service -----------------------------------------------------------------------------
@@ -129,54 +137,60 @@ class Clients:
         if handler is None:
             call.fail(f"there is no action {action[:32]!r}: status, acquire, renew, release, …")
             return
+        self._agent.background.spawn(self._answer(call, handler), f"lease {action}")
+
+    async def _answer(
+        self, call: Call, handler: Callable[[Call], Coroutine[Any, Any, None]]
+    ) -> None:
         try:
-            handler(call)
+            await handler(call)
         except LeaseRefused as error:
-            holder = self._holder()
             call.respond(
-                {"success": False, "message": str(error), "holder": holder.name if holder else ""}
+                {"success": False, "message": str(error), "holder": self._agent.holder.name}
             )
+        except M100Error as error:
+            call.fail(str(error))
 
     def _respond(self, call: Call, token: str = "", message: str = "") -> None:
-        holder, desk = self._holder(), self._agent.desk
         call.respond(
             {
                 "success": True,
                 "message": message,
                 "token": token,
-                "holder": holder.name if holder else "",
-                "remaining": desk.remaining(self._agent.now),
+                "holder": self._agent.holder.name,
+                "remaining": self._agent.state.lease_remaining,
             }
         )
 
-    def _status(self, call: Call) -> None:
+    async def _status(self, call: Call) -> None:
         self._respond(call)
 
-    def _acquire(self, call: Call) -> None:
+    def _granted(self, call: Call, lease: Lease) -> None:
+        if call.session in self._graph.sessions:
+            call.session.data[_LEASE] = lease
+        else:
+            self._agent.let_go(lease)
+        self._respond(call, lease.token)
+
+    async def _acquire(self, call: Call) -> None:
         name = call.request["name"] or call.session.name
-        lease = self._agent.desk.acquire(name, self._agent.now)
-        call.session.data[_LEASE] = lease
-        self._respond(call, lease.token)
+        self._granted(call, await self._agent.acquire(name))
 
-    def _renew(self, call: Call) -> None:
-        lease = self._agent.desk.renew(call.request["token"], self._agent.now)
-        call.session.data[_LEASE] = lease
-        self._respond(call, lease.token)
+    async def _renew(self, call: Call) -> None:
+        self._granted(call, await self._agent.renew(call.request["token"]))
 
-    def _release(self, call: Call) -> None:
-        self._agent.desk.release(call.request["token"], self._agent.now)
+    async def _release(self, call: Call) -> None:
+        await self._agent.release_lease(call.request["token"])
         self._respond(call)
 
-    def _ask_take_over(self, call: Call) -> None:
+    async def _ask_take_over(self, call: Call) -> None:
         name = call.request["name"] or call.session.name
-        wanted = self._agent.desk.ask_take_over(name, self._agent.now)
+        wanted = await self._agent.ask_take_over(name)
         self._respond(
             call,
             wanted.token,
             f"{wanted.from_name} would lose control; confirm with this token",
         )
 
-    def _confirm(self, call: Call) -> None:
-        lease = self._agent.desk.confirm(call.request["token"], self._agent.now)
-        call.session.data[_LEASE] = lease
-        self._respond(call, lease.token)
+    async def _confirm(self, call: Call) -> None:
+        self._granted(call, await self._agent.confirm(call.request["token"]))

@@ -24,11 +24,9 @@ from __future__ import annotations
 import asyncio
 import math
 
-from m100link.agent.agent import Agent
+from m100link.agent.client import AgentClient
 from m100link.agent.lease import LeaseHeld
-from m100link.agent.patterns import pattern
 from m100link.agent.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
-from m100link.aircraft import Aircraft
 from m100link.errors import (
     ActivationRefused,
     AuthorityLost,
@@ -71,12 +69,12 @@ class Node:
     """The topics of 2015.
 
     Args:
-        agent: The aircraft and its lease.
+        agent: The agent that owns the aircraft.
         graph: Where the topics are offered.
         clients: Who holds the lease.
     """
 
-    def __init__(self, agent: Agent, graph: Graph, clients: Clients) -> None:
+    def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
         number = "std_msgs/Float32"
         graph.add_topic("/sdk_request_cmd", number, self._on_command)
@@ -90,10 +88,9 @@ class Node:
         self._flight_status = graph.add_topic("/flight_status", number)
         self._activation = graph.add_topic("/activation_status", number)
         self._test_fre = graph.add_topic("/test_fre", number)
-        agent.connection.on_aircraft.append(self._aircraft_changed)
-        agent.activation.on_code.append(self._activation_code)
-        agent.holding.on_lost.append(self._authority_lost)
-        self._watching: asyncio.Task[None] | None = None
+        agent.on_activating.append(self._activation_code)
+        agent.on_authority_taken.append(self._authority_taken)
+        agent.background.spawn(self._watch(), "/test_fre")
         agent.background.spawn(self._publish_each_second(), "1 Hz topics")
 
     # -- what the node publishes -----------------------------------------------------------------
@@ -101,9 +98,9 @@ class Node:
     async def _publish_each_second(self) -> None:
         while True:
             await asyncio.sleep(1.0)
-            aircraft, now = self._agent.connection.aircraft, self._agent.now
-            status = aircraft and aircraft.state.fresh(FlightStatus, within=_STALE)
-            battery = aircraft and aircraft.state.fresh(Battery, within=_STALE)
+            telemetry, now = self._agent.telemetry, self._agent.now
+            status = telemetry.fresh(FlightStatus, within=_STALE) if telemetry else None
+            battery = telemetry.fresh(Battery, within=_STALE) if telemetry else None
             self._graph.publish(
                 self._flight_status, {"data": float(status.status) if status else 0.0}, now
             )
@@ -111,15 +108,8 @@ class Node:
                 self._battery, {"data": float(battery.percent) if battery else 0.0}, now
             )
 
-    def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
-        if self._watching is not None:
-            self._watching.cancel()
-            self._watching = None
-        if aircraft is not None:
-            self._watching = self._agent.background.spawn(self._watch(aircraft), "/test_fre")
-
-    async def _watch(self, aircraft: Aircraft) -> None:
-        async with aircraft.telemetry(policy=Newest(50)) as samples:
+    async def _watch(self) -> None:
+        async with self._agent.samples(Newest(50)) as samples:
             async for sample in samples:
                 device = sample.control_device
                 if device is not None:
@@ -132,7 +122,7 @@ class Node:
     def _tell_activation(self, number: float) -> None:
         self._graph.publish(self._activation, {"data": number}, self._agent.now)
 
-    def _authority_lost(self, error: AuthorityLost) -> None:
+    def _authority_taken(self, error: AuthorityLost) -> None:
         self._tell_open_close(_CLOSED_BY_APP)
 
     def _tell_open_close(self, number: float) -> None:
@@ -144,9 +134,8 @@ class Node:
         self._clients.run(session, self._activate(session), "activation")
 
     async def _activate(self, session: Listener) -> None:
-        lease = self._clients.lease(session)
         try:
-            await self._agent.activate(lease.token if lease is not None else None)
+            await self._agent.activate(self._clients.lease(session))
         except ActivationRefused:
             pass  # its code was published, and the reason is in the events
         except CommandRefused:
@@ -161,12 +150,12 @@ class Node:
         if wanted not in (0, 1):
             raise UsageError(f"/nav_open_close_request takes 1 (open) or 0 (close), not {wanted}")
         try:
-            token = self._clients.token(session)
+            lease = await self._clients.take(session)
             if wanted:
-                await self._agent.obtain(token)
+                await self._agent.obtain(lease)
                 self._tell_open_close(float(AuthorityCode.OBTAINED))
             else:
-                await self._agent.release(token)
+                await self._agent.release(lease)
                 self._clients.let_go(session)
                 self._tell_open_close(float(AuthorityCode.RELEASED))
         except AuthorityRefused as error:
@@ -197,7 +186,7 @@ class Node:
                 cause="the document allows these three; no firmware carries out the others",
             )
         try:
-            await self._agent.fly(self._clients.held_token(session), Task(number))
+            await self._agent.fly(self._clients.held(session), Task(number))
         except _NEEDS_MORE:
             self._tell_activation(NO_AUTHORITY)
             raise
@@ -218,7 +207,7 @@ class Node:
             session.data[_LAST] = (mode, values)
             is_short = is_repeated or not any(values)  # zeros need no lifetime: they stop
             lifetime = REPEAT_LIFETIME if is_short else PRESS_LIFETIME
-            self._agent.steer(self._clients.held_token(session), setpoint, lifetime)
+            self._agent.steer(self._clients.held(session), setpoint, lifetime)
         except M100Error as error:
             self._clients.complain(session, error)
 
@@ -235,12 +224,10 @@ class Node:
         elif number == 5:
             await self._activate(session)
         elif number == 6:
-            version = await self._agent.connection.require_aircraft().version()
-            self._agent.journal.note(f"version: {version.name} (CRC {version.crc:08X})")
+            name, crc = await self._agent.version()
+            self._agent.note(f"version: {name} (CRC {crc:08X})")
         else:
-            fly = pattern(number)
-            token = self._clients.held_token(session)
-            self._agent.start_pattern(token, f"simple task {number}", fly)
+            await self._agent.start_pattern(self._clients.held(session), number)
 
 
 def _byte(data: float) -> int:

@@ -22,7 +22,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from m100link.agent.agent import Agent
+from m100link.agent.client import AgentClient
 from m100link.errors import PortBusy, PortFailed, UsageError
 from m100link.station.ros.client import Client, Limits
 from m100link.station.ros.dji_sdk import DjiSdk
@@ -57,7 +57,7 @@ class Bridge:
     """Everything that rosbridge clients reach: topics, services, sockets.
 
     Args:
-        agent: The aircraft and its lease.
+        agent: The agent that owns the aircraft.
         limits: What one client may use.
         max_clients: Clients at once.
         pages: Folder with web pages to serve on the same port.
@@ -69,7 +69,7 @@ class Bridge:
 
     def __init__(
         self,
-        agent: Agent,
+        agent: AgentClient,
         *,
         limits: Limits | None = None,
         max_clients: int = 32,
@@ -111,13 +111,13 @@ class Bridge:
         return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")
 
     async def _health(self, request: Request) -> Response:
-        is_connected = self._agent.connection.aircraft is not None
+        state = self._agent.state
         report = {
-            "connection": self._agent.connection.state.value,
-            "error": str(self._agent.connection.error or ""),
+            "connection": state.connection,
+            "error": str(state.connection_fault.error()) if state.connection_fault else "",
             "clients": len(self.graph.sessions),
         }
-        return JSONResponse(report, status_code=200 if is_connected else 503)
+        return JSONResponse(report, status_code=200 if self._agent.is_connected else 503)
 
     # -- all clients -----------------------------------------------------------------------------
 

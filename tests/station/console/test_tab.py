@@ -25,7 +25,7 @@ class Browser:
 
     def __init__(self, rig: Rig, name: str = "tab") -> None:
         self.rig = rig
-        self.tab = Tab(rig.agent, name)
+        self.tab = Tab(rig.front, name)
         self.count = 0
 
     def say(self, op: str, **fields: Any) -> dict[str, Any] | None:
@@ -150,7 +150,7 @@ async def test_a_take_over_stops_the_motion_and_keeps_authority(rig: Rig) -> Non
     browser = await airborne(rig)
     other = Browser(rig, "other")
     await browser.hold(0.5, x=-4)
-    wanted = other.tab.ask_take_over()
+    wanted = await other.tab.ask_take_over()
     assert wanted.from_name == "tab"
     await other.tab.confirm_take_over(wanted)
     browser.beat(x=-4)
@@ -211,21 +211,21 @@ def test_nonsense_is_nothing(text: str | bytes) -> None:
 
 
 async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
-    aircraft = rig.agent.connection.aircraft
-    assert aircraft is not None
+    telemetry = rig.front.telemetry
+    assert telemetry is not None
     await anyio.sleep(1.5)
-    readings = {field.name: read(field, aircraft) for field in FIELDS}
+    readings = {field.name: read(field, telemetry) for field in FIELDS}
     assert not readings["height"].is_stale
     assert readings["flight_status"].text == "standby"
     assert readings["control_device"].note == "never arrived"  # not sent by default
     rig.aircraft.stall_line()
     await anyio.sleep(1.5)
-    readings = {field.name: read(field, aircraft) for field in FIELDS}
+    readings = {field.name: read(field, telemetry) for field in FIELDS}
     assert readings["height"].is_stale
     assert not readings["battery"].is_stale  # comes once a second only
     await anyio.sleep(2.0)
-    readings = {field.name: read(field, aircraft) for field in FIELDS}
+    readings = {field.name: read(field, telemetry) for field in FIELDS}
     assert readings["battery"].is_stale
-    assert "att" not in live(aircraft, rig.agent.now)
+    assert "att" not in live(telemetry, rig.agent.now)
     assert read(FIELDS[0], None).is_stale
     assert live(None, 1.0) == {"op": "live", "t": 1.0}
