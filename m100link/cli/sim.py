@@ -67,6 +67,7 @@ _OfTheSite: Any = options_of(
     (
         *("latitude_deg", "longitude_deg", "ground_altitude", "heading_deg"),
         *("wind_north", "wind_east", "gusts", "noise", "movement_timeout", "server_delay"),
+        "gimbal_follows",
     ),
     called={
         "latitude_deg": "--latitude",

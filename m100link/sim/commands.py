@@ -238,7 +238,7 @@ class Commands:
         self._vehicle.gimbal.turn(command, self._vehicle.time)
 
     def _point_gimbal(self, command: GimbalAngle) -> None:
-        self._vehicle.gimbal.point(command, self._vehicle.heading_deg)
+        self._vehicle.gimbal.point(command)
 
     def _take_photo(self, command: TakePhoto) -> None:
         self._vehicle.camera.photos += 1

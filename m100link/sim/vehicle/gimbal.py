@@ -5,6 +5,7 @@ Commands 0x01/0x1A, 0x1B and 0x20 to 0x22 came with firmware 2.3; the document o
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from m100link.geodesy import normalize_degrees
@@ -17,53 +18,92 @@ __all__ = ["Camera", "GimbalMount"]
 
 _LIMITS = tuple(GIMBAL_LIMITS_DEG.values())  # yaw, roll, pitch
 _TAKES_CONTROL = 0x80
+_FASTEST = (-400.0, 400.0)  # degrees per second, towards an angle
+_FASTEST_BY_RATE = (-180.0, 180.0)
+
+
+def _within(limits: tuple[float, float], value: float) -> float:
+    return max(limits[0], min(limits[1], value))
 
 
 class GimbalMount:
     """Angles that follow commands at a limited rate.
 
+    Free, its yaw stays fixed to the ground while the aircraft turns below it, until the stop of the
+    axis takes it along. Following, it turns with the nose. (Facts K5: an owner of a Matrice 100 saw
+    it fixed to the ground whatever mode the app had chosen.)
+
+    Args:
+        heading: Where the nose points, radians.
+        follows: Whether it follows.
+
     Attributes:
-        yaw: Relative to the nose, degrees, clockwise.
+        yaw: Relative to the nose, degrees, clockwise; -320 to 320, so it may have gone round.
         roll: Degrees, held level against the ground.
         pitch: Degrees, -90 looks straight down.
+        follows: As given; may be changed.
+        heading: Where the nose points, radians, as :meth:`carry` was told last.
     """
 
-    __slots__ = ("_rate_until", "_rates", "_targets", "pitch", "roll", "yaw")
+    __slots__ = ("heading", "_rate_until", "_rates", "_targets", "follows", "pitch", "roll", "yaw")
 
-    def __init__(self) -> None:
+    def __init__(self, heading: float = 0.0, *, follows: bool = False) -> None:
         self.yaw = self.roll = self.pitch = 0.0
+        self.follows = follows
+        self.heading = heading
+        # Degrees per second of yaw, roll and pitch, for a rate command or towards the targets.
         self._rates = [0.0, 0.0, 0.0]
         self._rate_until = 0.0
+        # Angles of the last angle command while it is carried out; yaw relative to the nose.
         self._targets: list[float] | None = None
+
+    def carry(self, heading: float) -> None:
+        """The aircraft has turned: its nose points to ``heading`` now, in radians."""
+        if heading == self.heading:
+            return
+        turned = normalize_degrees(math.degrees(heading - self.heading))
+        self.heading = heading
+        if self.follows:
+            return
+        self.yaw = _within(_LIMITS[0], self.yaw - turned)
+        if self._targets is not None:
+            self._targets[0] = _within(_LIMITS[0], self._targets[0] - turned)
 
     def turn(self, command: GimbalSpeed, now: float) -> None:
         """Turn at these rates for half a second; without the bit that takes control, ignore it."""
         if command.flags & _TAKES_CONTROL:
             rates = command.yaw_deg_s, command.roll_deg_s, command.pitch_deg_s
-            self._rates = [max(-180.0, min(180.0, rate)) for rate in rates]
+            self._rates = [_within(_FASTEST_BY_RATE, rate) for rate in rates]
             self._rate_until = now + 0.5
             self._targets = None
 
-    def point(self, command: GimbalAngle, heading_deg: float) -> None:
-        """Go to these angles in the time of the command; absolute yaw counts from north."""
+    def point(self, command: GimbalAngle) -> None:
+        """Go to these angles in the time of the command.
+
+        Absolute yaw counts from north, or from the nose while it follows.
+        """
         present = [self.yaw, self.roll, self.pitch]
         wanted = list(command.angles_deg)
-        if command.mode & GimbalAngleMode.ABSOLUTE:
-            wanted[0] = normalize_degrees(wanted[0] - heading_deg)
-        else:
+        if not command.mode & GimbalAngleMode.ABSOLUTE:
             wanted = [now + by for now, by in zip(present, wanted, strict=True)]
+        elif not self.follows:
+            wanted[0] = self._shortest_way(wanted[0] - math.degrees(self.heading))
         targets = [
-            now if command.mode & (GimbalAngleMode.KEEP_YAW << axis) else max(low, min(high, want))
-            for axis, (now, want, (low, high)) in enumerate(
-                zip(present, wanted, _LIMITS, strict=True)
-            )
+            now if command.mode & (GimbalAngleMode.KEEP_YAW << axis) else _within(limits, want)
+            for axis, (now, want, limits) in enumerate(zip(present, wanted, _LIMITS, strict=True))
         ]
         seconds = max(0.1, command.duration_s)
         self._targets = targets
         self._rates = [
-            max(-400.0, min(400.0, (target - now) / seconds))
+            _within(_FASTEST, (target - now) / seconds)
             for target, now in zip(targets, present, strict=True)
         ]
+
+    def _shortest_way(self, yaw: float) -> float:
+        """Of the turns of the axis that look in a direction, the nearest that it reaches."""
+        low, high = _LIMITS[0]
+        ways = (normalize_degrees(yaw) + turn for turn in (-360.0, 0.0, 360.0))
+        return min((way for way in ways if low <= way <= high), key=lambda way: abs(way - self.yaw))
 
     def advance(self, now: float, seconds: float) -> None:
         """Move on towards the last command."""
@@ -76,11 +116,10 @@ class GimbalMount:
             return
         angles = [self.yaw, self.roll, self.pitch]
         for axis, rate in enumerate(self._rates):
-            low, high = _LIMITS[axis]
             angle = angles[axis] + rate * seconds
             if self._targets is not None and (angle - self._targets[axis]) * rate >= 0.0:
                 angle = self._targets[axis]
-            angles[axis] = max(low, min(high, angle))
+            angles[axis] = _within(_LIMITS[axis], angle)
         self.yaw, self.roll, self.pitch = angles
 
     @property

@@ -99,6 +99,8 @@ class AircraftSettings:
             request when the mobile app lets go.
         vertical_down: Send vertical velocity and acceleration positive downwards; the sources do
             not settle the sign.
+        gimbal_follows: The gimbal's yaw turns with the nose, and absolute yaw counts from there. By
+            default it stays fixed to the ground, and absolute yaw counts from north.
         minimum_thrust: Lowest thrust that thrust control accepts; later documents say 10.
         reboot_seconds: How long the autopilot is silent while it restarts.
     """
@@ -129,5 +131,6 @@ class AircraftSettings:
     authority_push_session: int = 0
     authority_resumes_after_app: bool = False
     vertical_down: bool = False
+    gimbal_follows: bool = False
     minimum_thrust: float = 0.0
     reboot_seconds: float = 2.0

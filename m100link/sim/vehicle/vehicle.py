@@ -94,7 +94,7 @@ class Vehicle:
         self.server = server or ActivationServer()
         self.serial_number = serial_number or f"041D{random.randrange(16**6):06X}"
         self.flight = FlightController(self.settings)
-        self.gimbal = GimbalMount()
+        self.gimbal = GimbalMount(self.flight.dynamics.yaw, follows=self.settings.gimbal_follows)
         self.camera = Camera()
         self.activation = Activation(
             profile,
@@ -139,6 +139,7 @@ class Vehicle:
         self.time = now = self._steps * STEP_S
         self.remote.now = now
         self.flight.step(now, self.authority.device, self.remote)
+        self.gimbal.carry(self.flight.dynamics.yaw)
         if self._steps % _SLOW_STEPS == 0:
             self._look_around(now)
 
