@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import csv
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -154,13 +155,14 @@ def _rates(aircraft: Aircraft) -> dict[str, Any]:
             "longest_gap_s": statistics.longest_gap_s if statistics.count > 1 else None,
         }
     clock = aircraft.device_clock
+    known_to = clock.uncertainty_s
     return {
         "items": items,
         "device_clock": {
             "tick_hz": clock.tick_hz,
             "offset_s": clock.offset_s,
             "skew_ppm": clock.skew_ppm,
-            "uncertainty_s": clock.uncertainty_s,
+            "uncertainty_s": known_to if math.isfinite(known_to) else None,
             "resets": clock.resets,
         },
         "telemetry_mismatches": aircraft.telemetry_mismatches,
@@ -170,10 +172,11 @@ def _rates(aircraft: Aircraft) -> dict[str, Any]:
 def _rates_table(aircraft: Aircraft) -> Table:
     measured = _rates(aircraft)
     clock = measured["device_clock"]
+    known_to = _number(clock["uncertainty_s"], 1000, 1)
     table = Table(
         box=None,
         caption=f"device clock {clock['tick_hz']} Hz, skew {clock['skew_ppm']:.1f} ppm, "
-        f"known to {clock['uncertainty_s'] * 1000:.1f} ms",
+        + (f"known to {known_to} ms" if known_to else "not known yet"),
     )
     for title in ("item", "Hz", "jitter ms", "longest gap ms", "count"):
         table.add_column(title, justify="left" if title == "item" else "right")
