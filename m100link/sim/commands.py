@@ -23,6 +23,7 @@ from m100link.protocol.codes import (
     VersionCode,
 )
 from m100link.protocol.command import Address, Command, Request, encode_code
+from m100link.protocol.commands import missions
 from m100link.protocol.commands.activation import (
     Activate,
     GetVersion,
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
     from m100link.sim.autopilot import Autopilot
 
 __all__ = ["Commands", "LastCommand", "Reply"]
+
+
+_MISSIONS = bytes((missions.COMMAND_SET,))
 
 
 class Reply(NamedTuple):
@@ -68,7 +72,7 @@ class LastCommand(NamedTuple):
         session: Session that it used.
         encrypted: Whether it travelled encrypted.
         command: The parsed command, None when it could not be read.
-        code: Its ack code, None when it has no ack.
+        code: Its ack code, None when it has no ack; missions have one byte of code.
     """
 
     time: float
@@ -112,7 +116,7 @@ class Commands:
 
     def knows(self, data: bytes) -> bool:
         """Whether data begin with the address of a command that this firmware has."""
-        return self._kind_of(data) is not None
+        return self._kind_of(data) is not None or data[:1] == _MISSIONS
 
     def _kind_of(self, data: bytes) -> type[Command] | None:
         return self._kinds.get((data[0], data[1])) if len(data) >= 2 else None
@@ -125,7 +129,7 @@ class Commands:
             return None
         reply: Reply | None = None
         if kind is None:
-            reply = Reply(encode_code(SystemCode.NOT_SUPPORTED))
+            reply = _unknown(frame.data)
             self._note(frame, None, reply)
             return reply
         command, answer = self._execute(kind, frame)
@@ -163,8 +167,9 @@ class Commands:
         return None
 
     def _note(self, frame: Frame, command: Command | None, reply: Reply | None) -> None:
-        code = int.from_bytes(reply.payload[:2], "little") if reply else None
         address = address_of(frame.data)
+        code_size = 1 if frame.data[:1] == _MISSIONS else 2
+        code = int.from_bytes(reply.payload[:code_size], "little") if reply else None
         self._autopilot.received_commands.append(
             LastCommand(self._vehicle.time, address, frame.session, frame.encrypted, command, code)
         )
@@ -258,3 +263,11 @@ class Commands:
     def _feed_virtual_rc(self, command: VirtualRcData) -> None:
         self._vehicle.remote.virtual.feed(command, self._vehicle.time)
         self._vehicle.refresh()
+
+
+def _unknown(data: bytes) -> Reply | None:
+    """The answer to a command that this firmware does not have."""
+    if data[:1] == _MISSIONS and len(data) >= 2:
+        payload = missions.refusal(data[1], data[2:])
+        return None if payload is None else Reply(payload)
+    return Reply(encode_code(SystemCode.NOT_SUPPORTED))

@@ -246,7 +246,7 @@ def test_plain_and_encrypted_commands_are_both_accepted_after_activation() -> No
 
 @pytest.mark.parametrize(
     "data",
-    [b"\x00", b"\x00\x02\x00", b"\x01\x06\x00", b"\x02\x00\x00", b"\x03\x10\x00", b"\xff\xff"],
+    [b"\x00", b"\x00\x02\x00", b"\x01\x06\x00", b"\x02\x00\x00", b"\x04\x00\x00", b"\xff\xff"],
 )
 @pytest.mark.parametrize("is_active", [False, True])
 def test_0xff00_for_what_is_no_command(data: bytes, is_active: bool) -> None:
@@ -268,13 +268,6 @@ def test_0xff00_for_a_header_without_data() -> None:
 @pytest.mark.parametrize("firmware", ["1.0", "2.3"])
 def test_0xff00_for_commands_of_later_firmware(command_id: int, firmware: str) -> None:
     ack = Host(firmware=firmware).ask_raw(bytes((0x00, command_id)) + bytes(16))
-    assert ack is not None
-    assert ack.data == b"\x00\xff"
-
-
-def test_missions_are_not_simulated_and_say_so() -> None:
-    host = Host(firmware="3.1").ready()
-    ack = host.ask_raw(b"\x03\x10" + bytes(51), encrypted=False)
     assert ack is not None
     assert ack.data == b"\x00\xff"
 
@@ -356,3 +349,44 @@ def test_malformed_gimbal_commands_are_ignored(data: bytes) -> None:
     host.send(data, session=0)
     host.wait(1.0)
     assert (host.autopilot.gimbal.yaw, host.autopilot.gimbal.pitch) == (0.0, 0.0)
+
+
+# --- missions -------------------------------------------------------------------------------
+
+LATER = json.loads((Path(__file__).parent.parent / "vectors" / "later-commands.json").read_text())
+MISSION_ACKS = {row["id"]: row for row in LATER if row["kind"] == "ack" and row["set"] == 0x03}
+MISSIONS = {row["id"]: row for row in LATER if row["kind"] == "command" and row["set"] == 0x03}
+
+
+def read_as_djis_programs(ack: bytes) -> bool:
+    """Whether DJI's libraries take it for success: they look at the first byte and nothing else."""
+    return ack[0] == 0
+
+
+@pytest.mark.parametrize("is_active", [True, False], ids=["active", "not activated"])
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+def test_a_mission_is_refused_so_that_djis_programs_read_a_refusal(
+    firmware: str, is_active: bool
+) -> None:
+    """Answered 00 FF, they printed MISSION_SUCCESS and nothing moved."""
+    host = Host(firmware=firmware)
+    if is_active:
+        host.ready()
+    for number, row in MISSIONS.items():
+        data = bytes((0x03, number)) + bytes.fromhex(row["value"])
+        for encrypted in {False, is_active}:
+            ack = host.ask_raw(data, encrypted=encrypted)
+            if number == 0x33:
+                assert ack is None
+                continue
+            assert ack is not None
+            assert ack.encrypted is encrypted
+            assert len(ack.data) == len(bytes.fromhex(MISSION_ACKS[number]["value"])), row["name"]
+            assert ack.data[0] == 0xC8
+            assert not read_as_djis_programs(ack.data)
+    assert host.autopilot.received_commands[-1].code in (0xC8, None)
+
+
+def test_a_mission_on_session_0_is_not_answered() -> None:
+    host = Host(firmware="3.1")
+    assert host.ask_raw(b"\x03\x12\x00", session=0) is None
