@@ -4,6 +4,8 @@ Each directive takes its rows from one object of the package::
 
     ```{ack-codes} ActivationCode         an enum in m100link.protocol.codes
     ```{command-table}                    m100link.protocol.commands.registry.COMMANDS
+    ```{command-classes}                  the classes of all of them
+    ```{answer-codes}                     the codes that answer them, a table for each
     ```{profile-table}                    m100link.protocol.firmware.PROFILES
     ```{item-table}                       sizes of the telemetry items per profile
     ```{item-fields} 3.1                  fields of the telemetry items under one profile
@@ -34,11 +36,12 @@ from rich.console import Console
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from m100link import protocol
 from m100link.cli.app import app as cli
 from m100link.flight.authority import TRANSITIONS
 from m100link.link.url import EXAMPLES
 from m100link.protocol import codes, firmware, setpoint
-from m100link.protocol.command import Notification, Request
+from m100link.protocol.command import Command, Movement, Notification, Push, Request
 from m100link.protocol.commands.registry import COMMANDS
 from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import telemetry_size
@@ -58,16 +61,20 @@ class TableDirective(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """The table as document nodes."""
-        head, *body = self.rows()
-        table = nodes.table(classes=["colwidths-auto"])
-        group = nodes.tgroup(cols=len(head))
-        table += group
-        for column in zip(head, *body, strict=True):
-            # Browsers see to the widths themselves; builders for text need some.
-            group += nodes.colspec(colwidth=min(40, max(map(len, column)) + 1))
-        group += nodes.thead("", _row(head))
-        group += nodes.tbody("", *map(_row, body))
-        return [table]
+        return [_table(self.rows())]
+
+
+def _table(rows: Iterable[Sequence[str]]) -> nodes.table:
+    head, *body = rows
+    table = nodes.table(classes=["colwidths-auto"])
+    group = nodes.tgroup(cols=len(head))
+    table += group
+    for column in zip(head, *body, strict=True):
+        # Browsers see to the widths themselves; builders for text need some.
+        group += nodes.colspec(colwidth=min(40, max(map(len, column)) + 1))
+    group += nodes.thead("", _row(head))
+    group += nodes.tbody("", *map(_row, body))
+    return table
 
 
 def _row(cells: Sequence[str]) -> nodes.row:
@@ -97,32 +104,89 @@ class AckCodes(TableDirective):
 
     def rows(self) -> Iterable[Sequence[str]]:
         """One row per member."""
-        enum: type[codes.AckCode] = getattr(codes, self.arguments[0])
-        yield "Code", "Name", "Meaning", "Likely cause", "What to do"
-        for code in enum:
-            number = f"``0x{code:04X}``" if code > 9 else f"``{int(code)}``"
-            yield (
-                number,
-                f"``{code.name}``",
-                _sentence(code.meaning),
-                _sentence(code.cause),
-                _sentence(code.remedy),
-            )
+        return _code_rows(getattr(codes, self.arguments[0]))
+
+
+def _code_rows(enum: type[codes.AckCode]) -> Iterable[Sequence[str]]:
+    yield "Code", "Name", "Meaning", "Likely cause", "What to do"
+    for code in enum:
+        number = f"``0x{code:04X}``" if code > 9 else f"``{int(code)}``"
+        yield (
+            number,
+            f"``{code.name}``",
+            _sentence(code.meaning),
+            _sentence(code.cause),
+            _sentence(code.remedy),
+        )
+
+
+class AnswerCodes(SphinxDirective):
+    """A section for each request that is answered by a code and nothing else."""
+
+    def run(self) -> list[nodes.Node]:
+        """In the order of the addresses."""
+        return [
+            self._section(command)
+            for _, command in sorted(COMMANDS.items())
+            if issubclass(command, Request) and issubclass(command.ANSWER, codes.AckCode)
+        ]
+
+    @staticmethod
+    def _section(request: type[Request[Any]]) -> nodes.section:
+        name = f"codes-{request.NAME.replace('_', '-')}"
+        section = nodes.section(ids=[name], names=[name])
+        section += nodes.title(text=_sentence(request.NAME.replace("_", " ")))
+        section += _table(_code_rows(request.ANSWER))
+        return section
+
+
+def _kind(command: type[Command]) -> str:
+    kinds = {Request: "request", Push: "push", Movement: "movement", Notification: "notification"}
+    return next(word for kind, word in kinds.items() if issubclass(command, kind))
+
+
+def _summary(command: type[Command]) -> str:
+    text = (inspect.getdoc(command) or "").split("\n\n")[0].replace("\n", " ")
+    return _sentence(text.removeprefix(f"{command.ADDRESS}, ").removesuffix("."))
 
 
 class CommandTable(TableDirective):
-    """Every command and push."""
+    """Every command and push, as it declares itself."""
 
     def rows(self) -> Iterable[Sequence[str]]:
         """One row per address."""
-        yield "Set/id", "Name", "Direction", "What it is", "Ack"
+        yield "Set/id", "Name", "Kind", "What it is", "Ack", "Level", "Since"
         for address, command in sorted(COMMANDS.items()):
-            summary = (inspect.getdoc(command) or "").split("\n\n")[0].replace("\n", " ")
-            summary = summary.removeprefix(f"{address}, ").removesuffix(".")
             ack = f"``{command.ANSWER.__name__}``" if issubclass(command, Request) else "none"
-            is_notification = issubclass(command, Notification)
-            direction = "from the aircraft" if is_notification else "to the aircraft"
-            yield f"``{address}``", f"``{command.NAME}``", direction, _sentence(summary), ack
+            level = "" if issubclass(command, Notification) else str(command.LEVEL)
+            yield (
+                *(f"``{address}``", f"``{command.NAME}``", _kind(command), _summary(command)),
+                *(ack, level, str(command.SINCE)),
+            )
+
+
+_DESCRIBED_BY_THE_KIND = "ack_fields, encode_ack, fields, parse, parse_ack, unreadable, value"
+
+
+class CommandClasses(SphinxDirective):
+    """The classes of all commands, set by set."""
+
+    def run(self) -> list[nodes.Node]:
+        """What autodoc makes of each."""
+        lines = ["```{eval-rst}"]
+        command_set = None
+        for address, command in sorted(COMMANDS.items()):
+            if address.command_set != command_set:
+                command_set = address.command_set
+                lines += [f".. rubric:: Set 0x{command_set:02X}", ""]
+            is_exported = getattr(protocol, command.__name__, None) is command
+            home = protocol.__name__ if is_exported else command.__module__
+            lines += [f".. autoclass:: {home}.{command.__name__}", "   :members:"]
+            lines += [f"   :exclude-members: {_DESCRIBED_BY_THE_KIND}", ""]
+        parsed = nodes.Element()
+        source = "m100link.protocol.commands.registry"
+        self.state.nested_parse(StringList([*lines, "```"], source=source), 0, parsed)
+        return parsed.children
 
 
 class ProfileTable(TableDirective):
@@ -312,6 +376,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.add_directive("ack-codes", AckCodes)
     app.add_directive("command-table", CommandTable)
+    app.add_directive("command-classes", CommandClasses)
+    app.add_directive("answer-codes", AnswerCodes)
     app.add_directive("profile-table", ProfileTable)
     app.add_directive("item-table", ItemTable)
     app.add_directive("item-fields", ItemFields)
