@@ -29,9 +29,8 @@ KEPT = 1000
 
 
 async def make_aircraft() -> tuple[m100link.Aircraft, Link]:
-    aircraft = m100link.Aircraft(firmware=base.FIRMWARE)
     link = Link()
-    link.on_received = aircraft._on_received
+    aircraft = m100link.Aircraft(link, firmware=base.FIRMWARE)
     return aircraft, link
 
 

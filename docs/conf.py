@@ -51,7 +51,7 @@ nitpick_ignore_regex = [
     # Attributes are described by their class, they are no entries of their own.
     (r"py:attr", r"state"),
     # Programs get a Control from the aircraft and never make one.
-    (r"py:class", r"m100link\.flight\.(tasks\.Commander|guidance\.Flyer)"),
+    (r"py:class", r"m100link\.flight\.(tasks\.Commander|guidance\.Flyer|lifecycle\.BlockClaim)"),
     # Type variables.
     (r"py:class", r"m100link\.[\w.]+\.[RT]"),
     # A default factory makes a signature that Sphinx cannot parse; it guesses at the pieces.

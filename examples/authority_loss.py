@@ -59,14 +59,12 @@ async def with_virtual_pilot() -> AsyncIterator[Aircraft]:
     link = Link()
     driver.connect(link)
     await link.wait_connected()
-    aircraft = Aircraft()
-    await aircraft.attach(link)
     asyncio.get_running_loop().call_later(8, virtual.leave_f)
     asyncio.get_running_loop().call_later(12, virtual.return_to_f)
     try:
-        yield aircraft
+        async with m100link.connect(link) as aircraft:
+            yield aircraft
     finally:
-        await aircraft.aclose()
         driver.stop()
 
 

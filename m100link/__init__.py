@@ -13,7 +13,8 @@
 import logging
 
 from m100link import errors
-from m100link.aircraft import ActivationProgress, Aircraft, connect
+from m100link.activation import ActivationProgress
+from m100link.aircraft import Aircraft, connect
 from m100link.errors import (
     AckTimeout,
     ActivationRefused,

@@ -47,9 +47,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from m100link.aircraft import Aircraft
+from m100link.aircraft import Aircraft, connect
 from m100link.link import Link
-from m100link.protocol.firmware import FirmwareProfile, profile
+from m100link.protocol.firmware import FirmwareProfile
 from m100link.sim import Driver, PtyPort, VirtualAircraft, VirtualClockEventLoop
 
 if TYPE_CHECKING:
@@ -92,12 +92,9 @@ class ConnectableAircraft(VirtualAircraft):
         self, *, firmware: str | FirmwareProfile | None = None, timeout: float = 3.0
     ) -> AsyncIterator[Aircraft]:
         """The same as :func:`m100link.connect`, over a cable in memory."""
-        aircraft = Aircraft(firmware=None if firmware is None else profile(firmware))
-        await aircraft.attach(await self.open_link(), timeout=timeout)
-        try:
+        link = await self.open_link()
+        async with connect(link, firmware=firmware, timeout=timeout) as aircraft:
             yield aircraft
-        finally:
-            await aircraft.aclose()
 
     async def open_link(self) -> Link:
         """A link to it and nothing above: no version query, no activation."""

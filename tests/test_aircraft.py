@@ -32,6 +32,7 @@ from m100link import (
     SilentLine,
     UsageError,
 )
+from m100link.aircraft import open_aircraft
 from m100link.errors import M100Error
 from m100link.link import Link, connect_in_memory
 from m100link.protocol.command import encode_code
@@ -88,9 +89,7 @@ async def attach_to(peer: Peer, *, timeout: float = 3.0) -> Aircraft:
     link = Link()
     connect_in_memory(link, peer)
     await link.wait_connected()
-    aircraft = Aircraft()
-    await aircraft.attach(link, timeout=timeout)
-    return aircraft
+    return await open_aircraft(link, timeout=timeout)
 
 
 def answering(
@@ -203,13 +202,8 @@ async def test_a_profile_that_does_not_exist_is_told_before_anything_is_opened()
     assert "1.0, 2.3, 3.1" in caught.value.remedy
 
 
-async def test_an_aircraft_is_opened_once() -> None:
-    aircraft = Aircraft()
-    with pytest.raises(UsageError, match="not connected"):
-        _ = aircraft.link
-    await aircraft.open("sim://")
-    with pytest.raises(UsageError, match="opened before"):
-        await aircraft.open("sim://")
+async def test_an_aircraft_may_be_closed_more_than_once_and_is_closed_then() -> None:
+    aircraft = await open_aircraft("sim://")
     await aircraft.aclose()
     await aircraft.aclose()
     with pytest.raises(LinkClosed):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from m100link.activation import ActivationProgress
 from m100link.agent.journal import Journal
-from m100link.aircraft import ActivationProgress, Aircraft
+from m100link.aircraft import Aircraft
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.activation import Credentials, Version

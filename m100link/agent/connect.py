@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from m100link.aircraft import Aircraft
+from m100link.aircraft import Aircraft, open_aircraft
 from m100link.errors import PortNotFound
 from m100link.link import Link
 from m100link.protocol.firmware import profile
@@ -31,9 +31,7 @@ def by_url(
     forced = None if firmware is None else profile(firmware)
 
     async def connect() -> Aircraft:
-        aircraft = Aircraft(firmware=forced)
-        await aircraft.open(url, baud_rate=baud_rate, timeout=timeout)
-        return aircraft
+        return await open_aircraft(url, firmware=forced, baud_rate=baud_rate, timeout=timeout)
 
     return connect
 
@@ -49,8 +47,6 @@ def by_driver(driver: Driver, *, timeout: float = 3.0) -> Connect:
             raise PortNotFound(str(error), remedy="plug it in again") from error
         await link.wait_connected()
         link.name = "sim://"
-        aircraft = Aircraft()
-        await aircraft.attach(link, timeout=timeout)
-        return aircraft
+        return await open_aircraft(link, timeout=timeout)
 
     return connect

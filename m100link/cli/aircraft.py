@@ -9,7 +9,8 @@ from typing import Any
 
 from rich.table import Table
 
-from m100link.aircraft import ActivationProgress, Aircraft, connect
+from m100link.activation import ActivationProgress
+from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, print_json, run_async
 from m100link.protocol.items import BY_RECORD
 

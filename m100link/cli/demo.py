@@ -18,7 +18,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from m100link.aircraft import ActivationProgress, Aircraft, connect
+from m100link.activation import ActivationProgress
+from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import line_plot, track_plot
 from m100link.cli.common import ExitCode, complain, err, out, print_json
 from m100link.errors import M100Error, NotObserved

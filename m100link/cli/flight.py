@@ -9,7 +9,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.prompt import Confirm
 
-from m100link.aircraft import ActivationProgress, Aircraft, connect
+from m100link.activation import ActivationProgress
+from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
 from m100link.errors import UsageError
 from m100link.flight.control import Control

@@ -5,16 +5,15 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterable, AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from types import TracebackType
 from typing import Literal, Self
 
-import anyio
-
 from m100link.errors import (
-    AuthorityLost,
+    LinkClosed,
     LinkError,
+    LinkLost,
     LossReason,
     M100Error,
     NoAuthority,
@@ -23,35 +22,36 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.flight.authority import AuthorityState
+from m100link.flight.cancellation import Errand, ProgramTask
 from m100link.flight.guards import GuardKeeper, Guards
 from m100link.flight.guidance import GuidedFlight
 from m100link.flight.handover import (
     authority_lost,
-    explained_loss,
     obtain_authority,
-    release_authority,
+)
+from m100link.flight.lifecycle import (
+    BlockClaim,
+    BlockInput,
+    BlockState,
+    Lifecycle,
+    StopCause,
 )
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
 from m100link.flight.setpoints import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
-from m100link.flight.signals import SignalWatch, finish
+from m100link.flight.signals import SIGNALS
+from m100link.flight.stop_path import StopAction, StopPath
 from m100link.flight.tasks import Commander, TaskProgress, run_task, task_name
+from m100link.flight.watchdog import TelemetryWatchdog
 from m100link.protocol.commands.control import Move, Task
-from m100link.protocol.records import FlightPhase
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["Control", "Hold", "PauseAction", "StopAction"]
+__all__ = ["Control", "Hold", "PauseAction"]
 
 _logger = logging.getLogger("m100link.flight")
 
-StopAction = Literal["hover", "land"]
-"""What the stop path does after the neutral setpoint."""
-
 PauseAction = Literal["raise", "wait"]
 """What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""
-
-_STOP_LANDING_DEADLINE = 60.0
-_LANDING_RETRY = 0.5
 
 SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 """Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""
@@ -77,9 +77,10 @@ class Hold:
 class Control:
     """Control of the aircraft while an ``async with aircraft.control()`` block runs.
 
-    Entering obtains authority. Leaving, in whatever way, takes one path: the mode's neutral, hover
-    or land as chosen, release; shielded from cancellation and bounded in time. When authority, the
-    link or telemetry is lost, the block is cancelled and the plain reason raised.
+    Entering obtains authority. Leaving, in whatever way and by whatever task, takes one path: the
+    mode's neutral, hover or land as chosen, release; shielded from cancellation and bounded in
+    time. When authority, the link or telemetry is lost, that path begins at once, the block is
+    cancelled and the plain reason raised.
 
     ``fly_to``, ``climb_to``, ``turn_to`` and ``orbit`` are those of
     :class:`~m100link.flight.guidance.GuidedFlight`.
@@ -88,12 +89,12 @@ class Control:
     def __init__(
         self,
         commander: Commander,
+        claim: BlockClaim,
         *,
         stop: StopAction = "hover",
         on_pause: PauseAction = "raise",
         guards: Guards | None = None,
         handle_signals: bool = True,
-        claim: Callable[[Control], None] | None = None,
     ) -> None:
         if stop not in ("hover", "land"):
             raise UsageError(f"there is no stop action {stop!r}", remedy="use 'hover' or 'land'")
@@ -101,19 +102,20 @@ class Control:
             raise UsageError(f"on_pause cannot be {on_pause!r}", remedy="use 'raise' or 'wait'")
         self._commander = commander
         self._requests = commander.requests
-        self._stop_action: StopAction = stop
+        self._authority = commander.authority
+        self._claim = claim
         self._on_pause: PauseAction = on_pause
         self._guards = GuardKeeper(guards or Guards(), commander.state)
-        self._claim = claim
-        self._scope = anyio.CancelScope()
-        self._signals = SignalWatch(self._scope.cancel) if handle_signals else None
-        self._failure: M100Error | None = None
-        self._is_entered = self._is_over = False
-        self._is_paused = False
-        self._is_stopping = False
-        self._running_task: Task | None = None
-        self._setpoints = SetpointLoop(self._transmit)
-        self._watchdog: asyncio.TimerHandle | None = None
+        self._handles_signals = handle_signals
+        self._life = Lifecycle()
+        self._program = ProgramTask()
+        self._running_task: Task | None = None  # flown by the autopilot: it ignores setpoints
+        self._setpoints = SetpointLoop(self._transmit, self._admits)
+        self._stop_path = StopPath(commander, self._life, self._setpoints, stop)
+        self._stopping = Errand(self._stop_path.run, self._on_stopped)
+        self._watchdog = TelemetryWatchdog(
+            commander.state, self._guards.guards.stale_telemetry_s, self._on_stall
+        )
         guided = GuidedFlight(self)
         self.fly_to, self.climb_to = guided.fly_to, guided.climb_to
         self.turn_to, self.orbit = guided.turn_to, guided.orbit
@@ -121,22 +123,26 @@ class Control:
     # -- the block -------------------------------------------------------------------------------
 
     async def __aenter__(self) -> Self:
-        if self._is_entered:
+        if self._life.state is not BlockState.NEW:
             raise UsageError("this control block was entered before; ask for a new one")
-        if self._claim is not None:
-            self._claim(self)
-        self._is_entered = True
-        if self._signals is not None:
-            self._signals.begin()
+        self._claim.take(self._close)
+        self._life.feed(BlockInput.ENTER)
+        self._program.enter()
+        self._unsubscribe = self._authority.subscribe(self._on_authority_changed)
+        if self._handles_signals:
+            SIGNALS.join(self._on_signal)
         try:
             await obtain_authority(self._commander)
-        except BaseException:
-            # The ack may be lost and authority ours all the same.
-            await self._end(lambda: release_authority(self._commander))
+            self._life.feed(BlockInput.OBTAINED)
+            self._guards.start()
+            self._watchdog.start()
+        except BaseException as error:
+            self._stop(StopCause.NOT_ENTERED)
+            await self._leave(error)
             raise
-        self._guards.start()
-        self._watch_telemetry()
-        self._scope.__enter__()
+        if not self._life.is_open:  # lost, closed or signalled between the request and here
+            await self._leave(None)
+            raise asyncio.CancelledError
         return self
 
     async def __aexit__(
@@ -145,102 +151,82 @@ class Control:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> bool:
-        swallowed = bool(self._scope.__exit__(exc_type, exc, traceback))
-        await self._end(self._stop_path)
-        if self._failure is not None and (exc is None or swallowed):
-            raise self._failure
-        return swallowed
+        self._stop(StopCause.LEFT)
+        return await self._leave(exc)
 
-    async def _end(self, how: Callable[[], Awaitable[None]]) -> None:
-        try:
-            await finish(how)
-        finally:
-            self._is_over = True
-            if self._watchdog is not None:
-                self._watchdog.cancel()
-            if self._signals is not None:
-                self._signals.end()
+    async def _leave(self, error: BaseException | None) -> bool:
+        """Wait for the end of the stop path. Returns whether ``error`` was its cancellation alone.
 
-    @property
-    def is_active(self) -> bool:
-        """Whether the block was entered and its stop path has not ended."""
-        return self._is_entered and not self._is_over
-
-    def fail(self, error: M100Error) -> None:
-        """Authority, link or telemetry are gone: end the block with this error."""
-        if self._failure is None and not self._is_over:
-            self._failure = error
-            if isinstance(error, TelemetryStalled):
-                self._setpoints.neutralise()  # the aircraft may hear us although we do not hear it
-            else:
-                self._setpoints.silence()
-            self._scope.cancel()
-
-    def authority_changed(
-        self, before: AuthorityState, after: AuthorityState, reason: LossReason
-    ) -> None:
-        """Called by the aircraft after each change of authority."""
-        if self._is_over or self._is_stopping:
-            return
-        if after is AuthorityState.PAUSED and self._on_pause == "wait":
-            self._is_paused = True
-            self._setpoints.silence()
-        elif after is AuthorityState.PAUSED or (
-            after is AuthorityState.LOST and before in (AuthorityState.HELD, AuthorityState.PAUSED)
-        ):
-            self.fail(authority_lost(reason))
-
-    async def _stop_path(self) -> None:
-        """Neutral, hover or land, release. Every wait in it is bounded."""
-        if isinstance(self._failure, LinkError):
-            await self._setpoints.stop()
-            return
-        self._is_stopping = True
-        if isinstance(self._failure, AuthorityLost):
-            self._failure = await explained_loss(self._commander, self._failure)
-        if self.has_authority and self._setpoints.current is not None:
-            self._setpoints.neutralise()
-            await asyncio.sleep(NEUTRAL_TIME)
-        await self._setpoints.stop()
-        if self._stop_action == "land":
-            await self._land_at_last()
-        await release_authority(self._commander)
-
-    async def _land_at_last(self) -> None:
-        """Land, although another task may be under way: the aircraft rejects it until that ended.
-
-        A landing that was under way already ends here too. Releasing authority in the middle of
-        either would leave the aircraft in the air.
+        Raises:
+            M100Error: What ended the block, unless an error of the program is under way.
         """
-        clock = asyncio.get_running_loop().time
-        deadline = clock() + _STOP_LANDING_DEADLINE
-        while self.has_authority and self._is_airborne():
-            try:
-                await run_task(self._commander, Task.LAND, timeout=max(1.0, deadline - clock()))
-            except TaskRefused as error:
-                if clock() < deadline:
-                    await asyncio.sleep(_LANDING_RETRY)
-                    continue
-                _logger.error("the stop path could not land: %s", error)
-            except M100Error as error:
-                _logger.error("the stop path could not land: %s", error)
-            return
+        self._program.leave()
+        try:
+            await self._stopping.ended()
+        finally:
+            is_ours = self._program.take_back(error)
+        failure = self._life.failure
+        if failure is not None and (error is None or is_ours):
+            raise failure.again() from failure.__cause__
+        # After a signal the program does not go on behind the block as if it had flown.
+        return is_ours and self._life.cause is not StopCause.SIGNALLED
 
-    def _is_airborne(self) -> bool:
-        status = self._commander.state.flight_status
-        return status is not None and status.status != FlightPhase.STANDBY
+    def _stop(self, cause: StopCause, failure: M100Error | None = None) -> None:
+        """Something ends the block: the stop path begins at once, in a task of its own.
+
+        It does not wait for the program, which may clean up slowly, swallow its cancellation, or be
+        gone. After the first cause only a lost line changes anything.
+        """
+        is_first = self._life.state is not BlockState.STOPPING
+        if not self._life.feed(cause, failure):
+            return
+        self._stop_path.let_go()
+        if is_first:
+            self._stopping.begin()
+            if cause not in (StopCause.LEFT, StopCause.NOT_ENTERED):
+                self._program.cancel()
+
+    async def _close(self) -> None:
+        """The connection is about to be closed."""
+        error = LinkClosed("the aircraft was disconnected while this block was flying it")
+        self._stop(StopCause.CLOSED, error)
+        await self._stopping.ended()
+
+    def _on_signal(self) -> None:
+        self._stop(StopCause.SIGNALLED)
+
+    def _on_stall(self, stalled: TelemetryStalled) -> None:
+        self._stop(StopCause.TELEMETRY_STALLED, stalled)
+
+    def _on_authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
+        reason = self._authority.reason
+        if reason is LossReason.LINK:
+            lost = self._commander.link.failure or LinkLost("the line is gone")
+            self._stop(StopCause.LINK_LOST, lost.again())
+        elif after is AuthorityState.PAUSED and self._on_pause == "wait":
+            if self._life.feed(BlockInput.PAUSE):
+                self._setpoints.silence()
+        elif after in (AuthorityState.PAUSED, AuthorityState.LOST):
+            self._stop(StopCause.AUTHORITY_LOST, authority_lost(reason))
+
+    def _on_stopped(self) -> None:
+        self._life.feed(BlockInput.STOPPED)
+        self._unsubscribe()
+        self._watchdog.stop()
+        self._claim.give_back()
+        SIGNALS.leave(self._on_signal)  # last: a signal that came may end the process here
 
     # -- setpoints -------------------------------------------------------------------------------
 
     @property
     def has_authority(self) -> bool:
         """Whether setpoints are obeyed."""
-        return self._commander.authority.state is AuthorityState.HELD
+        return self._authority.state is AuthorityState.HELD
 
     @property
     def is_paused(self) -> bool:
         """With ``on_pause="wait"``: the pilot took the aircraft and :meth:`resume` is needed."""
-        return self._is_paused
+        return self._life.state is BlockState.PAUSED
 
     @property
     def state(self) -> AircraftState:
@@ -278,8 +264,7 @@ class Control:
             GuardRefused: A guard said no; nothing was sent.
             BadSetpoint: The firmware cannot express it.
         """
-        self._check_telemetry()  # first: guards would complain of values that are only old
-        self._require_authority("a setpoint")
+        self._require_flying("a setpoint")
         if self._running_task is not None:
             raise NoAuthority(
                 f"a setpoint was sent during {task_name(self._running_task)}; nothing was sent",
@@ -303,43 +288,23 @@ class Control:
         Raises:
             NoAuthority: Authority is not held.
         """
-        self._require_authority("a raw movement command")
+        self._require_flying("a raw movement command")
         return self._requests.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
-        if not self.has_authority or not self._check_telemetry():
-            return False
         try:
             return self._requests.push(setpoint.to_move(self._requests.firmware))
         except LinkError as error:
-            self.fail(error)
+            self._stop(StopCause.LINK_LOST, error.again())
             return False
 
-    def _watch_telemetry(self) -> None:
-        """Telemetry can stall while nothing is sent, too."""
-        limit = self._guards.guards.stale_telemetry_s
-        self._check_telemetry()
-        if limit is not None and self._failure is None:
-            age = self._commander.state.newest_age or 0.0
-            loop = asyncio.get_running_loop()
-            self._watchdog = loop.call_later(limit - age + 0.01, self._watch_telemetry)
-
-    def _check_telemetry(self) -> bool:
-        """False when telemetry is found stalled here and now; that ends the block."""
-        limit = self._guards.guards.stale_telemetry_s
-        age = self._commander.state.newest_age
-        if limit is None or age is None or age <= limit:
-            return True
-        if self._is_stopping or self._failure is not None:
-            return True
-        self.fail(
-            TelemetryStalled(
-                f"no telemetry for {age:.1f} s while flying",
-                cause="the line from the aircraft is broken, or this program was blocked",
-                remedy="check the line; a program that blocks must not fly",
-            )
-        )
-        return False
+    def _admits(self, setpoint: Setpoint) -> bool:
+        """The gate in front of the wire, for each frame that :meth:`send` did not check itself."""
+        if self._authority.state is not AuthorityState.HELD:
+            return False
+        if self._life.state is BlockState.FLYING:
+            return self._watchdog.is_quiet()
+        return self._life.state is BlockState.STOPPING  # the neutral
 
     def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
         """Ticks for a control loop in the caller's own task.
@@ -419,7 +384,7 @@ class Control:
 
     async def wait_resumable(self) -> None:
         """With ``on_pause="wait"``: wait until the pilot has given the aircraft back."""
-        await self._commander.authority.wait_for(AuthorityState.HELD)
+        await self._authority.wait_for(AuthorityState.HELD)
 
     def resume(self) -> None:
         """With ``on_pause="wait"``: setpoints may be sent again.
@@ -435,23 +400,27 @@ class Control:
                 "the pilot has not given the aircraft back",
                 remedy="await control.wait_resumable() first",
             )
-        self._is_paused = False
+        self._life.feed(BlockInput.RESUME)
 
-    def _require_authority(self, what: str) -> None:
-        if self._failure is not None:
-            raise self._failure
-        if self._is_over or not self.has_authority or self._is_paused:
-            state = (
-                "over with this block" if self._is_over else self._commander.authority.state.value
-            )
-            if self._is_paused:
-                state = "paused by the pilot"
-            raise NoAuthority(
-                f"{what} was asked for while authority is {state}; nothing was sent",
-                remedy="wait_resumable() and resume()"
-                if self._is_paused
-                else "use it inside `async with aircraft.control()`",
-            )
+    def _require_flying(self, what: str) -> None:
+        """Raise unless the block may send: what ended it, or how to come to where it may.
+
+        Telemetry comes first: guards would complain of values that are only old.
+        """
+        life = self._life
+        is_flying = life.state is BlockState.FLYING and self._watchdog.is_quiet()
+        if is_flying and self._authority.state is AuthorityState.HELD:
+            return
+        if life.failure is not None:
+            raise life.failure.again()
+        state, remedy = self._authority.state.value, "use it inside `async with aircraft.control()`"
+        if life.state in (BlockState.STOPPING, BlockState.OVER):
+            state = "over with this block"
+        elif life.state is BlockState.PAUSED:
+            state, remedy = "paused by the pilot", "wait_resumable() and resume()"
+        raise NoAuthority(
+            f"{what} was asked for while authority is {state}; nothing was sent", remedy=remedy
+        )
 
     # -- tasks -----------------------------------------------------------------------------------
 
@@ -477,7 +446,7 @@ class Control:
             NotObserved: Neither success nor failure showed in time.
             AckTimeout: Nobody knows whether it began.
         """
-        self._require_authority(task_name(Task.TAKE_OFF))
+        self._require_flying(task_name(Task.TAKE_OFF))
         await self._guards.admit_take_off()
         await self._run(Task.TAKE_OFF, timeout, progress)
 
@@ -502,13 +471,15 @@ class Control:
     async def _run(
         self, task: Task, timeout: float | None, progress: Callable[[TaskProgress], None] | None
     ) -> None:
-        self._require_authority(task_name(task))
+        self._require_flying(task_name(task))
         if self._running_task is not None:
             raise TaskRefused(
                 f"{task_name(task)} was asked for during {task_name(self._running_task)}",
                 remedy="await one task before the next",
             )
         self._running_task = task
+        if task is Task.TAKE_OFF:
+            self._stop_path.expect_to_be_airborne()
         self._setpoints.silence()
         try:
             await run_task(self._commander, task, timeout=timeout, progress=progress)

@@ -7,14 +7,16 @@ the aircraft: that stands in ``STOP_PLANS``, and nowhere else.
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from enum import Enum
 from typing import NamedTuple
 
-from m100link.errors import M100Error
+from m100link.errors import M100Error, UsageError
 
 __all__ = [
     "STOP_PLANS",
     "TRANSITIONS",
+    "BlockClaim",
     "BlockInput",
     "BlockState",
     "Lifecycle",
@@ -145,6 +147,11 @@ class Lifecycle:
         assert self.cause is not None
         return STOP_PLANS[self.cause]
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the program is in its block, and nothing has ended that."""
+        return self.state in (BlockState.FLYING, BlockState.PAUSED)
+
     def feed(self, what: BlockInput | StopCause, failure: M100Error | None = None) -> bool:
         """Something happened. Returns whether it stands in the table for the present state."""
         after = TRANSITIONS[self.state].get(what)
@@ -155,3 +162,32 @@ class Lifecycle:
             self.cause = what
             self.failure = self.failure or failure
         return True
+
+
+class BlockClaim:
+    """One control block at a time: a second would release what the first one holds."""
+
+    def __init__(self) -> None:
+        self._close: Callable[[], Awaitable[None]] | None = None
+
+    def take(self, close: Callable[[], Awaitable[None]]) -> None:
+        """A block begins; ``close`` stops it and waits for its end.
+
+        Raises:
+            UsageError: Another one has not ended.
+        """
+        if self._close is not None:
+            raise UsageError(
+                "another control block of this program is running",
+                remedy="share its Control object, or leave that block first",
+            )
+        self._close = close
+
+    def give_back(self) -> None:
+        """The block that took it has ended."""
+        self._close = None
+
+    async def close(self) -> None:
+        """Stop the block that runs, if there is one, and wait for the end of its stop path."""
+        if self._close is not None:
+            await self._close()

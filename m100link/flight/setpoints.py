@@ -41,14 +41,19 @@ class SetpointLoop:
 
     Args:
         send: Puts a setpoint on the line.
+        admits: Asked before each frame that goes out by itself; what :meth:`set` sends at once was
+            checked by whoever set it.
 
     Attributes:
         sent: Frames sent, neutrals included.
         expired: Setpoints that were not renewed in time.
     """
 
-    def __init__(self, send: Callable[[Setpoint], bool]) -> None:
+    def __init__(
+        self, send: Callable[[Setpoint], bool], admits: Callable[[Setpoint], bool]
+    ) -> None:
         self._send = send
+        self._admits = admits
         self._loop = asyncio.get_running_loop()
         self._setpoint: Setpoint | None = None
         self._frame: Setpoint | None = None  # what went out last, None before and in silence
@@ -75,12 +80,12 @@ class SetpointLoop:
         self._expires_at = now + lifetime
         self._silent_at = self._expires_at + NEUTRAL_TIME
         self._is_renewed = True
-        self._send_if_due(now)
+        self._send_if_due(now, is_checked=True)
 
-    def _send_if_due(self, now: float) -> None:
+    def _send_if_due(self, now: float, *, is_checked: bool) -> None:
         """Send now unless its time is still to come; then the task does it."""
         assert self._setpoint is not None
-        if now >= self._due_at() - _SLACK:
+        if now >= self._due_at() - _SLACK and (is_checked or self._admits(self._setpoint)):
             self._transmit(self._setpoint, now)
         if self._task is None or self._task.done():  # done: somebody cancelled every task
             self._task = asyncio.create_task(self._run(), name="m100link setpoints")
@@ -104,7 +109,7 @@ class SetpointLoop:
             self._expires_at = now
             self._silent_at = now + NEUTRAL_TIME
             self._is_renewed = False
-            self._send_if_due(now)
+            self._send_if_due(now, is_checked=False)
 
     def silence(self) -> None:
         """Send nothing more until the next setpoint."""
@@ -117,6 +122,13 @@ class SetpointLoop:
             self._task.cancel()
             await asyncio.wait([self._task])
             self._task = None
+
+    def _take_turn(self, setpoint: Setpoint, now: float) -> None:
+        """Send what is due; what is refused is not tried again, unless it was replaced by that."""
+        if self._admits(setpoint):
+            self._transmit(setpoint, now)
+        elif self._setpoint is setpoint:
+            self.silence()
 
     def _transmit(self, setpoint: Setpoint, now: float) -> None:
         # The grid is kept through small lateness and taken up anew after a gap: no drift, no burst.
@@ -149,7 +161,7 @@ class SetpointLoop:
                     await alarm.sleep_until(min(due_at, look_at))
                     continue  # the program may have sent one itself meanwhile
                 self._is_renewed = False
-                self._transmit(self._setpoint, now)
+                self._take_turn(self._setpoint, now)
                 # A send that blocks for longer than a period must not starve the other tasks.
                 await asyncio.sleep(0)
 

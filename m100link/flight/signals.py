@@ -1,88 +1,111 @@
-"""Ending well: signals take the stop path, and nothing cuts the stop path short."""
+"""Signals take the stop path of every control block of the process, and act when it has ended."""
 
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import signal
 import threading
-from collections.abc import Awaitable, Callable
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
 
-import anyio
-
-__all__ = ["SignalWatch", "finish"]
+__all__ = ["SIGNALS", "SignalWatch"]
 
 _logger = logging.getLogger("m100link.flight")
 
-_STOP_ATTEMPTS = 3
+_NUMBERS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+_HUNG_S = 1.0
 
-
-_SIGNALS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+Stop = Callable[[], object]
 
 
 class SignalWatch:
-    """While it runs, SIGTERM and SIGHUP call ``stop``; afterwards they do what they would have.
+    """While a control block runs, SIGINT, SIGTERM and SIGHUP stop it instead of the program.
 
-    (SIGHUP is what a closed terminal sends. SIGINT needs nothing: asyncio.run cancels the main
-    task on Ctrl-C.) Nothing happens where the program handles the signal itself, outside the main
-    thread, and on event loops without signal handlers.
+    (SIGHUP is what a closed terminal sends.) Dispositions belong to the process, so there is one
+    watch for all blocks: the first one takes the signals, all are stopped by one, and when the last
+    has ended a signal that came does what it would have done. Meanwhile nothing raises
+    KeyboardInterrupt: that could come between any two lines, of the stop path or of the event loop,
+    which loses the callback that it was about to run and with it the task that waits.
 
-    Args:
-        stop: Begins the stop path.
+    A signal that the program handles itself is left alone, and so are all of them outside the main
+    thread.
     """
 
-    def __init__(self, stop: Callable[[], object]) -> None:
-        self._stop = stop
-        self._watched: list[signal.Signals] = []
-        self._received: signal.Signals | None = None
+    def __init__(self) -> None:
+        self._blocks: dict[Stop, asyncio.AbstractEventLoop] = {}
+        self._previous: dict[signal.Signals, Any] = {}  # dispositions to put back
+        self._received: list[signal.Signals] = []
+        self._received_at = 0.0
+        self._is_seen = False  # by the event loop, since the first one came
 
-    def begin(self) -> None:
-        """Take the signals."""
+    def join(self, stop: Stop) -> None:
+        """Call ``stop`` in the present event loop when a signal comes, or has come to others."""
         if threading.current_thread() is not threading.main_thread():
             return
-        for number in _SIGNALS:
-            if signal.getsignal(number) is not signal.SIG_DFL:
-                continue
-            try:
-                asyncio.get_running_loop().add_signal_handler(number, self._on_signal, number)
-            except NotImplementedError:
-                return  # event loops of Windows
-            self._watched.append(number)
+        if not self._blocks:
+            self._take()
+        loop = asyncio.get_running_loop()
+        self._blocks[stop] = loop
+        if self._received:
+            loop.call_soon(stop)
 
-    def _on_signal(self, number: signal.Signals) -> None:
-        self._received = number
-        _logger.warning("%s: stopping the aircraft", number.name)
-        self._stop()
+    def leave(self, stop: Stop) -> None:
+        """That block has ended. After the last one, signals that came act."""
+        if self._blocks.pop(stop, None) is None or self._blocks:
+            return
+        for number, previous in self._previous.items():
+            if signal.getsignal(number) == self._on_signal:
+                signal.signal(number, previous)
+        self._previous.clear()
+        received, self._received = self._received, []
+        # What ends the process comes first: SIGINT raises.
+        for number in sorted(received, key=lambda number: number == signal.SIGINT):
+            signal.raise_signal(number)
 
-    def end(self) -> None:
-        """Let the signals go; one that came meanwhile ends the process now that it is safe."""
-        for number in self._watched:
-            asyncio.get_running_loop().remove_signal_handler(number)
-        self._watched.clear()
-        if self._received is not None:
-            signal.raise_signal(self._received)
+    def _take(self) -> None:
+        self._is_seen = False
+        for number in _NUMBERS:
+            previous = signal.getsignal(number)
+            if _would_end_the_program(number, previous):
+                self._previous[number] = previous
+                signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        # This runs between any two lines of the program: the event loop does the work.
+        now = time.monotonic()
+        is_first = not self._received
+        if signal.Signals(number) not in self._received:
+            self._received.append(signal.Signals(number))
+        if is_first:
+            self._received_at = now
+            for stop, loop in self._blocks.items():
+                loop.call_soon_threadsafe(self._stop, stop, signal.Signals(number))
+        elif number == signal.SIGINT and not self._is_seen and now > self._received_at + _HUNG_S:
+            raise KeyboardInterrupt  # a program that blocks its loop can be broken into by hand
+
+    def _stop(self, stop: Stop, number: signal.Signals) -> None:
+        if not self._is_seen:
+            _logger.warning("%s: stopping the aircraft", number.name)
+        self._is_seen = True
+        if stop in self._blocks:
+            stop()
 
 
-async def finish(how: Callable[[], Awaitable[None]]) -> None:
-    """Await work to its end whatever cancels the caller meanwhile, then let the cancellation on.
+def _would_end_the_program(number: signal.Signals, handler: Any) -> bool:
+    if number != signal.SIGINT:
+        return handler is signal.SIG_DFL
+    # What asyncio.run installs cancels the main task once, and then raises.
+    is_of_asyncio = isinstance(handler, functools.partial) and isinstance(
+        getattr(handler.func, "__self__", None), asyncio.Runner
+    )
+    return handler is signal.default_int_handler or is_of_asyncio
 
-    A shielded scope alone holds off cancellation by scopes; a second ``Task.cancel()`` would still
-    cut the stop path short, and asyncio.run cancels every task there is after a second Ctrl-C: then
-    the work is begun again. Every wait in it is bounded, so this is too.
-    """
-    cancelled: asyncio.CancelledError | None = None
-    with anyio.CancelScope(shield=True):
-        for _ in range(_STOP_ATTEMPTS):
-            task = asyncio.ensure_future(how())
-            while not task.done():
-                try:
-                    await asyncio.wait([task])
-                except asyncio.CancelledError as error:
-                    cancelled = error
-            if not task.cancelled():
-                task.result()
-                break
-        else:
-            _logger.error("the stop path was cancelled %d times and given up", _STOP_ATTEMPTS)
-    if cancelled is not None:
-        raise cancelled
+
+SIGNALS = SignalWatch()
+"""The watch of this process."""

@@ -23,6 +23,7 @@ from m100link.protocol.records import FlightPhase
 
 if TYPE_CHECKING:
     from m100link.flight.authority import Authority
+    from m100link.link import Link
     from m100link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
@@ -46,12 +47,14 @@ class Commander:
     """What flying needs of an aircraft.
 
     Attributes:
+        link: The line.
         requests: The road by which commands are sent.
         authority: Who controls the aircraft.
         state: Newest telemetry.
         task_sequences: A number for each task: see :func:`task_sequences`.
     """
 
+    link: Link
     requests: Requests
     authority: Authority
     state: AircraftState

@@ -28,7 +28,8 @@ class Rig:
     def __init__(self) -> None:
         self.loop = asyncio.get_running_loop()
         self.frames: list[tuple[float, Setpoint]] = []
-        self.setpoints = SetpointLoop(self._send)
+        self.is_admitted = True
+        self.setpoints = SetpointLoop(self._send, lambda _: self.is_admitted)
 
     def _send(self, setpoint: Setpoint) -> bool:
         self.frames.append((self.loop.time(), setpoint))

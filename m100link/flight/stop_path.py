@@ -1,0 +1,129 @@
+"""The stop path of a control block: what the plan of its cause says, step by step."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import Literal
+
+from m100link.errors import AuthorityLost, M100Error, TaskRefused
+from m100link.flight.authority import AuthorityState
+from m100link.flight.handover import explained_loss, release_authority
+from m100link.flight.lifecycle import Lifecycle
+from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
+from m100link.flight.tasks import Commander, run_task
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import FlightPhase, FlightStatus
+
+__all__ = ["StopAction", "StopPath"]
+
+_logger = logging.getLogger("m100link.flight")
+
+StopAction = Literal["hover", "land"]
+"""What the stop path does after the neutral setpoint."""
+
+_LANDING_DEADLINE_S = 60.0
+_LANDING_RETRY_S = 0.5
+_STATUS_AGE_S = 2.5  # the slowest rate of the item is 1 Hz
+
+
+class StopPath:
+    """Neutral, hover or land, release, as far as the cause of the stop leaves it possible.
+
+    Args:
+        commander: The aircraft.
+        life: Of the control block; its plan says what is to be done.
+        setpoints: What the block sends.
+        action: What the program asked for.
+    """
+
+    def __init__(
+        self, commander: Commander, life: Lifecycle, setpoints: SetpointLoop, action: StopAction
+    ) -> None:
+        self._commander = commander
+        self._life = life
+        self._setpoints = setpoints
+        self._action: StopAction = action
+        self._was_take_off_sent = False  # in this block, whatever the aircraft answered
+
+    def expect_to_be_airborne(self) -> None:
+        """A take-off is commanded: without a flight status, it counts as flown."""
+        self._was_take_off_sent = True
+
+    def let_go(self) -> None:
+        """At once: the neutral instead of the setpoint that is being sent, or nothing."""
+        if self._life.plan.neutral:
+            self._setpoints.neutralise()
+        else:
+            self._setpoints.silence()
+
+    async def run(self) -> None:
+        """Every step in its turn, however the one before ended; every wait is bounded.
+
+        The plan is read before each step, because the line may be lost meanwhile. May be begun
+        again.
+        """
+        failed: Exception | None = None
+        for step in (self._explain, self._end_setpoints, self._land, self._release):
+            try:
+                await step()
+            except Exception as error:  # noqa: BLE001 (raised below: the release must come first)
+                failed = failed or error
+        if failed is not None:
+            raise failed
+
+    @property
+    def _has_authority(self) -> bool:
+        return self._commander.authority.state is AuthorityState.HELD
+
+    async def _explain(self) -> None:
+        failure = self._life.failure
+        if self._life.plan.explain and isinstance(failure, AuthorityLost):
+            self._life.failure = await explained_loss(self._commander, failure)
+
+    async def _end_setpoints(self) -> None:
+        self.let_go()  # again, when it was begun again: the task that sends may be gone
+        if self._has_authority and self._setpoints.current is not None:
+            await asyncio.sleep(NEUTRAL_TIME)
+        await self._setpoints.stop()
+
+    async def _land(self) -> None:
+        """Land, although another task may be under way: the aircraft rejects it until that ended.
+
+        A landing that was under way already ends here too. Releasing authority in the middle of
+        either would leave the aircraft in the air.
+        """
+        if self._action != "land":
+            return
+        clock = asyncio.get_running_loop().time
+        deadline = clock() + _LANDING_DEADLINE_S
+        while self._life.plan.land and self._has_authority and self._may_be_airborne():
+            try:
+                await run_task(self._commander, Task.LAND, timeout=max(1.0, deadline - clock()))
+            except TaskRefused as error:
+                if clock() < deadline:
+                    await asyncio.sleep(_LANDING_RETRY_S)
+                    continue
+                _logger.error("the stop path could not land: %s", error)
+            except M100Error as error:
+                _logger.error("the stop path could not land: %s", error)
+            return
+
+    def _may_be_airborne(self) -> bool:
+        """What the newest status says; while nobody knows, whether a take-off was commanded."""
+        state = self._commander.state
+        status = state.flight_status
+        if status is not None and status.status != FlightPhase.STANDBY:
+            return True
+        if state.fresh(FlightStatus, within=_STATUS_AGE_S) is not None:
+            return False
+        if not self._was_take_off_sent:
+            _logger.error(
+                "stop='land' did not land: the flight status is %s, and no take-off was commanded",
+                "unknown" if status is None else "old",
+            )
+        return self._was_take_off_sent
+
+    async def _release(self) -> None:
+        if self._life.plan.release:
+            await release_authority(self._commander)

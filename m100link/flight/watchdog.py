@@ -1,0 +1,63 @@
+"""Control ends when the aircraft is not heard any more."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from m100link.errors import TelemetryStalled
+from m100link.telemetry.state import AircraftState
+
+__all__ = ["TelemetryWatchdog"]
+
+_SLACK_S = 0.01  # so that a timer that is on time finds the limit passed
+
+
+class TelemetryWatchdog:
+    """Looks at the age of the newest telemetry when asked, and by a timer when nobody asks.
+
+    Telemetry that never came cannot be missed.
+
+    Args:
+        state: Telemetry.
+        limit: Seconds without telemetry that count as a stall; None: it never does.
+        on_stall: Called with the error at each look that finds a stall.
+    """
+
+    def __init__(
+        self,
+        state: AircraftState,
+        limit: float | None,
+        on_stall: Callable[[TelemetryStalled], None],
+    ) -> None:
+        self._state = state
+        self._limit = limit
+        self._on_stall = on_stall
+        self._timer: asyncio.TimerHandle | None = None
+
+    def start(self) -> None:
+        """Look now, and whenever telemetry would be too old; until it was, or :meth:`stop`."""
+        if self._limit is not None and self.is_quiet():
+            age = self._state.newest_age or 0.0
+            self._timer = asyncio.get_running_loop().call_later(
+                self._limit - age + _SLACK_S, self.start
+            )
+
+    def stop(self) -> None:
+        """Look no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def is_quiet(self) -> bool:
+        """False when telemetry is found stalled here and now."""
+        age = self._state.newest_age
+        if self._limit is None or age is None or age <= self._limit:
+            return True
+        self._on_stall(
+            TelemetryStalled(
+                f"no telemetry for {age:.1f} s while flying",
+                cause="the line from the aircraft is broken, or this program was blocked",
+                remedy="check the line; a program that blocks must not fly",
+            )
+        )
+        return False

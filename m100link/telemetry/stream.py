@@ -1,0 +1,106 @@
+"""The telemetry of one aircraft: read once, kept as the newest state, handed to every consumer."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from m100link.errors import LayoutMismatch, LinkError, TelemetryStalled, UsageError
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.items import ITEMS
+from m100link.telemetry.device_clock import DeviceClock
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
+from m100link.telemetry.subscription import Hub, Latest, Policy, Subscription
+
+__all__ = ["TelemetryStream"]
+
+_logger = logging.getLogger("m100link.aircraft")
+
+
+class TelemetryStream:
+    """Takes packages as they arrive.
+
+    Attributes:
+        state: Newest value and age of every item.
+        mismatches: Packages refused because they do not fit the firmware profile.
+    """
+
+    def __init__(self) -> None:
+        self.state = AircraftState(asyncio.get_running_loop().time)
+        self.mismatches = 0
+        self._hub: Hub[Sample] = Hub()
+        self._clock: DeviceClock | None = None
+
+    def clock_of(self, firmware: FirmwareProfile) -> DeviceClock:
+        """The clock of the aircraft; a firmware with another tick rate begins a new one."""
+        clock = self._clock
+        if clock is None or clock.tick_hz != firmware.tick_hz:
+            clock = self._clock = DeviceClock(firmware.tick_hz)
+        return clock
+
+    def take(self, value: bytes, firmware: FirmwareProfile, now: float) -> Sample | None:
+        """Take over a package that arrived now; None for one that does not fit the firmware."""
+        try:
+            sample = Sample(value, firmware, now)
+        except LayoutMismatch as error:
+            self.mismatches += 1
+            if self.mismatches == 1:
+                _logger.warning("telemetry refused: %s", error)
+            return None
+        self.state.update(sample)
+        time = sample.time
+        if time is not None:
+            self.clock_of(firmware).update(time.tick, now)
+        return sample
+
+    def publish(self, sample: Sample) -> None:
+        """Hand the sample to every consumer, once everybody inside knows what it says."""
+        self._hub.publish(sample, sample.received_at)
+
+    def fail(self, error: LinkError) -> None:
+        """End every subscription with the error."""
+        self._hub.fail(error)
+
+    def subscribe(
+        self, records: Sequence[type[Any]], policy: Policy, rate_hz: float | None
+    ) -> Subscription[Sample]:
+        """See :meth:`m100link.Aircraft.telemetry`."""
+        wanted = 0
+        for record in records:
+            item = next((item for item in ITEMS if item.record is record), None)
+            if item is None:
+                raise UsageError(
+                    f"{record!r} is not a telemetry record",
+                    remedy="use m100link.Attitude, m100link.Position, …",
+                )
+            wanted |= 1 << item.bit
+        if rate_hz is not None and not rate_hz > 0:
+            raise UsageError(f"a rate of {rate_hz} Hz is no rate")
+        return self._hub.subscribe(
+            policy,
+            min_interval=1.0 / rate_hz if rate_hz else 0.0,
+            accepts=(lambda sample: bool(sample.flags & wanted)) if wanted else None,
+        )
+
+    async def wait_for(
+        self, predicate: Callable[[AircraftState], bool], timeout: float | None, what: str
+    ) -> None:
+        """See :meth:`m100link.Aircraft.wait_for`."""
+        if predicate(self.state):
+            return
+        try:
+            async with asyncio.timeout(timeout), self.subscribe((), Latest(), None) as samples:
+                async for _ in samples:
+                    if predicate(self.state):
+                        return
+        except TimeoutError as error:
+            if isinstance(error, LinkError):
+                raise
+            raise TelemetryStalled(
+                f"{what} was not seen within {timeout:g} s; now: {self.state.situation()}",
+                cause="it did not happen, or the items that show it are not sent",
+                remedy="see which items arrive: m100link hz",
+            ) from None
