@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from m100link.protocol.codes import ActivationCode, AuthorityCode, SystemCode, VersionCode
-from m100link.protocol.command import encode_code
+from m100link.protocol.command import Notification, encode_code
 from m100link.protocol.commands.activation import Activate, Version
 from m100link.protocol.commands.control import Move
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile, profile
-from m100link.session import Endpoint, Received
+from m100link.session import Endpoint, Received, SessionMode
 from m100link.sim.commands import Commands, LastCommand
 from m100link.sim.telemetry import TelemetryPusher
 from m100link.sim.vehicle.dynamics import STEP_S
@@ -269,7 +269,7 @@ class Autopilot:
         if self._from_mobile and vehicle.time >= self._mobile_free_at:
             message = self._from_mobile.popleft()
             self._mobile_free_at = vehicle.time + len(message) / _MOBILE_BYTES_PER_S
-            self._push(FromMobile(message).encode(self.profile))
+            self.notify(FromMobile(message))
         frame = self._telemetry.frame(self._sequence)
         if frame is not None:
             self._next_sequence()
@@ -279,11 +279,14 @@ class Autopilot:
         """Notify the onboard device of each loss of authority that it was not told of yet."""
         while self._told_losses < self.vehicle.authority_losses:
             self._told_losses += 1
-            self._notify_authority_change()
+            wants_ack = self.vehicle.settings.authority_push_session != 0
+            mode = SessionMode.RELIABLE if wants_ack else SessionMode.NO_ACK
+            self.notify(AuthorityChanged(), mode)
 
-    def _notify_authority_change(self) -> None:
-        data = AuthorityChanged().encode(self.profile)
-        if self.vehicle.settings.authority_push_session == 0:
+    def notify(self, notification: Notification, mode: SessionMode | None = None) -> None:
+        """Send a notification as it declares or in another mode, repeated where it wants an ack."""
+        data = notification.encode(self.profile)
+        if (mode or notification.SESSION_MODE) is SessionMode.NO_ACK:
             self._push(data)
             return
         assert self._power_on is not None
