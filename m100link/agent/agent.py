@@ -28,6 +28,8 @@ from m100link.protocol.setpoint import Setpoint
 __all__ = ["Agent"]
 
 _LEASE_CHECK = 0.1
+_LONGEST_STEP = 0.3
+"""Seconds between two looks at the lease; in what is longer than that this program did not run."""
 
 
 def _ignore() -> None:
@@ -64,7 +66,11 @@ class Agent:
         self.background = BackgroundTasks()
         self.connection = Connection(connect, self.journal)
         self.activation = Activation(credentials, self.journal)
-        self.desk = LeaseDesk(lifetime=lease_lifetime, on_change=self._lease_changed)
+        self.desk = LeaseDesk(
+            lifetime=lease_lifetime,
+            longest_step=_LONGEST_STEP,
+            on_change=self._lease_changed,
+        )
         self.holding = Holding(self.journal, self.background)
         self.on_lease: list[Callable[[LeaseChange, Lease | None], None]] = []
         self.connection.on_aircraft.append(self._aircraft_changed)
@@ -133,12 +139,13 @@ class Agent:
         return await self.activation.activate(self.connection.require_aircraft())
 
     async def version(self) -> Version:
-        """Ask the aircraft for its version.
+        """The version of the aircraft; it was asked for lately, whoever wants to know it.
 
         Raises:
             AckTimeout, LinkError: See each class.
         """
-        return await self.connection.require_aircraft().version()
+        aircraft = self.connection.require_aircraft()
+        return self.connection.version or await aircraft.version()
 
     async def send_to_mobile(self, token: str, data: bytes) -> None:
         """Send up to 100 bytes to the app on the pilot's phone.

@@ -442,7 +442,7 @@ class AgentClient:
     # -- everything else -------------------------------------------------------------------------
 
     async def version(self) -> tuple[str, int]:
-        """Name and CRC of the aircraft's version, asked for now.
+        """Name and CRC of the aircraft's version, asked for lately.
 
         Raises:
             AckTimeout, LinkError: See each class.

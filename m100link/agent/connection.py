@@ -43,7 +43,7 @@ class Connection:
     Attributes:
         aircraft: The aircraft while it is connected, else None.
         state: State of the line.
-        version: What the connected aircraft answered when it was opened.
+        version: What the connected aircraft answered last.
         error: Why it is not connected.
         round_trip: Seconds for a question to the aircraft and its answer, None when unanswered.
         on_aircraft: Called when the aircraft was connected, and with None when it was lost.
@@ -113,7 +113,7 @@ class Connection:
                 continue
             asked_at = self._clock()
             try:
-                await aircraft.version()
+                self.version = await aircraft.version()
                 self.round_trip = self._clock() - asked_at
             except M100Error:
                 self.round_trip = None

@@ -1,13 +1,15 @@
 """Who may steer: one lease at a time, with a name and an end (pure logic, ``now`` is an argument).
 
 Any number of clients may watch. To steer, one takes the lease; it ends when its holder gives it
-back, stops renewing it, or an operator takes it over. A take-over has two steps: the first names
+back, stops renewing it, or an operator takes it over. Time in which the station itself did not run
+ends nothing: nobody could renew in it. A take-over has two steps: the first names
 who would lose control, the second confirms exactly that. A lease that has ended stays ended: its
 token is refused for ever, so a recorded message cannot bring it back.
 """
 
 from __future__ import annotations
 
+import math
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,6 +34,8 @@ TAKE_OVER_LIFETIME = 10.0
 """Seconds in which a take-over has to be confirmed."""
 
 MAX_NAME = 64
+_MAX_TAKE_OVERS = 1024
+"""More than the clients of a station can ask within the lifetime of one request."""
 
 
 class LeaseRefused(M100Error):
@@ -105,6 +109,8 @@ class LeaseDesk:
 
     Args:
         lifetime: Seconds that a lease lasts without renewal.
+        longest_step: Time between two calls that counts at most; whoever has a clock calls
+            :meth:`advance` more often than that, so that longer means that it did not run.
         make_token: Source of tokens; by default 128 bits from the system.
         on_change: Called after each change with the reason, the old and the new lease.
     """
@@ -113,18 +119,23 @@ class LeaseDesk:
         self,
         *,
         lifetime: float = LEASE_LIFETIME,
+        longest_step: float = math.inf,
         make_token: Callable[[], str] = lambda: secrets.token_urlsafe(16),
         on_change: Callable[[LeaseChange, Lease | None, Lease | None], None] | None = None,
     ) -> None:
         if not lifetime > 0:
             raise ValueError(f"a lease of {lifetime} s is none")
         self.lifetime = lifetime
+        self._longest_step = longest_step
         self._make_token = make_token
         self._on_change = on_change
         self._lease: Lease | None = None
         self._expires_at = 0.0
         self._count = 0
-        self._take_over: TakeOver | None = None
+        # When the desk was last called.
+        self._advanced_at: float | None = None
+        # What one client asks does not push out what another asked.
+        self._take_overs: list[TakeOver] = []
 
     def holder(self, now: float) -> Lease | None:
         """The lease in force."""
@@ -142,6 +153,10 @@ class LeaseDesk:
 
     def advance(self, now: float) -> None:
         """Let time pass: end a lease that nobody renewed."""
+        step = now - self._advanced_at if self._advanced_at is not None else 0.0
+        self._advanced_at = now
+        if step > self._longest_step:
+            self._expires_at += step - self._longest_step
         if self._lease is not None and now >= self._expires_at:
             self._change(LeaseChange.EXPIRED, None, now)
 
@@ -197,7 +212,9 @@ class LeaseDesk:
         self._change(LeaseChange.RELEASED, None, now)
 
     def ask_take_over(self, name: str, now: float) -> TakeOver:
-        """First step of a take-over: learn who would lose control. A newer request replaces it.
+        """First step of a take-over: learn who would lose control.
+
+        Requests stand side by side until they are confirmed or too old.
 
         Raises:
             LeaseRefused: Nobody holds the lease; it can simply be acquired.
@@ -207,14 +224,16 @@ class LeaseDesk:
             raise LeaseRefused(
                 "nobody has control", remedy="acquire the lease, there is no need to take it over"
             )
-        self._take_over = TakeOver(
+        wanted = TakeOver(
             _clean(name),
             self._lease.name,
             self._make_token(),
             self._lease.number,
             now + TAKE_OVER_LIFETIME,
         )
-        return self._take_over
+        self._take_overs = [one for one in self._take_overs if now < one.expires_at]
+        self._take_overs = [*self._take_overs[-_MAX_TAKE_OVERS + 1 :], wanted]
+        return wanted
 
     def confirm(self, token: str, now: float) -> Lease:
         """Second step: take the lease from the client that the first step named.
@@ -224,10 +243,14 @@ class LeaseDesk:
                 changed hands since: then the operator confirmed something else.
         """
         self.advance(now)
-        wanted, self._take_over = self._take_over, None
+        wanted = None
+        for one in self._take_overs:
+            if secrets.compare_digest(one.token.encode(), token.encode()):
+                wanted = one
+        if wanted is not None:
+            self._take_overs.remove(wanted)
         if (
             wanted is None
-            or not secrets.compare_digest(wanted.token.encode(), token.encode())
             or now >= wanted.expires_at
             or self._lease is None
             or self._lease.number != wanted.number
@@ -248,7 +271,7 @@ class LeaseDesk:
     def _change(self, why: LeaseChange, lease: Lease | None, now: float) -> None:
         before, self._lease = self._lease, lease
         self._expires_at = now + self.lifetime
-        self._take_over = None
+        self._take_overs.clear()
         if self._on_change is not None:
             self._on_change(why, before, lease)
 

@@ -153,3 +153,23 @@ class LeaseMachine(RuleBasedStateMachine):
 
 
 TestLeaseMachine = LeaseMachine.TestCase
+
+
+def test_what_spammers_ask_does_not_push_out_what_others_asked() -> None:
+    desk = LeaseDesk()
+    desk.acquire("holder", 0.0)
+    wanted = desk.ask_take_over("operator", 1.0)
+    for number in range(500):
+        desk.ask_take_over("operator", 1.0)
+        with pytest.raises(LeaseRefused):
+            desk.confirm(f"guess {number}", 1.0)
+    assert desk.confirm(wanted.token, 2.0).name == "operator"
+
+
+def test_time_in_which_the_program_did_not_run_ends_no_lease() -> None:
+    desk = LeaseDesk(lifetime=3.0, longest_step=0.5)
+    lease = desk.acquire("a", 0.0)
+    assert desk.holder(5.0) == lease  # it did not run for 4.5 s
+    assert desk.remaining(5.0) == pytest.approx(2.5)
+    for step in range(1, 6):
+        assert desk.holder(5.0 + 0.5 * step) == (lease if step < 5 else None)

@@ -45,7 +45,7 @@ class GimbalMount:
         heading: Where the nose points, radians, as :meth:`carry` was told last.
     """
 
-    __slots__ = ("heading", "_rate_until", "_rates", "_targets", "follows", "pitch", "roll", "yaw")
+    __slots__ = ("_rate_until", "_rates", "_targets", "follows", "heading", "pitch", "roll", "yaw")
 
     def __init__(self, heading: float = 0.0, *, follows: bool = False) -> None:
         self.yaw = self.roll = self.pitch = 0.0

@@ -317,7 +317,13 @@ class DjiSdk:
             except M100Error as error:
                 call.fail(str(error))
 
-        return lambda call: void(self._agent.background.spawn(answer(call), name))
+        def on_call(call: Call) -> None:
+            if self._clients.admits(call.session):
+                self._agent.background.spawn(answer(call), name)
+            else:
+                call.fail("more than the orders that one client may give")
+
+        return on_call
 
     async def _activate(self, call: Call) -> Message:
         await self._agent.activate(self._clients.lease(call.session))
@@ -365,6 +371,9 @@ class DjiSdk:
         position = telemetry.fresh(Position, within=1.0) if telemetry is not None else None
         if position is None:
             return {"result": False}
+        holder = self._agent.holder
+        if holder.number and self._clients.lease(call.session) is None:
+            raise UsageError(f"{holder.name} has control: the origin of its flight stays")
         has_fix = position.gps_health is None or position.gps_health >= _GPS_GOOD
         if has_fix:
             frame = LocalFrame(position.latitude_deg, position.longitude_deg)
@@ -374,10 +383,6 @@ class DjiSdk:
     async def _send_to_mobile(self, call: Call) -> Message:
         await self._agent.send_to_mobile(self._clients.held(call.session), call.request["data"])
         return {"result": True}
-
-
-def void(_: object) -> None:
-    """Drop a result."""
 
 
 def _xyz(x: float, y: float, z: float) -> Message:

@@ -13,14 +13,16 @@ from typing import Any
 
 from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, LeaseRefused
-from m100link.errors import M100Error, NoAuthority
+from m100link.errors import M100Error, NoAuthority, UsageError
+from m100link.station.ros.allowance import Allowance
 from m100link.station.ros.graph import Call, Graph, Listener
 
 __all__ = ["Clients"]
 
 _RENEWAL = 0.5
 _COMPLAINT_PAUSE = 1.0
-_LEASE, _COMPLAINED_AT = "lease", "complained at"
+_LEASE, _COMPLAINED_AT, _ORDERS = "lease", "complained at", "orders"
+_RATE, _AT_ONCE = 2.0, 10.0
 
 
 class Clients:
@@ -89,8 +91,31 @@ class Clients:
             session.data[_COMPLAINED_AT] = now
             session.status("error", str(error))
 
-    def run(self, session: Listener, work: Coroutine[Any, Any, None], name: str) -> None:
-        """Run a client's wish; it is told when it fails."""
+    def admits(self, session: Listener) -> bool:
+        """Whether the client may order one more thing now; it is told when it may not.
+
+        What is ordered is told to people and asked of the aircraft, both of which a client could
+        keep busy. Who has control may always order, and so always give it back.
+        """
+        if self.lease(session) is not None:
+            return True
+        now = self._agent.now
+        allowance: Allowance = session.data.setdefault(_ORDERS, Allowance(_RATE, _AT_ONCE))
+        if allowance.take(now):
+            return True
+        self.complain(session, UsageError(f"more than {_RATE:g} orders per second: not done"))
+        return False
+
+    def run(
+        self,
+        session: Listener,
+        wish: Callable[[], Coroutine[Any, Any, None]],
+        name: str,
+    ) -> None:
+        """Run a client's wish, unless it wishes too much; it is told when it fails."""
+        if not self.admits(session):
+            return
+        work = wish()
 
         async def guarded() -> None:
             try:
@@ -136,6 +161,9 @@ class Clients:
         }.get(action)
         if handler is None:
             call.fail(f"there is no action {action[:32]!r}: status, acquire, renew, release, …")
+            return
+        if action in ("acquire", "take_over", "confirm") and not self.admits(call.session):
+            call.fail("more than the orders that one client may give")
             return
         self._agent.background.spawn(self._answer(call, handler), f"lease {action}")
 

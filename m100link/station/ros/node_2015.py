@@ -61,6 +61,7 @@ NO_AUTHORITY = 8.0
 
 _CLOSED_BY_APP = 4.0
 _STALE = 3.0
+_VERSION_PAUSE = 10.0
 _MODE, _LAST = "control mode", "last setpoint"
 _NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
 
@@ -90,6 +91,7 @@ class Node:
         self._test_fre = graph.add_topic("/test_fre", number)
         agent.on_activating.append(self._activation_code)
         agent.on_authority_taken.append(self._authority_taken)
+        self._version_told_at = float("-inf")
         agent.background.spawn(self._watch(), "/test_fre")
         agent.background.spawn(self._publish_each_second(), "1 Hz topics")
 
@@ -131,7 +133,7 @@ class Node:
     # -- what the node is asked ------------------------------------------------------------------
 
     def _on_activation(self, session: Listener, message: Message, now: float) -> None:
-        self._clients.run(session, self._activate(session), "activation")
+        self._clients.run(session, lambda: self._activate(session), "activation")
 
     async def _activate(self, session: Listener) -> None:
         try:
@@ -143,7 +145,9 @@ class Node:
             raise
 
     def _on_open_close(self, session: Listener, message: Message, now: float) -> None:
-        self._clients.run(session, self._open_or_close(session, message["data"]), "open/close")
+        self._clients.run(
+            session, lambda: self._open_or_close(session, message["data"]), "open/close"
+        )
 
     async def _open_or_close(self, session: Listener, data: float) -> None:
         wanted = _byte(data)
@@ -176,7 +180,7 @@ class Node:
             raise
 
     def _on_command(self, session: Listener, message: Message, now: float) -> None:
-        self._clients.run(session, self._command(session, message["data"]), "command")
+        self._clients.run(session, lambda: self._command(session, message["data"]), "command")
 
     async def _command(self, session: Listener, data: float) -> None:
         number = _byte(data)
@@ -212,7 +216,9 @@ class Node:
             self._clients.complain(session, error)
 
     def _on_simple_task(self, session: Listener, message: Message, now: float) -> None:
-        self._clients.run(session, self._simple_task(session, message["data"]), "simple task")
+        self._clients.run(
+            session, lambda: self._simple_task(session, message["data"]), "simple task"
+        )
 
     async def _simple_task(self, session: Listener, data: float) -> None:
         if not math.isfinite(data):
@@ -224,10 +230,19 @@ class Node:
         elif number == 5:
             await self._activate(session)
         elif number == 6:
-            name, crc = await self._agent.version()
-            self._agent.note(f"version: {name} (CRC {crc:08X})")
+            await self._tell_version(session)
         else:
             await self._agent.start_pattern(self._clients.held(session), number)
+
+    async def _tell_version(self, session: Listener) -> None:
+        name, crc = await self._agent.version()
+        text = f"version: {name} (CRC {crc:08X})"
+        session.status("info", text)
+        # People are told at most once in a while: others' events are not to be pushed out.
+        now = self._agent.now
+        if now - self._version_told_at >= _VERSION_PAUSE:
+            self._version_told_at = now
+            self._agent.note(text)
 
 
 def _byte(data: float) -> int:

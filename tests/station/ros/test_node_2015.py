@@ -8,6 +8,7 @@ import anyio
 import pytest
 
 from m100link.agent.connection import ConnectionState
+from m100link.aircraft import Aircraft
 from m100link.protocol.commands.control import StartTask
 from m100link.sim.vehicle.mobile import MobileApp
 from m100link.station.ros.node_2015 import PRESS_LIFETIME, REPEAT_LIFETIME
@@ -424,3 +425,54 @@ async def test_the_line_is_opened_again_after_a_loss(rig: Rig) -> None:
     # The aircraft is active still: the key is in use without a new activation.
     page.publish("/nav_open_close_request", data=1)
     await rig.until(lambda: page.values("/nav_open_close_status") == [2, 2])
+
+
+async def test_a_flood_of_orders_reaches_neither_the_aircraft_nor_the_log(rig: Rig) -> None:
+    pilot = await rig.open()
+    spammer = rig.client("spammer")
+    before = len(rig.agent.journal.events)
+    for topic, value in (
+        ("/sdk_request_simple_task", 6),
+        ("/sdk_request_simple_task", 5),
+        ("/sdk_request_activation", 1),
+        ("/nav_open_close_request", 1),
+        ("/nav_open_close_request", 0),
+        ("/sdk_request_cmd", 4),
+    ):
+        spammer.send("advertise", topic=topic, type="std_msgs/Float32")
+        for _ in range(50):
+            spammer.send("publish", topic=topic, msg={"data": value})
+            await anyio.sleep(0.02)
+    assert len(rig.agent.journal.events) - before <= 15
+    assert sum("orders per second" in text for text in spammer.statuses()) <= 8
+    pilot.publish("/sdk_request_cmd", data=4)
+    await rig.until(lambda: rig.agent.holding.task is not None)
+
+
+async def test_asking_for_the_version_asks_the_aircraft_nothing(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client = rig.client()
+    client.send("set_level", level="info")
+    asked: list[Aircraft] = []
+    monkeypatch.setattr(Aircraft, "version", asked.append)
+    for _ in range(5):
+        client.publish("/sdk_request_simple_task", data=6)
+        client.call("/dji_sdk/query_drone_version")
+    await anyio.sleep(0.1)
+    assert asked == []
+    assert len([text for text in client.statuses() if text.startswith("version: ")]) == 5
+    assert [event.text[:8] for event in rig.agent.journal.events].count("version:") == 1
+    assert len(client.answers()) == 5
+
+
+async def test_a_pilot_who_gave_many_orders_can_still_stop(rig: Rig) -> None:
+    pilot = await rig.airborne()
+    pilot.publish("/sdk_request_simple_task", data=1)
+    await rig.until(lambda: any("1 begins" in e.text for e in rig.agent.journal.events))
+    for _ in range(50):
+        pilot.publish("/sdk_request_simple_task", data=6)
+    pilot.publish("/sdk_request_simple_task", data=-1)
+    await rig.until(lambda: any("stopped it" in e.text for e in rig.agent.journal.events))
+    pilot.publish("/nav_open_close_request", data=0)
+    await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None)
