@@ -116,7 +116,7 @@ class Control:
         self._watchdog = TelemetryWatchdog(
             commander.state, self._guards.guards.stale_telemetry_s, self._on_stall
         )
-        guided = GuidedFlight(self)
+        guided = GuidedFlight(self, self._guards)
         self.fly_to, self.climb_to = guided.fly_to, guided.climb_to
         self.turn_to, self.orbit = guided.turn_to, guided.orbit
 

@@ -171,6 +171,49 @@ class GuardKeeper:
             self._check_speed(setpoint, envelope)
             self._check_radius(setpoint, envelope)
 
+    def check_target(
+        self,
+        what: str,
+        place: tuple[float, float] | None = None,
+        *,
+        height: float | None = None,
+        radius: float = 0.0,
+        speed: float = 0.0,
+    ) -> None:
+        """Whether a flight may begin that will come there; the way to it is checked as it is flown.
+
+        Args:
+            what: Name of the flight.
+            place: Latitude and longitude, °.
+            height: Metres above the take-off point.
+            radius: Of a circle around the place, m.
+            speed: On the way, m/s.
+
+        Raises:
+            GuardRefused: Outside the envelope, with the target and what widens it.
+        """
+        envelope = self.guards.envelope
+        if envelope is None:
+            return
+        far = None
+        if place is not None and self._from_start() is not None and self._origin is not None:
+            far = math.hypot(*self._origin.to_local(*place)) + radius
+        for value, limit, seen, name, option in (
+            (height, envelope.max_height_m, "a height of {:.1f} m", "max_height_m", "--max-height"),
+            (far, envelope.max_radius_m, "{:.0f} m from the start", "max_radius_m", "--max-radius"),
+            (speed, envelope.max_speed_m_s, "a speed of {:.1f} m/s", "max_speed_m_s", ""),
+        ):
+            if value is not None and value > limit + 1e-9:
+                widen = f"control(guards=Guards(envelope=Envelope({name}=…)))"
+                raise GuardRefused(
+                    f"{what} to {seen.format(value)} was refused: the envelope ends at {limit:g}",
+                    guard="envelope",
+                    measured=value,
+                    limit=limit,
+                    remedy=f"a target inside, or {widen}"
+                    + (f", m100link fly {option}" if option else ""),
+                )
+
     def _may_still_come(self, record: type[Any]) -> bool:
         """Whether an item has never come, and had no time yet."""
         now = asyncio.get_running_loop().time()

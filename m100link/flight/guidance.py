@@ -9,14 +9,15 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
-from m100link.flight.guards import known
+from m100link.flight.guards import GuardKeeper, known
 from m100link.flight.pacing import Ticker
+from m100link.flight.tasks import describe_situation
 from m100link.geodesy import LocalFrame, normalize_degrees
-from m100link.protocol.records import Attitude, Position, Velocity
+from m100link.protocol.records import Attitude, FlightPhase, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 
 if TYPE_CHECKING:
@@ -118,6 +119,12 @@ def _heading(flyer: Flyer) -> float:
     return attitude.yaw_deg
 
 
+def _is_on_ground(flyer: Flyer) -> bool:
+    """Whether the newest status says so; while nobody knows, it does not."""
+    status = flyer.state.flight_status
+    return status is not None and status.status == FlightPhase.STANDBY
+
+
 class _Settling:
     """True once the error stayed within tolerance for a moment, at low speed."""
 
@@ -137,43 +144,6 @@ class _Settling:
         if self._since is None:
             self._since = now
         return now - self._since >= _SETTLED_S
-
-
-async def _run(
-    flyer: Flyer,
-    name: str,
-    step: Callable[[], tuple[Setpoint, GuidanceProgress]],
-    is_within: Callable[[GuidanceProgress], bool],
-    timeout: float,
-    progress: Progress | None,
-) -> Arrival:
-    """Send what ``step`` computes at each tick until its error settles within tolerance."""
-    clock = asyncio.get_running_loop().time
-    began_at = clock()
-    settling = _Settling(flyer)
-    try:
-        async for _ in flyer.ticks():
-            setpoint, found = step()
-            elapsed = clock() - began_at
-            found = GuidanceProgress(
-                elapsed, found.distance_m, found.height_error_m, found.heading_error_deg
-            )
-            if progress is not None:
-                progress(found)
-            if settling.update(is_within(found)):
-                break
-            if elapsed > timeout:
-                raise NotObserved(
-                    f"{name} did not arrive within {timeout:g} s; {found.distance_m:.1f} m, "
-                    f"{found.height_error_m:+.1f} m of height and "
-                    f"{found.heading_error_deg:+.0f}° remain",
-                    situation=flyer.state.situation(),
-                    cause="wind, an envelope of the autopilot, or a mode that it ignores",
-                )
-            flyer.send(setpoint)
-    finally:
-        await flyer.stop()
-    return Arrival(elapsed, found.distance_m, found.height_error_m, found.heading_error_deg)
 
 
 def _target(
@@ -206,10 +176,76 @@ class GuidedFlight:
 
     Args:
         flyer: Sends the setpoints and has the telemetry.
+        guards: Asked for the target before the first setpoint; each setpoint is checked besides.
     """
 
-    def __init__(self, flyer: Flyer) -> None:
+    def __init__(self, flyer: Flyer, guards: GuardKeeper) -> None:
         self._flyer = flyer
+        self._guards = guards
+        self._flying = ""  # name of the loop that is flying: two would fight for the aircraft
+
+    def _admit(self, name: str) -> None:
+        """Whether a loop may begin.
+
+        Raises:
+            UsageError: Another one is flying, or the aircraft stands on the ground.
+        """
+        if self._flying:
+            raise UsageError(
+                f"{name} was asked for while another closed loop is flying: {self._flying}",
+                remedy="await one before the next, or cancel its task",
+            )
+        if _is_on_ground(self._flyer):
+            raise UsageError(
+                f"{name} was asked for on the ground "
+                f"({describe_situation(self._flyer.state.situation())})",
+                cause="on the ground the aircraft ignores setpoints",
+                remedy="take off first: await control.take_off()",
+            )
+
+    async def _run(
+        self,
+        name: str,
+        step: Callable[[], tuple[Setpoint, GuidanceProgress]],
+        is_within: Callable[[GuidanceProgress], bool],
+        timeout: float,
+        progress: Progress | None,
+    ) -> Arrival:
+        """Send what ``step`` computes at each tick until its error settles within tolerance."""
+        flyer = self._flyer
+        clock = asyncio.get_running_loop().time
+        began_at = clock()
+        settling = _Settling(flyer)
+        self._flying = name
+        try:
+            async for _ in flyer.ticks():
+                setpoint, found = step()
+                elapsed = clock() - began_at
+                found = replace(found, elapsed=elapsed)
+                if progress is not None:
+                    progress(found)
+                if settling.update(is_within(found)):
+                    break
+                if elapsed > timeout or _is_on_ground(flyer):
+                    raise self._not_arrived(name, timeout, found)
+                flyer.send(setpoint)
+        finally:
+            self._flying = ""
+            await flyer.stop()
+        return Arrival(elapsed, found.distance_m, found.height_error_m, found.heading_error_deg)
+
+    def _not_arrived(self, name: str, timeout: float, found: GuidanceProgress) -> NotObserved:
+        situation = self._flyer.state.situation()
+        is_on_ground = _is_on_ground(self._flyer)
+        end = "ended on the ground" if is_on_ground else f"did not arrive within {timeout:g} s"
+        return NotObserved(
+            f"{name} {end}; {found.distance_m:.1f} m, {found.height_error_m:+.1f} m of height and "
+            f"{found.heading_error_deg:+.0f}° remain ({describe_situation(situation)})",
+            situation=situation,
+            cause="the aircraft landed: by the pilot, a low battery, or a height near 0"
+            if is_on_ground
+            else "wind, an envelope of the autopilot, or a mode that it ignores",
+        )
 
     async def fly_to(
         self,
@@ -240,10 +276,14 @@ class GuidedFlight:
             progress: Called at each tick.
 
         Raises:
-            NotObserved: It did not arrive in time; it hovers where it is.
+            NotObserved: It did not arrive in time and hovers where it is, or it was landed.
             TelemetryStalled: Position or attitude do not arrive.
-            NoAuthority, GuardRefused, UsageError: See :meth:`Control.send`.
+            GuardRefused: The target lies outside the envelope, or as :meth:`Control.send`.
+            UsageError: The target is none, the aircraft stands on the ground, or another closed
+                loop is flying.
+            NoAuthority: See :meth:`Control.send`.
         """
+        self._admit("fly_to")
         target = _target(
             _position(self._flyer), (north, east, up), (latitude_deg, longitude_deg, height)
         )
@@ -253,6 +293,7 @@ class GuidedFlight:
                 f"{latitude:g}° {longitude:g}° at height {target_height:g} m cannot be flown to",
                 remedy="finite numbers, height 0 m or more, latitude within ±89°",
             )
+        self._guards.check_target("fly_to", (latitude, longitude), height=target_height)
         heading = _heading(self._flyer) if yaw_deg is None else yaw_deg
         there = LocalFrame(latitude, longitude)
 
@@ -279,7 +320,7 @@ class GuidedFlight:
                 and abs(found.heading_error_deg) <= 5.0
             )
 
-        return await _run(self._flyer, "fly_to", step, is_within, timeout, progress)
+        return await self._run("fly_to", step, is_within, timeout, progress)
 
     async def climb_to(
         self,
@@ -293,14 +334,15 @@ class GuidedFlight:
 
         Raises: as :meth:`fly_to`.
         """
+        self._admit("climb_to")
+        self._guards.check_target("climb_to", height=height)
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
             here = _position(self._flyer)
             setpoint = Setpoint.velocity(north=0.0, east=0.0, height=height, yaw_rate_deg_s=0.0)
             return setpoint, GuidanceProgress(0.0, 0.0, height - here.height_m, 0.0)
 
-        return await _run(
-            self._flyer,
+        return await self._run(
             "climb_to",
             step,
             lambda found: abs(found.height_error_m) <= tolerance_m,
@@ -320,14 +362,14 @@ class GuidedFlight:
 
         Raises: as :meth:`fly_to`.
         """
+        self._admit("turn_to")
         setpoint = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_deg=yaw_deg)
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
             turn = normalize_degrees(yaw_deg - _heading(self._flyer))
             return setpoint, GuidanceProgress(0.0, 0.0, 0.0, turn)
 
-        return await _run(
-            self._flyer,
+        return await self._run(
             "turn_to",
             step,
             lambda found: abs(found.heading_error_deg) <= tolerance_deg,
@@ -361,6 +403,7 @@ class GuidedFlight:
 
         Raises: as :meth:`fly_to`.
         """
+        self._admit("orbit")
         radius = math.hypot(center_north, center_east)
         if not 1.0 <= radius < math.inf or not 0 < speed <= 10 or not 0 < turns < math.inf:
             raise UsageError(
@@ -370,6 +413,9 @@ class GuidedFlight:
         start = _position(self._flyer)
         here_frame = LocalFrame(start.latitude_deg, start.longitude_deg)
         center = LocalFrame(*here_frame.to_geodetic(center_north, center_east))
+        self._guards.check_target(
+            "orbit", (center.latitude_deg, center.longitude_deg), radius=radius, speed=speed
+        )
         height = start.height_m
         sense = 1.0 if clockwise else -1.0
         to_go = 360.0 * turns
@@ -402,4 +448,4 @@ class GuidedFlight:
         def is_within(found: GuidanceProgress) -> bool:
             return found.heading_error_deg <= 2.0
 
-        return await _run(self._flyer, "orbit", step, is_within, timeout, progress)
+        return await self._run("orbit", step, is_within, timeout, progress)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from itertools import pairwise
 from typing import Any
@@ -39,6 +39,25 @@ async def flying(
     async with rig(**options) as flown, flown.aircraft.control(guards=guards) as control:
         await control.take_off()
         yield flown, control
+
+
+Loop = Callable[[Control], Awaitable[object]]
+
+
+def fly(**target: float) -> Loop:
+    return lambda control: control.fly_to(**target)  # type: ignore[arg-type]
+
+
+def climb(height: float) -> Loop:
+    return lambda control: control.climb_to(height)
+
+
+def turn(yaw_deg: float) -> Loop:
+    return lambda control: control.turn_to(yaw_deg)
+
+
+def orbit(**circle: float) -> Loop:
+    return lambda control: control.orbit(**circle)  # type: ignore[arg-type]
 
 
 def heading(flown: Rig) -> float:
@@ -127,6 +146,7 @@ async def test_what_does_not_arrive_in_time_says_what_remains_and_hovers() -> No
         with pytest.raises(NotObserved, match="did not arrive within 3 s") as caught:
             await control.fly_to(north=100, east=0, up=0, timeout=3)
         assert "m of height" in caught.value.seen
+        assert "flight_status IN_AIR" in caught.value.seen
         assert caught.value.situation["flight_status"] == "IN_AIR"
         await flown.assert_hovers()
 
@@ -148,14 +168,76 @@ async def test_a_position_that_stops_on_the_way_stops_the_aircraft() -> None:
         await flown.assert_hovers()
 
 
-async def test_the_envelope_holds_for_closed_loops() -> None:
-    guards = Guards(envelope=Envelope(max_radius_m=20, max_height_m=10))
+@pytest.mark.parametrize(
+    ("loop", "target", "option"),
+    [
+        (fly(north=60, east=0, up=0), "60 m from the start", "max_radius_m"),
+        (fly(north=0, east=0, up=15), "a height of 16.2 m", "max_height_m"),
+        (climb(15), "a height of 15.0 m", "max_height_m"),
+        (orbit(center_north=15, center_east=0), "30 m from the start", "max_radius_m"),
+        (orbit(center_north=8, center_east=0, speed=2.5), "a speed of 2.5 m/s", "max_speed_m_s"),
+    ],
+    ids=["far", "up", "climb", "circle", "speed"],
+)
+async def test_a_target_outside_the_envelope_is_refused_before_anything_moves(
+    loop: Loop, target: str, option: str
+) -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=20, max_height_m=10, max_speed_m_s=2))
     async with flying(guards) as (flown, control):
-        with pytest.raises(GuardRefused):
-            await control.fly_to(north=60, east=0, up=0)
-        with pytest.raises(GuardRefused):
-            await control.climb_to(15)
-        assert math.hypot(*flown.virtual.position) < 22
+        with pytest.raises(GuardRefused) as caught:
+            await loop(control)
+        assert target in caught.value.seen
+        assert f"{caught.value.limit:g}" in caught.value.seen
+        assert option in caught.value.remedy
+        assert len(flown.moves) == 0
+
+
+async def test_a_target_inside_the_envelope_by_its_place_is_flown_to_from_outside() -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=20))
+    async with flying(guards) as (flown, control):
+        flown.virtual.autopilot.flight.dynamics.place(40.0, 0.0, 3.0)
+        await asyncio.sleep(0.1)
+        await control.fly_to(north=-25, east=0, up=0)
+        assert flown.virtual.position == pytest.approx((15, 0), abs=0.6)
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [fly(north=1, east=0, up=0), climb(3), turn(90), orbit(center_north=5, center_east=0)],
+    ids=["fly_to", "climb_to", "turn_to", "orbit"],
+)
+async def test_on_the_ground_a_loop_is_refused_before_anything_moves(loop: Loop) -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        with pytest.raises(UsageError, match="on the ground") as caught:
+            await loop(control)
+        assert "take_off()" in caught.value.remedy
+        assert "STANDBY" in caught.value.seen
+        assert len(flown.moves) == 0
+
+
+@pytest.mark.parametrize(
+    "second",
+    [fly(north=1, east=0, up=0), climb(3), turn(90), orbit(center_north=5, center_east=0)],
+    ids=["fly_to", "climb_to", "turn_to", "orbit"],
+)
+async def test_a_second_loop_is_refused_and_leaves_the_first_alone(second: Loop) -> None:
+    async with flying() as (flown, control):
+        first = asyncio.create_task(control.fly_to(north=10, east=0, up=0))
+        await asyncio.sleep(1.0)
+        with pytest.raises(UsageError, match="another closed loop is flying: fly_to"):
+            await second(control)
+        await first
+        assert flown.virtual.position == pytest.approx((10, 0), abs=0.6)
+        await second(control)
+
+
+async def test_a_loop_that_is_landed_on_the_way_says_so_and_stops() -> None:
+    async with flying() as (flown, control):
+        asyncio.get_running_loop().call_later(1.0, flown.virtual.autopilot.flight.land)
+        with pytest.raises(NotObserved, match="ended on the ground") as caught:
+            await control.turn_to(90, tolerance_deg=-1, timeout=60)
+        assert caught.value.situation["flight_status"] == "STANDBY"
+        assert "landed" in caught.value.cause
 
 
 async def test_cancelling_a_loop_stops_the_aircraft() -> None:
