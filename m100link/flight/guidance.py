@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
 from m100link.flight.guards import GuardKeeper, known
+from m100link.flight.orbit import Orbit
 from m100link.flight.pacing import Ticker
 from m100link.flight.tasks import describe_situation
 from m100link.geodesy import LocalFrame, normalize_degrees
@@ -29,7 +30,7 @@ _FRESH_S = 0.5
 _SETTLED_S = 0.5
 _SETTLED_M_S = 0.3
 _MAX_OFFSET_M = 10.0  # the autopilot flies larger offsets no faster; a wrong fix must not matter
-_ORBIT_GAIN = 0.8  # m/s inwards per metre outside the circle
+_MAX_COMMAND_M_S = 10.0  # of velocity setpoints on each axis (document 3.2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -390,12 +391,14 @@ class GuidedFlight:
     ) -> Arrival:
         """Fly a circle around a point, looking at it.
 
-        The circle goes through where the aircraft is now.
+        The circle goes through where the aircraft is now. It turns to the centre first, then
+        accelerates along the circle.
 
         Args:
             center_north: Metres from here to the centre, north; with ``center_east`` 1 m or more.
             center_east: Metres from here to the centre, east.
-            speed: Along the circle, up to 10 m/s.
+            speed: Along the circle, up to 10 m/s; at most 0.7/s times the radius, and v²/r at most
+                3.6 m/s², a tilt of 20°.
             turns: How many, more than 0.
             clockwise: Seen from above.
             timeout: Seconds until it gives up, hovering.
@@ -404,45 +407,46 @@ class GuidedFlight:
         Raises: as :meth:`fly_to`.
         """
         self._admit("orbit")
-        radius = math.hypot(center_north, center_east)
-        if not 1.0 <= radius < math.inf or not 0 < speed <= 10 or not 0 < turns < math.inf:
-            raise UsageError(
-                f"{turns:g} turns of {radius:.1f} m radius at {speed:g} m/s cannot be flown",
-                remedy="radius 1 m or more, speed up to 10 m/s, turns more than 0",
-            )
+        envelope = self._guards.guards.envelope
+        max_speed = min(_MAX_COMMAND_M_S, envelope.max_speed_m_s if envelope else math.inf)
+        orbit = Orbit(
+            radius=math.hypot(center_north, center_east),
+            speed=speed,
+            turns=turns,
+            clockwise=clockwise,
+            max_speed=max_speed,
+        )
         start = _position(self._flyer)
         here_frame = LocalFrame(start.latitude_deg, start.longitude_deg)
         center = LocalFrame(*here_frame.to_geodetic(center_north, center_east))
-        self._guards.check_target(
-            "orbit", (center.latitude_deg, center.longitude_deg), radius=radius, speed=speed
-        )
         height = start.height_m
-        sense = 1.0 if clockwise else -1.0
-        to_go = 360.0 * turns
-        last_bearing: float | None = None
+        self._guards.check_target(
+            "orbit",
+            (center.latitude_deg, center.longitude_deg),
+            radius=math.hypot(center_north, center_east),
+            speed=speed,
+        )
+        clock = asyncio.get_running_loop().time
+        before = clock()
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
-            nonlocal to_go, last_bearing
+            nonlocal before
             here = _position(self._flyer)
-            north, east = center.to_local(here.latitude_deg, here.longitude_deg)
-            bearing = math.degrees(math.atan2(east, north))
-            if last_bearing is not None:
-                to_go -= sense * normalize_degrees(bearing - last_bearing)
-            last_bearing = bearing
-            distance = math.hypot(north, east) or 1e-6
-            out_n, out_e = north / distance, east / distance
-            inward = max(-speed, min(speed, _ORBIT_GAIN * (distance - radius)))
-            # Slow down over the last degrees, so that it ends where it should.
-            arc = math.radians(to_go) * radius
-            along = min(speed, 0.2 + 0.5 * arc) if arc > 0 else 0.0
+            velocity = known(self._flyer.state, Velocity, within=_FRESH_S)
+            attitude = known(self._flyer.state, Attitude, within=_FRESH_S)
+            now = clock()
+            steering = orbit.steer(
+                center.to_local(here.latitude_deg, here.longitude_deg),
+                None if velocity is None else (velocity.north_m_s, velocity.east_m_s),
+                None if attitude is None else attitude.yaw_deg,
+                now - before,
+            )
+            before = now
             setpoint = Setpoint.velocity(
-                north=-out_e * sense * along - out_n * inward,
-                east=out_n * sense * along - out_e * inward,
-                height=height,
-                yaw_deg=normalize_degrees(bearing + 180.0),
+                north=steering.north, east=steering.east, height=height, yaw_deg=steering.yaw_deg
             )
             return setpoint, GuidanceProgress(
-                0.0, abs(distance - radius), height - here.height_m, to_go
+                0.0, steering.off_m, height - here.height_m, steering.to_go_deg
             )
 
         def is_within(found: GuidanceProgress) -> bool:

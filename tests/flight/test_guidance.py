@@ -6,7 +6,6 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -278,47 +277,3 @@ async def test_turn_to_takes_the_short_way(firmware: str, start: float, end: flo
         assert abs(math.remainder(heading(flown) - end, 360)) <= 2.5
         assert abs(arrival.heading_error_deg) <= 2.0
         assert flown.now - began < 8.0
-
-
-@each_firmware
-@pytest.mark.parametrize("clockwise", [True, False])
-async def test_orbit_goes_round_once_at_its_radius_looking_at_the_centre(
-    firmware: str, clockwise: bool
-) -> None:
-    async with flying(firmware=firmware) as (flown, control):
-        n0, e0 = flown.virtual.position
-        centre = (n0 + 8.0, e0)
-        radii: list[float] = []
-        bearings: list[float] = []
-
-        def watch(progress: GuidanceProgress) -> None:
-            north, east = flown.virtual.position
-            radii.append(math.hypot(north - centre[0], east - centre[1]))
-            bearings.append(math.degrees(math.atan2(east - centre[1], north - centre[0])))
-
-        await control.orbit(center_north=8.0, center_east=0.0, clockwise=clockwise, progress=watch)
-        turned = sum(math.remainder(after - before, 360) for before, after in pairwise(bearings))
-        assert turned == pytest.approx(360 if clockwise else -360, abs=12)
-        assert min(radii) > 6.5
-        assert max(radii) < 9.5
-        assert flown.virtual.position == pytest.approx((n0, e0), abs=1.5)
-        assert abs(math.remainder(heading(flown) - 0.0, 360)) < 20  # the centre is north of here
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"center_north": 0.5, "center_east": 0.0},
-        {"center_north": 5.0, "center_east": 0.0, "speed": 0.0},
-        {"center_north": 5.0, "center_east": 0.0, "speed": 11.0},
-        {"center_north": 5.0, "center_east": 0.0, "turns": 0.0},
-        {"center_north": math.nan, "center_east": 0.0},
-        {"center_north": 5.0, "center_east": 0.0, "turns": math.nan},
-    ],
-    ids=str,
-)
-async def test_an_orbit_that_is_none_is_refused(options: dict[str, float]) -> None:
-    async with flying() as (flown, control):
-        with pytest.raises(UsageError):
-            await control.orbit(**options)  # type: ignore[arg-type]
-        assert len(flown.moves) == 0

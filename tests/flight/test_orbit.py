@@ -1,0 +1,188 @@
+"""Circles: on them from the first quarter on, whatever the speed, the wind and the direction."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from random import Random
+from typing import Any
+
+import pytest
+
+from m100link import Guards, UsageError
+from m100link.flight.guidance import GuidanceProgress
+from m100link.flight.orbit import Orbit
+from m100link.sim import AircraftSettings
+from tests.rig import FIRMWARES, rig
+
+pytestmark = pytest.mark.anyio
+
+
+class Flown:
+    """What a circle looked like, measured on the virtual aircraft itself.
+
+    Attributes:
+        off: Distance from the circle at each tick, as a part of the radius.
+        bearings: From the centre, °.
+        done_deg: How much of the circle was done at each tick.
+        closing_m: From the end to the beginning.
+        facing_deg: Between the nose and the centre at the end.
+    """
+
+    def __init__(self) -> None:
+        self.off: list[float] = []
+        self.bearings: list[float] = []
+        self.done_deg: list[float] = []
+        self.closing_m = self.facing_deg = math.nan
+
+    @property
+    def turned_deg(self) -> float:
+        return sum(math.remainder(later - before, 360) for before, later in pairwise(self.bearings))
+
+    def assert_round(self) -> None:
+        """Within 5 % after the first quarter and 10 % always."""
+        assert max(map(abs, self.off)) < 0.10
+        late = [off for off, done in zip(self.off, self.done_deg, strict=True) if done >= 90]
+        assert max(map(abs, late)) < 0.05
+
+
+async def circle(
+    *,
+    radius: float,
+    speed: float,
+    direction_deg: float = 0.0,
+    clockwise: bool = True,
+    turns: float = 1.0,
+    guards: Guards | None = None,
+    firmware: str = "1.0",
+    **settings: Any,
+) -> Flown:
+    """Fly one from a hover, around a centre in that direction."""
+    found = Flown()
+    guards = guards or Guards(envelope=None)
+    options = AircraftSettings(**settings)
+    async with rig(settings=options, firmware=firmware) as flown:
+        async with flown.aircraft.control(guards=guards) as control:
+            await control.take_off()
+            start = flown.virtual.position
+            north = radius * math.cos(math.radians(direction_deg))
+            east = radius * math.sin(math.radians(direction_deg))
+
+            def watch(progress: GuidanceProgress) -> None:
+                here = flown.virtual.position
+                from_centre = here[0] - start[0] - north, here[1] - start[1] - east
+                found.off.append(math.hypot(*from_centre) / radius - 1)
+                found.bearings.append(math.degrees(math.atan2(from_centre[1], from_centre[0])))
+                found.done_deg.append(360 * turns - progress.heading_error_deg)
+
+            await control.orbit(
+                center_north=north,
+                center_east=east,
+                speed=speed,
+                turns=turns,
+                clockwise=clockwise,
+                progress=watch,
+            )
+            found.closing_m = math.dist(start, flown.virtual.position)
+            nose = math.degrees(flown.virtual.autopilot.flight.dynamics.yaw)
+            found.facing_deg = abs(math.remainder(nose - direction_deg, 360))
+    return found
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("clockwise", [True, False])
+async def test_it_goes_round_once_and_ends_where_it_began_looking_at_the_centre(
+    firmware: str, clockwise: bool
+) -> None:
+    found = await circle(radius=8, speed=2, clockwise=clockwise, firmware=firmware)
+    assert found.turned_deg == pytest.approx(360 if clockwise else -360, abs=3)
+    assert found.closing_m < 0.5
+    assert found.facing_deg < 5
+    found.assert_round()
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0), (1.5, 0.0), (0.0, -1.5), (-1.06, 1.06)], ids=str)
+@pytest.mark.parametrize("clockwise", [True, False])
+async def test_from_a_standing_start_at_3_m_s_on_6_m_it_stays_on_the_circle(
+    wind: tuple[float, float], clockwise: bool
+) -> None:
+    found = await circle(
+        radius=6, speed=3, clockwise=clockwise, wind_north=wind[0], wind_east=wind[1]
+    )
+    found.assert_round()
+
+
+@pytest.mark.parametrize(
+    ("speed", "radius"),
+    [(0.7, 1.0), (0.3, 5.0), (1.4, 2.0), (3.5, 5.0), (6.0, 10.2), (8.0, 18.0), (10.0, 28.5)],
+    ids=str,
+)
+@pytest.mark.parametrize("seed", range(3))
+async def test_what_the_airframe_can_fly_is_round_in_every_direction_and_in_wind(
+    speed: float, radius: float, seed: int
+) -> None:
+    random = Random(seed)
+    wind = math.radians(random.uniform(0, 360))
+    found = await circle(
+        radius=radius,
+        speed=speed,
+        direction_deg=random.uniform(-180, 180),
+        clockwise=random.random() < 0.5,
+        heading_deg=random.uniform(-180, 180),
+        wind_north=1.5 * math.cos(wind),
+        wind_east=1.5 * math.sin(wind),
+    )
+    found.assert_round()
+
+
+@pytest.mark.parametrize("turns", [0.5, 2.5])
+async def test_parts_and_many_turns(turns: float) -> None:
+    found = await circle(radius=5, speed=2, turns=turns)
+    assert found.turned_deg == pytest.approx(360 * turns, abs=3)
+    found.assert_round()
+
+
+async def test_the_speed_of_the_envelope_is_kept_although_corrections_come_on_top() -> None:
+    found = await circle(radius=28.5, speed=10, guards=Guards(), wind_north=1.5)
+    found.assert_round()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"radius": 0.5}, "0.5 m radius"),
+        ({"speed": 0.0}, "0 m/s"),
+        ({"speed": 11.0}, "11 m/s"),
+        ({"turns": 0.0}, "0 turns"),
+        ({"radius": math.nan}, "nan m radius"),
+        ({"turns": math.nan}, "nan turns"),
+        ({"speed": math.nan}, "nan m/s"),
+    ],
+    ids=str,
+)
+def test_an_orbit_that_is_none_is_refused(options: dict[str, float], why: str) -> None:
+    wanted = {"radius": 5.0, "speed": 2.0, "turns": 1.0} | options
+    with pytest.raises(UsageError, match="cannot be flown") as caught:
+        Orbit(**wanted, clockwise=True, max_speed=10.0)
+    assert why in caught.value.seen
+
+
+def test_an_orbit_that_needs_more_tilt_than_there_is_is_refused_with_what_can_be_flown() -> None:
+    with pytest.raises(UsageError) as caught:
+        Orbit(radius=10, speed=8, turns=1, clockwise=True, max_speed=10)
+    assert "v²/r is 6.4 m/s², a tilt of 33°, and 20° are left for it" in caught.value.seen
+    assert caught.value.remedy == "at most 6.0 m/s on this radius, or at least 17.9 m of radius"
+
+
+def test_an_orbit_that_turns_faster_than_the_aircraft_follows_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"turns by 57°/s.* follows up to 40°/s") as caught:
+        Orbit(radius=1, speed=1, turns=1, clockwise=True, max_speed=10)
+    assert caught.value.remedy == "at most 0.7 m/s on this radius, or at least 1.4 m of radius"
+
+
+async def test_what_is_refused_moves_nothing() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        with pytest.raises(UsageError):
+            await control.orbit(center_north=1.0, center_east=0.0, speed=3.0)
+        assert len(flown.moves) == 0
