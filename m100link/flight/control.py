@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import AsyncIterable, AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from types import TracebackType
 from typing import Literal, Self
 
@@ -478,10 +478,10 @@ class Control:
                 remedy="await one task before the next",
             )
         self._running_task = task
-        if task is Task.TAKE_OFF:
-            self._stop_path.expect_to_be_airborne()
         self._setpoints.silence()
+        watch = self._stop_path.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
-            await run_task(self._commander, task, timeout=timeout, progress=progress)
+            with watch:
+                await run_task(self._commander, task, timeout=timeout, progress=progress)
         finally:
             self._running_task = None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Literal
 
 from m100link.errors import AuthorityLost, M100Error, TaskRefused
@@ -25,6 +27,7 @@ StopAction = Literal["hover", "land"]
 _LANDING_DEADLINE_S = 60.0
 _LANDING_RETRY_S = 0.5
 _STATUS_AGE_S = 2.5  # the slowest rate of the item is 1 Hz
+_LEAVES_THE_GROUND_S = 1.0  # after a take-off was commanded, if it does at all
 
 
 class StopPath:
@@ -44,11 +47,18 @@ class StopPath:
         self._life = life
         self._setpoints = setpoints
         self._action: StopAction = action
-        self._was_take_off_sent = False  # in this block, whatever the aircraft answered
+        self._clock = asyncio.get_running_loop().time
+        self._take_off_at: float | None = None  # the last one of this block that was not refused
 
-    def expect_to_be_airborne(self) -> None:
-        """A take-off is commanded: without a flight status, it counts as flown."""
-        self._was_take_off_sent = True
+    @contextmanager
+    def taking_off(self) -> Iterator[None]:
+        """A take-off is commanded: while no flight status is newer, it counts as flown."""
+        before, self._take_off_at = self._take_off_at, self._clock()
+        try:
+            yield
+        except TaskRefused:
+            self._take_off_at = before
+            raise
 
     def let_go(self) -> None:
         """At once: the neutral instead of the setpoint that is being sent, or nothing."""
@@ -95,13 +105,14 @@ class StopPath:
         """
         if self._action != "land":
             return
-        clock = asyncio.get_running_loop().time
-        deadline = clock() + _LANDING_DEADLINE_S
+        deadline = self._clock() + _LANDING_DEADLINE_S
         while self._life.plan.land and self._has_authority and self._may_be_airborne():
             try:
-                await run_task(self._commander, Task.LAND, timeout=max(1.0, deadline - clock()))
+                await run_task(
+                    self._commander, Task.LAND, timeout=max(1.0, deadline - self._clock())
+                )
             except TaskRefused as error:
-                if clock() < deadline:
+                if self._clock() < deadline:
                     await asyncio.sleep(_LANDING_RETRY_S)
                     continue
                 _logger.error("the stop path could not land: %s", error)
@@ -111,18 +122,18 @@ class StopPath:
 
     def _may_be_airborne(self) -> bool:
         """What the newest status says; while nobody knows, whether a take-off was commanded."""
-        state = self._commander.state
-        status = state.flight_status
+        state, take_off_at = self._commander.state, self._take_off_at
+        status, status_at = state.flight_status, state.received_at(FlightStatus)
         if status is not None and status.status != FlightPhase.STANDBY:
             return True
-        if state.fresh(FlightStatus, within=_STATUS_AGE_S) is not None:
-            return False
-        if not self._was_take_off_sent:
+        if take_off_at is not None:  # "standby" of before it left the ground proves nothing
+            return status_at is None or status_at < take_off_at + _LEAVES_THE_GROUND_S
+        if status_at is None or self._clock() > status_at + _STATUS_AGE_S:
             _logger.error(
                 "stop='land' did not land: the flight status is %s, and no take-off was commanded",
                 "unknown" if status is None else "old",
             )
-        return self._was_take_off_sent
+        return False
 
     async def _release(self) -> None:
         if self._life.plan.release:
