@@ -165,6 +165,12 @@ class CommandTable(TableDirective):
             )
 
 
+def _home(described: type) -> str:
+    """Where users import it from."""
+    is_exported = getattr(protocol, described.__name__, None) is described
+    return f"{protocol.__name__ if is_exported else described.__module__}.{described.__name__}"
+
+
 _DESCRIBED_BY_THE_KIND = "ack_fields, encode_ack, fields, parse, parse_ack, unreadable, value"
 
 
@@ -179,9 +185,11 @@ class CommandClasses(SphinxDirective):
             if address.command_set != command_set:
                 command_set = address.command_set
                 lines += [f".. rubric:: Set 0x{command_set:02X}", ""]
-            is_exported = getattr(protocol, command.__name__, None) is command
-            home = protocol.__name__ if is_exported else command.__module__
-            lines += [f".. autoclass:: {home}.{command.__name__}", "   :members:"]
+            answer = command.ANSWER if issubclass(command, Request) else object
+            # Codes that stand beside their command; the others have a list of their own.
+            if issubclass(answer, codes.AckCode) and answer.__module__ == command.__module__:
+                lines += [f".. autoclass:: {_home(answer)}", ""]
+            lines += [f".. autoclass:: {_home(command)}", "   :members:"]
             lines += [f"   :exclude-members: {_DESCRIBED_BY_THE_KIND}", ""]
         parsed = nodes.Element()
         source = "m100link.protocol.commands.registry"
