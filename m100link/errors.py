@@ -324,7 +324,10 @@ class LevelTooLow(CommandRefused):
 
 
 class CommandNotSupported(CommandRefused):
-    """The firmware does not know the command, or could not decrypt it (system code 0xFF00)."""
+    """The firmware does not know the command, or could not decrypt it (system code 0xFF00).
+
+    Of a command that the firmware is known not to have, nothing was sent; ``code`` is -1 then.
+    """
 
 
 class AuthorityRefused(CommandRefused):
