@@ -34,9 +34,9 @@ def flight_of_the_core() -> float:
     """Ten minutes: movement received at 50 Hz, telemetry made at 100 Hz, no event loop."""
     autopilot = Autopilot(Random(1), settings=AircraftSettings(noise=1.0))
     autopilot.advance(0.0)
-    autopilot.flight.take_off()
+    autopilot.vehicle.flight.take_off()
     autopilot.advance(8.0)
-    autopilot.authority.is_requested = True
+    autopilot.vehicle.authority.is_requested = True
     began = time.perf_counter()
     for index in range(FLIGHT_S * 50):
         autopilot.receive_data(MOVE, 8.0 + index / 50)
@@ -52,9 +52,9 @@ def flight_through_the_loop() -> float:
         driver = Driver(VirtualAircraft(seed=1, settings=AircraftSettings(noise=1.0)))
         transport = driver.connect(Listener())
         driver.start()
-        driver.aircraft.autopilot.flight.take_off()
+        driver.aircraft.vehicle.flight.take_off()
         await asyncio.sleep(8.0)
-        driver.aircraft.autopilot.authority.is_requested = True
+        driver.aircraft.vehicle.authority.is_requested = True
         left = FLIGHT_S * 50
 
         def send() -> None:
@@ -82,10 +82,10 @@ async def fleet(count: int = 100, seconds: float = 20.0) -> dict[str, float]:
     for driver in drivers:
         driver.connect(Listener())
         driver.start()
-        driver.aircraft.autopilot.flight.take_off()
+        driver.aircraft.vehicle.flight.take_off()
         await asyncio.sleep(0.01 / count)  # real aircraft are not switched on together
     await asyncio.sleep(1.0)
-    flown = [driver.aircraft.autopilot.time for driver in drivers]
+    flown = [driver.aircraft.vehicle.time for driver in drivers]
     began, used = loop.time(), time.process_time()
     late = []
     while loop.time() - began < seconds:
@@ -93,7 +93,7 @@ async def fleet(count: int = 100, seconds: float = 20.0) -> dict[str, float]:
         await asyncio.sleep(0.05)
         late.append(loop.time() - due)
     elapsed, used = loop.time() - began, time.process_time() - used
-    flown = [d.aircraft.autopilot.time - t for d, t in zip(drivers, flown, strict=True)]
+    flown = [d.aircraft.vehicle.time - t for d, t in zip(drivers, flown, strict=True)]
     for driver in drivers:
         driver.stop()
     late.sort()

@@ -52,24 +52,24 @@ class Rig:
 
     @property
     def speed(self) -> float:
-        return self.virtual.autopilot.flight.dynamics.speed
+        return self.virtual.vehicle.flight.dynamics.speed
 
     @property
     def device(self) -> Device:
-        return self.virtual.autopilot.authority.device
+        return self.virtual.vehicle.authority.device
 
     @property
     def phase(self) -> FlightPhase:
-        return self.virtual.autopilot.flight.phase
+        return self.virtual.vehicle.flight.phase
 
     @property
     def is_running(self) -> bool:
-        return self.virtual.autopilot.flight.dynamics.motors_on
+        return self.virtual.vehicle.flight.dynamics.motors_on
 
     @property
     def is_released(self) -> bool:
         """The aircraft was told that this program does not want control any more."""
-        return not self.virtual.autopilot.authority.is_requested and self.device is Device.RC
+        return not self.virtual.vehicle.authority.is_requested and self.device is Device.RC
 
     def is_neutral(self, move: Move) -> bool:
         """Whether a movement asks for nothing: all values zero, by climb rate and yaw rate."""

@@ -532,7 +532,7 @@ async def test_authority_that_is_refused_says_why(firmware: str, obstacle: str) 
         assert f"mode switch {'P' if obstacle == 'not in F' else 'F'}" in caught.value.seen
         assert caught.value.cause
         assert caught.value.remedy
-        assert not flown.virtual.autopilot.authority.is_requested
+        assert not flown.virtual.vehicle.authority.is_requested
 
 
 @pytest.mark.parametrize("firmware", ["1.0", "2.3"])

@@ -88,7 +88,7 @@ async def test_what_the_firmware_does_not_know_is_refused_here(firmware: str) ->
         await asyncio.sleep(0.1)
         commands = list(flown.virtual.autopilot.received_commands)[before:]
         assert [type(c.command) for c in commands] == [TakePhoto] * (firmware != "1.0")
-        assert flown.virtual.autopilot.camera.photos == (firmware != "1.0")
+        assert flown.virtual.vehicle.camera.photos == (firmware != "1.0")
 
 
 async def test_gimbal_and_camera_are_sent_encrypted_and_plain_without_a_key() -> None:
@@ -97,7 +97,7 @@ async def test_gimbal_and_camera_are_sent_encrypted_and_plain_without_a_key() ->
         await asyncio.sleep(1.0)
         [command] = [c for c in flown.virtual.autopilot.received_commands if c.address == (1, 0x1B)]
         assert command.encrypted
-        assert flown.virtual.autopilot.gimbal.pitch == pytest.approx(-45.0)
+        assert flown.virtual.vehicle.gimbal.pitch == pytest.approx(-45.0)
         async with flown.virtual.connect() as other:
             other.push(TakePhoto())
             await asyncio.sleep(0.1)

@@ -17,7 +17,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from m100link.protocol.codes import ActivationCode, AuthorityCode, SystemCode, VersionCode
+from m100link.protocol.codes import ActivationCode, SystemCode, VersionCode
 from m100link.protocol.command import Notification, encode_code
 from m100link.protocol.commands.activation import Activate, Version
 from m100link.protocol.commands.control import Move
@@ -346,34 +346,10 @@ class Autopilot:
         self._told_losses = self.vehicle.authority_losses
         self._telemetry.set_rates(self.vehicle.assistant.rates_hz)
 
-    # --- the vehicle, as commands reach it --------------------------------------------------
-
-    @property
-    def settings(self) -> AircraftSettings:
-        """Settings of the aircraft."""
-        return self.vehicle.settings
-
     @property
     def time(self) -> float:
         """Seconds since power-on."""
         return self.vehicle.time
-
-    @property
-    def heading_deg(self) -> float:
-        """Where the nose points, -180 to 180 degrees."""
-        return self.vehicle.heading_deg
-
-    def request_authority(self, obtain: bool) -> AuthorityCode:
-        """Carry a request for control authority out."""
-        return self.vehicle.request_authority(obtain)
-
-    def refresh(self) -> None:
-        """Decide anew who holds control."""
-        self.vehicle.refresh()
-
-    def log(self, text: str) -> None:
-        """Note something that happened."""
-        self.vehicle.log(text)
 
 
 _ACTIVATION_SIZE = 2 + 44

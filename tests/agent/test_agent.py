@@ -95,7 +95,7 @@ async def test_the_end_of_a_lease_stops_the_motion_and_gives_authority_back(rig:
     rig.agent.desk.release(rig.token, rig.agent.now)
     await anyio.sleep(0.03)
     assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
-    await rig.until(lambda: not rig.aircraft.autopilot.authority.is_requested, within=2.0)
+    await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=2.0)
     assert not rig.holding.has_authority
 
 

@@ -154,7 +154,7 @@ async def test_a_front_that_has_gone_costs_a_hover(rig: Rig, service: Service) -
     await anyio.sleep(0.03)
     assert front.moves[-1].roll_or_x == 0.0
     assert rig.agent.desk.holder(rig.agent.now) is None
-    await rig.until(lambda: not rig.aircraft.autopilot.authority.is_requested, within=2.0)
+    await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=2.0)
     assert rig.aircraft.height > 1.0
     other = Front(rig, service)  # and another one flies on
     assert other.lease().number > fence

@@ -45,7 +45,7 @@ def velocity(north: float = 0.0, east: float = 0.0, up: float = 0.0) -> Setpoint
 
 def put(flown: Rig, north: float = 0.0, east: float = 0.0, height: float = 5.0) -> None:
     """Hovering there, as if it had flown there."""
-    flight = flown.virtual.autopilot.flight
+    flight = flown.virtual.vehicle.flight
     flight.start_motors()
     flight.dynamics.place(north, east, height)
     flight.phase = FlightPhase.IN_AIR
@@ -231,7 +231,7 @@ async def test_a_charge_that_is_impossible_is_unknown(percent: int) -> None:
 async def test_going_home_is_never_refused() -> None:
     async with hovering(Guards(envelope=Envelope(max_height_m=2.0))) as (flown, control):
         flown.virtual.battery_percent = 15
-        flown.virtual.autopilot.flight.dynamics.place(60.0, 0.0, 20.0)
+        flown.virtual.vehicle.flight.dynamics.place(60.0, 0.0, 20.0)
         await asyncio.sleep(1.1)
         assert refusal(flown, control, TILT).guard == "battery_floor_percent"
         await control.go_home()
@@ -428,7 +428,7 @@ async def test_body_frame_directions_turn_with_the_nose() -> None:
     """The nose points south: forward leads back, backwards leads away."""
     guards = Guards(envelope=Envelope(max_radius_m=50))
     async with hovering(guards) as (flown, control):
-        flown.virtual.autopilot.flight.dynamics.place(60.0, 0.0, 5.0, 180.0)
+        flown.virtual.vehicle.flight.dynamics.place(60.0, 0.0, 5.0, 180.0)
         await asyncio.sleep(0.1)
         control.send(Setpoint.velocity(forward=1, right=0, up=0, yaw_rate_deg_s=0))
         refusal(
@@ -441,7 +441,7 @@ async def test_body_frame_directions_turn_with_the_nose() -> None:
 async def test_ground_frame_tilt_is_judged_in_the_ground_frame() -> None:
     guards = Guards(envelope=Envelope(max_radius_m=50))
     async with hovering(guards, firmware="3.1") as (flown, control):
-        flown.virtual.autopilot.flight.dynamics.place(60.0, 0.0, 5.0, 180.0)
+        flown.virtual.vehicle.flight.dynamics.place(60.0, 0.0, 5.0, 180.0)
         await asyncio.sleep(0.1)
         refusal(
             flown,

@@ -60,7 +60,7 @@ def orbit(**circle: float) -> Loop:
 
 
 def heading(flown: Rig) -> float:
-    return math.degrees(flown.virtual.autopilot.flight.dynamics.yaw)
+    return math.degrees(flown.virtual.vehicle.flight.dynamics.yaw)
 
 
 @each_firmware

@@ -76,7 +76,7 @@ async def test_each_mode_flies_where_it_says(
     wanted = asked(mode, frame)
     settings = AircraftSettings(heading_deg=HEADING)
     async with rig(firmware=firmware, settings=settings) as flown:
-        motion = flown.virtual.autopilot.flight.dynamics
+        motion = flown.virtual.vehicle.flight.dynamics
         async with flown.aircraft.control() as control:
             await control.take_off()
             if not is_selectable(mode, frame, firmware):
@@ -124,7 +124,7 @@ async def test_the_default_order_on_the_wire_is_throttle_before_yaw(firmware: st
     with values that tell.
     """
     async with rig(firmware=firmware) as flown:
-        motion = flown.virtual.autopilot.flight.dynamics
+        motion = flown.virtual.vehicle.flight.dynamics
         async with flown.aircraft.control() as control:
             await control.take_off()
             height = motion.height

@@ -60,22 +60,22 @@ class Flight:
 
     async def assert_hovers(self) -> None:
         count = len(self.moves)
-        motion = self.virtual.autopilot.flight.dynamics
+        motion = self.virtual.vehicle.flight.dynamics
         await until(lambda: motion.speed < 0.1)
         await asyncio.sleep(0.5)
         assert motion.speed < 0.1
         assert abs(motion.velocity_up) < 0.05
         assert motion.height > 0.8
-        assert self.virtual.autopilot.flight.phase is FlightPhase.IN_AIR
+        assert self.virtual.vehicle.flight.phase is FlightPhase.IN_AIR
         assert len(self.moves) == count
 
 
 def put_in_the_air(virtual: VirtualAircraft) -> None:
     """Activated before and hovering at 2 m: saves seconds of real time per test."""
     app = virtual.credentials
-    known = virtual.autopilot.activation.known
+    known = virtual.vehicle.activation.known
     known[app.app_id] = Grant(app.app_id, app.key, app.level)
-    flight = virtual.autopilot.flight
+    flight = virtual.vehicle.flight
     flight.start_motors()
     flight.dynamics.place(0.0, 0.0, 2.0)
     flight.phase = FlightPhase.IN_AIR
@@ -104,7 +104,7 @@ async def flight(*, stop: str = "hover", firmware: str = "1.0") -> AsyncIterator
             pytest.fail(f"it does not fly: {(await process.stderr.read()).decode()}")
         flown = Flight(virtual, process)
         await until(lambda: len(flown.moves) > 30)
-        await until(lambda: virtual.autopilot.flight.dynamics.speed > 0.5)
+        await until(lambda: virtual.vehicle.flight.dynamics.speed > 0.5)
         yield flown
     finally:
         if process.returncode is None:
@@ -118,7 +118,7 @@ async def test_sigint_stops_releases_and_ends_with_keyboard_interrupt() -> None:
         status = await flown.end(signal.SIGINT)
         assert status in (130, -signal.SIGINT)  # Python ends by SIGINT itself
         assert set(flown.last_values) == {(0.0, 0.0, 0.0, 0.0)}
-        assert flown.virtual.autopilot.authority.device is Device.RC
+        assert flown.virtual.vehicle.authority.device is Device.RC
         await flown.assert_hovers()
 
 
@@ -126,7 +126,7 @@ async def test_a_second_sigint_does_not_break_the_stop_path() -> None:
     async with flight(firmware="3.1") as flown:
         await flown.end(signal.SIGINT, signal.SIGINT, pause=0.05)
         assert set(flown.last_values) == {(0.0, 0.0, 0.0, 0.0)}
-        assert flown.virtual.autopilot.authority.device is Device.RC
+        assert flown.virtual.vehicle.authority.device is Device.RC
         await flown.assert_hovers()
 
 
@@ -141,7 +141,7 @@ async def test_a_signal_stops_releases_and_then_ends_as_it_was_meant(
         status = await flown.end(number)
         assert status == -number
         assert set(flown.last_values) == {(0.0, 0.0, 0.0, 0.0)}
-        assert flown.virtual.autopilot.authority.device is Device.RC
+        assert flown.virtual.vehicle.authority.device is Device.RC
         await flown.assert_hovers()
 
 
@@ -150,8 +150,8 @@ async def test_sigterm_lands_first_where_the_program_wants_it_even_if_sent_twice
         status = await flown.end(signal.SIGTERM, signal.SIGTERM, pause=0.5)
         assert status == -signal.SIGTERM
         assert flown.virtual.height == 0.0
-        assert not flown.virtual.autopilot.flight.dynamics.motors_on
-        assert flown.virtual.autopilot.authority.device is Device.RC
+        assert not flown.virtual.vehicle.flight.dynamics.motors_on
+        assert flown.virtual.vehicle.authority.device is Device.RC
 
 
 async def test_after_sigkill_nothing_is_sent_and_the_aircraft_hovers() -> None:
@@ -160,5 +160,5 @@ async def test_after_sigkill_nothing_is_sent_and_the_aircraft_hovers() -> None:
         assert status == -signal.SIGKILL
         # Nobody could send a neutral: the last frame is the last setpoint, and then silence.
         assert flown.last_values[-1] == (2.0, 0.0, 0.0, 0.0)
-        assert flown.virtual.autopilot.authority.device is Device.ONBOARD
+        assert flown.virtual.vehicle.authority.device is Device.ONBOARD
         await flown.assert_hovers()

@@ -55,7 +55,7 @@ async def test_take_off_and_landing_return_when_they_are_done_not_when_they_begi
 async def test_go_home_flies_home_and_lands(firmware: str) -> None:
     async with rig(firmware=firmware) as flown, flown.aircraft.control() as control:
         await control.take_off()
-        flown.virtual.autopilot.flight.dynamics.place(60.0, 0.0, 5.0)
+        flown.virtual.vehicle.flight.dynamics.place(60.0, 0.0, 5.0)
         await control.go_home()
         assert flown.virtual.height == 0.0
         assert abs(flown.virtual.position[0]) < 2.0
@@ -133,7 +133,7 @@ async def test_a_task_that_the_aircraft_gives_up_is_a_failure() -> None:
     async with rig() as flown:
         async with flown.aircraft.control(guards=Guards(battery_floor_percent=None)) as control:
             await control.take_off()
-            flown.virtual.autopilot.flight.dynamics.place(200.0, 0.0, 30.0)
+            flown.virtual.vehicle.flight.dynamics.place(200.0, 0.0, 30.0)
 
             def run_down() -> None:
                 flown.virtual.battery_percent = 9.0

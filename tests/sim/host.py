@@ -42,6 +42,7 @@ class Host:
         self.aircraft = aircraft or VirtualAircraft(**options)
         print(self.aircraft)  # noqa: T201 (the seed, for tests that fail)
         self.autopilot = self.aircraft.autopilot
+        self.vehicle = self.aircraft.vehicle
         self.profile = self.autopilot.profile
         self.now = 0.0
         self.frames: list[Received] = []
@@ -179,15 +180,15 @@ class Host:
     @property
     def motion(self) -> Any:
         """The motion of the aircraft."""
-        return self.autopilot.flight.dynamics
+        return self.vehicle.flight.dynamics
 
     def phase(self) -> FlightPhase:
         """Flight status."""
-        return self.autopilot.flight.phase
+        return self.vehicle.flight.phase
 
     def device(self) -> Device:
         """Who is in control."""
-        return self.autopilot.authority.device
+        return self.vehicle.authority.device
 
     def packets(self, since: float = 0.0) -> list[TelemetryPacket]:
         """Telemetry received after a time."""

@@ -121,7 +121,7 @@ def test_firmware_3_1_ignores_the_level_field() -> None:
     host = Host(firmware="3.1", level=1)
     assert host.ask(host.activation(level=2)) == ActivationCode.NEW_DEVICE
     assert host.ask(host.activation(level=0)) == ActivationCode.SUCCESS
-    active = host.autopilot.activation.active
+    active = host.vehicle.activation.active
     assert active is not None
     assert active.level == 1
 
@@ -369,7 +369,7 @@ def test_another_app_replaces_the_active_one() -> None:
     host.aircraft.server.register(2, bytes(32))
     host.activate()
     host.activate(Credentials(2, bytes(32)))
-    active = host.autopilot.activation.active
+    active = host.vehicle.activation.active
     assert active is not None
     assert active.app_id == 2
     assert host.ask(RequestAuthority(True), encrypted=True) == 2

@@ -166,7 +166,7 @@ def test_reboot_in_flight_is_silent_then_starts_afresh_in_the_air() -> None:
     assert times[0] < 200 * 6 + 10, "the clock began anew"
     assert host.phase() is FlightPhase.IN_AIR
     assert host.motion.height == pytest.approx(30.0, abs=0.1)
-    assert host.autopilot.activation.active is None
+    assert host.vehicle.activation.active is None
     assert host.device() is Device.RC
 
 
@@ -208,7 +208,7 @@ def flying_3_1() -> Host:
 
 
 def virtual_is_on(host: Host) -> bool:
-    return host.autopilot.remote.virtual.is_on
+    return host.vehicle.remote.virtual.is_on
 
 
 def test_virtual_rc_flies_and_needs_no_authority() -> None:
@@ -234,7 +234,7 @@ def test_virtual_rc_without_fall_back_counts_as_rc_lost_when_the_data_stop() -> 
     host.send(b"\x05\x00\x01", session=0)
     virtual_rc(host, 1.0)
     host.wait(1.0 + 3.0 + 0.5)
-    assert host.autopilot.authority.failsafe
+    assert host.vehicle.authority.failsafe
 
 
 def test_virtual_rc_in_f_position_lets_the_api_fly() -> None:

@@ -67,8 +67,8 @@ def test_each_mode_does_what_its_three_parts_say(
     data = setpoint.to_move(host.profile)
     if mode.horizontal is Horizontal.POSITION_OFFSET:
         # An offset is meant from the present place: sent once, held while the aircraft flies it.
-        host.autopilot.flight.move(setpoint)
-        host.autopilot.flight._setpoint_until = math.inf
+        host.vehicle.flight.move(setpoint)
+        host.vehicle.flight._setpoint_until = math.inf
         host.wait(6.0)
     else:
         for _ in range(300):
@@ -303,7 +303,7 @@ def test_on_the_ground_with_motors_off_movement_does_nothing() -> None:
 def test_at_the_recommended_50_hz_the_flight_is_smooth() -> None:
     host = airborne()
     host.fly(NORTH, 5.0, rate_hz=50)
-    assert host.autopilot.flight.timeouts == 0
+    assert host.vehicle.flight.timeouts == 0
     assert host.motion.velocity_north == pytest.approx(3.0, abs=0.05)
 
 
@@ -316,7 +316,7 @@ def test_when_commands_stop_the_aircraft_brakes_and_hovers() -> None:
     place = host.motion.north
     host.wait(10.0)
     assert host.motion.north == pytest.approx(place, abs=0.05)
-    assert host.autopilot.flight.timeouts == 1
+    assert host.vehicle.flight.timeouts == 1
     assert host.device() is Device.ONBOARD
 
 
@@ -325,9 +325,9 @@ def test_the_silence_until_hovering_is_adjustable(timeout: float) -> None:
     host = Host(aircraft(settings={"movement_timeout": timeout})).flying()
     host.move(NORTH)
     host.wait(timeout - 0.02)
-    assert host.autopilot.flight.follows_setpoint
+    assert host.vehicle.flight.follows_setpoint
     host.wait(0.05)
-    assert not host.autopilot.flight.follows_setpoint
+    assert not host.vehicle.flight.follows_setpoint
 
 
 def test_at_2_hz_the_aircraft_keeps_starting_and_stopping() -> None:
@@ -335,7 +335,7 @@ def test_at_2_hz_the_aircraft_keeps_starting_and_stopping() -> None:
     for _ in range(6):
         host.move(NORTH)
         host.wait(0.6)
-    assert host.autopilot.flight.timeouts == 6
+    assert host.vehicle.flight.timeouts == 6
 
 
 def test_silence_in_thrust_control_hovers_too() -> None:

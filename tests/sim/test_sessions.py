@@ -74,7 +74,7 @@ def test_session_0_is_executed_and_never_answered() -> None:
     host = Host()
     host.activate()
     assert host.ask(RequestAuthority(True), session=0) is None
-    assert host.autopilot.authority.is_requested
+    assert host.vehicle.authority.is_requested
 
 
 def test_session_1_is_answered_once_and_nothing_is_stored() -> None:
@@ -306,9 +306,9 @@ def test_gimbal_and_camera_of_2_3_need_level_1_and_no_authority() -> None:
     assert gimbal.pitch_deg == pytest.approx(-38.8, abs=0.01)
     host.send(b"\x01\x20\x00", session=0)
     host.send(b"\x01\x21\x00", session=0)
-    assert (host.autopilot.camera.photos, host.autopilot.camera.is_recording) == (1, True)
+    assert (host.vehicle.camera.photos, host.vehicle.camera.is_recording) == (1, True)
     host.send(b"\x01\x22\x00", session=0)
-    assert not host.autopilot.camera.is_recording
+    assert not host.vehicle.camera.is_recording
 
 
 def test_gimbal_rate_acts_with_bit_7_only_and_for_a_moment() -> None:
@@ -317,8 +317,8 @@ def test_gimbal_rate_acts_with_bit_7_only_and_for_a_moment() -> None:
     for flags, moved in ((0x00, False), (0x80, True)):
         host.send(b"\x01\x1a" + (100).to_bytes(2, "little") + bytes(4) + bytes((flags,)), session=0)
         host.wait(3.0)
-        assert (host.autopilot.gimbal.yaw > 1.0) is moved
-    assert host.autopilot.gimbal.yaw == pytest.approx(5.0, abs=0.6)
+        assert (host.vehicle.gimbal.yaw > 1.0) is moved
+    assert host.vehicle.gimbal.yaw == pytest.approx(5.0, abs=0.6)
 
 
 @pytest.mark.parametrize(("level", "moves"), [(0, False), (1, True), (2, True)])
@@ -328,7 +328,7 @@ def test_gimbal_needs_level_1(level: int, moves: bool, data: str) -> None:
     host.activate()
     host.send(bytes.fromhex(data), session=0)
     host.wait(1.0)
-    assert (host.autopilot.gimbal.yaw > 1.0) is moves
+    assert (host.vehicle.gimbal.yaw > 1.0) is moves
 
 
 def test_gimbal_stops_at_its_limits_and_shows_them_in_3_1() -> None:
@@ -348,7 +348,7 @@ def test_malformed_gimbal_commands_are_ignored(data: bytes) -> None:
     host.activate()
     host.send(data, session=0)
     host.wait(1.0)
-    assert (host.autopilot.gimbal.yaw, host.autopilot.gimbal.pitch) == (0.0, 0.0)
+    assert (host.vehicle.gimbal.yaw, host.vehicle.gimbal.pitch) == (0.0, 0.0)
 
 
 # --- missions -------------------------------------------------------------------------------

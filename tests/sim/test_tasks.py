@@ -71,7 +71,7 @@ def test_start_code_1_take_off_in_the_air() -> None:
 
 def test_start_code_1_take_off_with_running_motors() -> None:
     host = Host(firmware="3.1").ready()
-    host.autopilot.flight.start_motors()
+    host.vehicle.flight.start_motors()
     assert host.ask(StartTask(2, TAKE_OFF)) == TaskStartCode.REJECTED
 
 
@@ -222,7 +222,7 @@ def test_go_home_climbs_flies_to_the_home_point_and_lands() -> None:
     for _ in range(800):
         host.wait(0.1)
         highest = max(highest, host.motion.height)
-        maneuvers.append(host.autopilot.flight.maneuver)
+        maneuvers.append(host.vehicle.flight.maneuver)
         if host.motion.north > 120.0:
             assert host.phase() is FlightPhase.IN_AIR
     assert [maneuver for maneuver, _ in itertools.groupby(maneuvers)] == [
@@ -268,7 +268,7 @@ def test_home_is_where_the_motors_were_started() -> None:
     host = Host().ready()
     host.motion.north, host.motion.east = 40.0, -30.0
     host.take_off()
-    assert host.autopilot.flight.home == (40.0, -30.0)
+    assert host.vehicle.flight.home == (40.0, -30.0)
 
 
 @pytest.mark.parametrize("task", [TAKE_OFF, LAND, GO_HOME])

@@ -52,7 +52,7 @@ def done(order: str) -> VirtualAircraft:
         ("rates battery=10 rc=0", lambda a: a.autopilot.rates_hz["battery"] == 10),
         ("gps 2", lambda a: a.gps_health == 2),
         ("battery 33.5", lambda a: 33.0 < a.battery_percent <= 33.5),
-        ("wind 3 -2", lambda a: a.autopilot.flight.dynamics.wind_east == -2.0),
+        ("wind 3 -2", lambda a: a.vehicle.flight.dynamics.wind_east == -2.0),
         ("reboot", lambda a: a.vehicle.is_restarting),
         ("faults loss=0.1 delay=0.02", lambda a: a.line.to_host.faults.loss == 0.1),
         ("faults radio", lambda a: a.line.to_aircraft.faults.radio),

@@ -74,7 +74,7 @@ async def test_time_passes_while_nobody_is_connected(
 ) -> None:
     virtual_aircraft.driver.start()
     await virtual_clock.sleep_until(12.0)
-    assert virtual_aircraft.autopilot.time == pytest.approx(12.0, abs=0.011)
+    assert virtual_aircraft.vehicle.time == pytest.approx(12.0, abs=0.011)
 
 
 async def test_a_stopped_aircraft_does_not_age(virtual_aircraft: ConnectableAircraft) -> None:
@@ -84,7 +84,7 @@ async def test_a_stopped_aircraft_does_not_age(virtual_aircraft: ConnectableAirc
     await asyncio.sleep(100.0)
     driver.start()
     await asyncio.sleep(1.0)
-    assert virtual_aircraft.autopilot.time == pytest.approx(2.0, abs=0.03)
+    assert virtual_aircraft.vehicle.time == pytest.approx(2.0, abs=0.03)
 
 
 async def test_a_computer_that_slept_does_not_make_it_catch_up(
@@ -95,7 +95,7 @@ async def test_a_computer_that_slept_does_not_make_it_catch_up(
     loop = asyncio.get_running_loop()
     loop._jumping.now += 3600.0  # type: ignore[attr-defined]  # the computer sleeps
     await asyncio.sleep(0.5)
-    assert virtual_aircraft.autopilot.time < 2.0
+    assert virtual_aircraft.vehicle.time < 2.0
     driver.stop()
 
 
@@ -404,10 +404,10 @@ async def test_time_flies_at_least_fifty_times_as_fast_as_it_passes(
     """
     listener = Listener()
     transport = virtual_aircraft.connect_protocol(listener)
-    flight, loop = virtual_aircraft.autopilot.flight, asyncio.get_running_loop()
+    flight, loop = virtual_aircraft.vehicle.flight, asyncio.get_running_loop()
     flight.take_off()
     await asyncio.sleep(8.0)
-    virtual_aircraft.autopilot.authority.is_requested = True
+    virtual_aircraft.vehicle.authority.is_requested = True
     move = encode_frame(bytes.fromhex("010348" + "0000803f" + 12 * "00"), session=0, sequence=1)
     began, left = time.process_time(), 6_000
 

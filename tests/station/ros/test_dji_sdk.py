@@ -34,7 +34,7 @@ async def newest(rig: Rig, client: FakeClient, topic: str) -> Any:
 async def test_attitude_is_flu_in_enu(
     rig: Rig, heading: float, expected: tuple[float, ...]
 ) -> None:
-    rig.aircraft.autopilot.flight.dynamics.yaw = math.radians(heading)
+    rig.aircraft.vehicle.flight.dynamics.yaw = math.radians(heading)
     message = await newest(rig, rig.client(), "/dji_sdk/attitude")
     q = message["quaternion"]
     got = (q["x"], q["y"], q["z"], q["w"])
@@ -90,8 +90,8 @@ async def test_local_position_is_east_north_up_of_its_reference(rig: Rig) -> Non
     client.call("/dji_sdk/set_local_pos_ref")
     point = (await newest(rig, client, "/dji_sdk/local_position"))["point"]
     assert [point[axis] for axis in "xyz"] == pytest.approx([0, 0, 0], abs=0.05)
-    rig.aircraft.autopilot.flight.dynamics.north = 3.0
-    rig.aircraft.autopilot.flight.dynamics.east = -2.0
+    rig.aircraft.vehicle.flight.dynamics.north = 3.0
+    rig.aircraft.vehicle.flight.dynamics.east = -2.0
     point = (await newest(rig, client, "/dji_sdk/local_position"))["point"]
     assert (point["x"], point["y"]) == pytest.approx((-2.0, 3.0), abs=0.05)
 
