@@ -5,9 +5,10 @@ nothing of the aircraft. What it knows comes in these messages, and what it want
 whatever carries them (:mod:`m100link.agent.carriers`).
 
 ==================  ========================================================================
-From the agent      Hello, Telemetry, FromMobile, Event, State, LeaseChanged, LeaseGranted,
+Both ways           Hello, Goodbye
+From the agent      Telemetry, FromMobile, Event, State, LeaseChanged, LeaseGranted,
                     TakeOverOffered, Activating, AuthorityTaken, SteerRefused, Outcome
-From a front        Hello, LeaseAsk, Steer, Ask, Note
+From a front        LeaseAsk, Steer, Ask, Note
 ==================  ========================================================================
 
 Bytes are JSON, one object for each message: its kind and its fields. Reading never raises anything
@@ -42,6 +43,7 @@ __all__ = [
     "AuthorityTaken",
     "Event",
     "FromMobile",
+    "Goodbye",
     "Hello",
     "LeaseAction",
     "LeaseAsk",
@@ -83,6 +85,17 @@ class Hello:
     version: int
     name: str
     at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Goodbye:
+    """The last message of an end, where the carrier does not say it by itself.
+
+    Attributes:
+        reason: Why it closes, for people.
+    """
+
+    reason: str
 
 
 # -- from the agent -------------------------------------------------------------------------------
@@ -389,6 +402,7 @@ class Note:
 
 Message = (
     Hello
+    | Goodbye
     | Telemetry
     | FromMobile
     | Event

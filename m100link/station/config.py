@@ -32,7 +32,7 @@ _APP: dict[str, Any] = {one.name: one.default for one in fields(Credentials)}
 class Settings:
     """What the station needs to know.
 
-    The command line is made from these fields and their sentences; see :mod:`m100link.cli.options`.
+    The command line is made from these fields and their sentences; see ``m100link.cli.options``.
 
     Attributes:
         url: Where the aircraft is; none with a virtual one.

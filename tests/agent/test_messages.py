@@ -23,6 +23,7 @@ from m100link.agent.messages import (
     AuthorityTaken,
     Event,
     FromMobile,
+    Goodbye,
     Hello,
     LeaseAction,
     LeaseAsk,
@@ -48,6 +49,7 @@ TILT = Setpoint.tilt(roll_deg=1, pitch_deg=2, thrust_percent=40, yaw_deg=-180)
 
 EXAMPLES: list[Message] = [
     Hello(VERSION, "console", 12.5),
+    Goodbye("the agent ends"),
     Telemetry(bytes(range(200)), "3.1", 1e6),
     FromMobile(b"\0\xff"),
     Event(7, 3.25, "warning", 'umlaut ü and a quote "'),
