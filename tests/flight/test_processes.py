@@ -6,19 +6,25 @@ Real processes, a real pseudo-terminal, real time; the aircraft lives in the tes
 from __future__ import annotations
 
 import asyncio
+import math
 import signal
+import subprocess
 import sys
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
 import pytest
 
-from m100link import FlightPhase
+import m100link
+from m100link import FlightPhase, GuardRefused
 from m100link.protocol.records import Device
 from m100link.sim import Driver, PtyPort, VirtualAircraft
 from m100link.sim.vehicle.mobile import Grant
-from tests.rig import TimedMoves
+from tests.flight import foreign_aircraft as foreign
+from tests.flight.foreign_aircraft import ForeignAircraft, foreign_aircraft
+from tests.rig import FIRMWARES, NORTH, TimedMoves
 from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.pty, pytest.mark.anyio]
@@ -162,3 +168,86 @@ async def test_after_sigkill_nothing_is_sent_and_the_aircraft_hovers() -> None:
         assert flown.last_values[-1] == (2.0, 0.0, 0.0, 0.0)
         assert flown.virtual.vehicle.authority.device is Device.ONBOARD
         await flown.assert_hovers()
+
+
+# -- against an aircraft that shares no line with the library --------------------------------------
+
+
+@contextmanager
+def foreign_flight(
+    program: str, firmware: str
+) -> Iterator[tuple[ForeignAircraft, subprocess.Popen[bytes]]]:
+    """The foreign aircraft, flown by a process."""
+    with foreign_aircraft(firmware) as there:
+        command = (sys.executable, "-m", "tests.flight.foreign_programs", program, there.name)
+        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as process:
+            try:
+                yield there, process
+            finally:
+                if process.poll() is None:
+                    process.kill()
+
+
+def assert_given_back(there: ForeignAircraft) -> None:
+    """Neutral was the last word, then the release; all of it was obeyed."""
+    assert there.device == foreign.RC
+    assert there.releases >= 1
+    last = there.movements[-10:]
+    assert {movement.values for movement in last} == {(0.0, 0.0, 0.0, 0.0)}
+    assert all(movement.is_obeyed for movement in there.movements)
+    assert any(movement.values[0] == 2.0 for movement in there.movements)
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("pauses", [(0.03, 0.03), (0.0, 0.0), (0.15, 0.1, 0.02, 0.02)], ids=str)
+def test_any_number_of_ctrl_c_gives_the_foreign_aircraft_back(
+    firmware: str, pauses: tuple[float, ...]
+) -> None:
+    """Three within 0.1 s, and some in the stop path; once a program hung for 80 s after that."""
+    with foreign_flight("loop", firmware) as (there, process):
+        there.wait_for("movements", 25, timeout=25.0)
+        process.send_signal(signal.SIGINT)
+        for pause in pauses:
+            time.sleep(pause)
+            process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10.0) in (130, -signal.SIGINT)
+        assert_given_back(there)
+        assert process.stdout is not None
+        assert b"went on" not in process.stdout.read()
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_a_generator_that_breaks_gives_the_foreign_aircraft_back(firmware: str) -> None:
+    with foreign_flight("generator", firmware) as (there, process):
+        assert process.wait(timeout=30.0) == 0
+        assert_given_back(there)
+        assert process.stdout is not None
+        assert b"entered again" in process.stdout.read()
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_leaving_connect_gives_the_foreign_aircraft_back_before_the_line_closes(
+    firmware: str,
+) -> None:
+    with foreign_flight("task", firmware) as (there, process):
+        process.wait(timeout=30.0)
+        assert_given_back(there)
+
+
+@pytest.mark.parametrize("latitude", [math.nan, 89.5, math.inf])
+def test_an_impossible_position_of_the_foreign_aircraft_leaves_no_authority_behind(
+    latitude: float,
+) -> None:
+    async def enter(port: str) -> None:
+        async with m100link.connect(port) as aircraft:
+            await aircraft.activate(m100link.Credentials(app_id=foreign.APP_ID, key=foreign.KEY))
+            await aircraft.wait_for(lambda state: state.position is not None, timeout=5)
+            async with aircraft.control() as control:
+                with pytest.raises(GuardRefused):
+                    control.send(NORTH)
+
+    with foreign_aircraft() as there:
+        there.latitude_deg = latitude
+        asyncio.run(enter(there.name))
+        assert there.device == foreign.RC
+        assert there.movements == []

@@ -1,0 +1,57 @@
+"""Programs for ``test_processes.py``: python -m tests.flight.foreign_programs PROGRAM PORT.
+
+They fly the foreign aircraft, which is in the air already, north for ever, and never handle a
+signal, a break or a failure: whatever happens then is the library's doing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import AsyncIterator
+
+import m100link
+from tests.flight.foreign_aircraft import APP_ID, KEY
+from tests.rig import NORTH
+
+
+async def in_a_loop(aircraft: m100link.Aircraft) -> None:
+    async with aircraft.control() as control:
+        async for tick in control.ticks():
+            control.send(NORTH)
+            if tick.index == 20:
+                print("flying", flush=True)  # noqa: T201 (the test waits for it)
+    print("went on behind the block", flush=True)  # noqa: T201 (it must not)
+
+
+async def in_a_generator(aircraft: m100link.Aircraft) -> None:
+    async def legs() -> AsyncIterator[int]:
+        async with aircraft.control() as control:
+            for leg in range(100):
+                control.send(NORTH, lifetime=1.0)
+                await asyncio.sleep(0.1)
+                yield leg
+
+    async for leg in legs():
+        if leg == 5:
+            break
+    await asyncio.sleep(2.0)
+    async with aircraft.control():
+        print("entered again", flush=True)  # noqa: T201 (the test waits for it)
+
+
+async def in_a_task(aircraft: m100link.Aircraft) -> None:
+    flying = asyncio.create_task(in_a_loop(aircraft))
+    await asyncio.sleep(1.0)
+    del flying  # main leaves connect() while it flies
+
+
+async def main(program: str, port: str) -> None:
+    async with m100link.connect(port) as aircraft:
+        await aircraft.activate(m100link.Credentials(app_id=APP_ID, key=KEY))
+        await aircraft.wait_for(lambda state: state.position is not None, timeout=5)
+        await {"loop": in_a_loop, "generator": in_a_generator, "task": in_a_task}[program](aircraft)
+
+
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))

@@ -1,0 +1,207 @@
+"""Work that is carried to its end, and blocks that are cancelled from outside."""
+
+from __future__ import annotations
+
+import asyncio
+
+import anyio
+import pytest
+
+from m100link.flight.cancellation import Errand, ProgramTask
+
+pytestmark = pytest.mark.anyio
+
+
+class Work:
+    """Some work of a second, and what became of it."""
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self.begun = self.done = self.ended = 0
+        self.error = error
+        self.errand = Errand(self.work, self.on_end)
+
+    async def work(self) -> None:
+        self.begun += 1
+        await asyncio.sleep(1.0)
+        self.done += 1
+        if self.error is not None:
+            raise self.error
+
+    def on_end(self) -> None:
+        self.ended += 1
+
+
+async def test_work_is_done_once_however_often_it_is_waited_for() -> None:
+    work = Work()
+    work.errand.begin()
+    await asyncio.gather(work.errand.ended(), work.errand.ended())
+    await work.errand.ended()
+    assert (work.begun, work.done, work.ended) == (1, 1, 1)
+
+
+async def test_a_cancelled_waiter_waits_on_and_then_lets_the_cancellation_out() -> None:
+    """The caller's cancellation is not swallowed: it comes out when the work has ended."""
+    work = Work()
+    work.errand.begin()
+    waiter = asyncio.create_task(work.errand.ended())
+    for _ in range(5):
+        await asyncio.sleep(0.1)
+        waiter.cancel()
+    await asyncio.sleep(0.1)
+    assert not waiter.done()
+    with pytest.raises(asyncio.CancelledError):
+        await waiter
+    assert (work.begun, work.done, work.ended) == (1, 1, 1)
+
+
+async def test_a_scope_of_anyio_cannot_cut_it_short_either() -> None:
+    work = Work()
+    work.errand.begin()
+    with anyio.move_on_after(0.1) as scope:
+        await work.errand.ended()
+        assert work.done == 1
+        await asyncio.sleep(10)  # delivered at the next wait
+    assert scope.cancelled_caught
+
+
+async def test_work_that_is_cancelled_itself_is_begun_again() -> None:
+    """What asyncio.run does on its way out: it cancels every task there is."""
+    before = asyncio.all_tasks()
+    work = Work()
+    work.errand.begin()
+    waiter = asyncio.create_task(work.errand.ended())
+    for _ in range(2):
+        await asyncio.sleep(0.5)
+        for task in asyncio.all_tasks() - before:
+            task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiter
+    assert (work.begun, work.done, work.ended) == (3, 1, 1)
+
+
+async def test_work_that_is_cancelled_again_and_again_is_given_up_and_says_so(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    before = asyncio.all_tasks()
+    work = Work()
+    work.errand.begin()
+    for _ in range(3):
+        await asyncio.sleep(0.5)
+        for task in asyncio.all_tasks() - before:
+            task.cancel()
+    await work.errand.ended()
+    assert (work.begun, work.done, work.ended) == (3, 0, 1)
+    assert "given up" in caplog.text
+
+
+async def test_work_that_is_cancelled_before_its_first_line_is_begun_all_the_same() -> None:
+    work = Work()
+    work.errand.begin().cancel()
+    await work.errand.ended()
+    assert (work.begun, work.done, work.ended) == (1, 1, 1)
+
+
+async def test_what_the_work_raises_comes_out_at_each_waiter() -> None:
+    work = Work(ZeroDivisionError())
+    work.errand.begin()
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            await work.errand.ended()
+    assert work.ended == 1
+
+
+# -- cancelling the program ----------------------------------------------------------------------
+
+
+class Block:
+    """A block that is cancelled from outside, and what it made of that."""
+
+    def __init__(self) -> None:
+        self.program = ProgramTask()
+        self.was_ours: bool | None = None
+
+    async def __aenter__(self) -> Block:
+        self.program.enter()
+        return self
+
+    async def __aexit__(self, kind: object, error: BaseException | None, _: object) -> bool:
+        self.program.leave()
+        self.was_ours = self.program.take_back(error)
+        return self.was_ours
+
+
+async def test_its_own_cancellation_is_taken_back() -> None:
+    async with Block() as block:
+        block.program.cancel()
+        await asyncio.sleep(10)
+    assert block.was_ours
+    task = asyncio.current_task()
+    assert task is not None
+    assert task.cancelling() == 0
+    await asyncio.sleep(0.1)
+
+
+async def test_a_task_that_cancels_itself_leaves_in_peace() -> None:
+    async with Block() as block:
+        block.program.cancel()
+    assert block.was_ours is False
+    await asyncio.sleep(0.1)  # nothing comes behind the block
+
+
+async def test_a_cancellation_of_somebody_else_is_let_through() -> None:
+    block = Block()
+
+    async def program() -> None:
+        async with block:
+            await asyncio.sleep(10)
+
+    task = asyncio.create_task(program())
+    await asyncio.sleep(0.1)
+    block.program.cancel()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert block.was_ours is False
+
+
+async def test_it_works_inside_a_timeout_and_around_one() -> None:
+    async with asyncio.timeout(5.0), Block() as block, asyncio.timeout(5.0):
+        block.program.cancel()
+        await asyncio.sleep(1.0)
+    assert block.was_ours
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.5), Block():
+            await asyncio.sleep(1.0)
+
+
+async def test_two_blocks_of_one_task_each_take_their_own_back() -> None:
+    async with Block() as outer:
+        async with Block() as inner:
+            inner.program.cancel()
+            outer.program.cancel()
+            await asyncio.sleep(10)
+        pytest.fail("the outer block was cancelled, too")
+    assert inner.was_ours is False
+    assert outer.was_ours
+
+
+async def test_a_task_group_in_the_block_ends_with_it() -> None:
+    ended = []
+
+    async def work() -> None:
+        try:
+            await asyncio.sleep(10)
+        finally:
+            ended.append("work")
+
+    async with Block() as block:
+        asyncio.get_running_loop().call_later(1.0, block.program.cancel)
+        async with anyio.create_task_group() as group:
+            group.start_soon(work)
+    assert block.was_ours
+    async with Block() as block:
+        asyncio.get_running_loop().call_later(1.0, block.program.cancel)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(work())
+    assert block.was_ours
+    assert ended == ["work", "work"]
