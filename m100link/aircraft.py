@@ -22,13 +22,14 @@ from m100link.flight.lifecycle import BlockClaim
 from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, task_sequences
 from m100link.link import Link, LinkStatistics, open_link
-from m100link.protocol.command import Push, Request, encode_code
+from m100link.notifications import Notifications
+from m100link.protocol.command import Push, Request
 from m100link.protocol.commands.activation import (
     Credentials,
     SendToMobile,
     Version,
 )
-from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
+from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.requests import Requests
 from m100link.telemetry.device_clock import DeviceClock
@@ -67,13 +68,10 @@ class Aircraft:
         self.authority = Authority(asyncio.get_running_loop().time)
         parts = link, self._requests, self.authority, self.state
         self._commander = Commander(*parts, task_sequences())
-        self._handlers: dict[tuple[int, int], Callable[[Frame, float], None]] = {
-            PushTelemetry.ADDRESS: self._on_telemetry,
-            AuthorityChanged.ADDRESS: self._on_authority_changed,
-            FromMobile.ADDRESS: self._on_from_mobile,
-        }
-
-        link.on_received, link.on_lost = self._on_received, self._on_lost
+        notifications = Notifications(link, self._requests, self._on_telemetry)
+        notifications.subscribe(AuthorityChanged, self._on_authority_changed)
+        notifications.subscribe(FromMobile, self._on_from_mobile)
+        link.on_lost = self._on_lost
 
     # -- connection ------------------------------------------------------------------------------
 
@@ -288,14 +286,6 @@ class Aircraft:
 
     # -- what the link calls ---------------------------------------------------------------------
 
-    def _on_received(self, frame: Frame, now: float) -> None:
-        data = frame.data
-        handler = self._handlers.get((data[0], data[1])) if len(data) >= 2 else None
-        if handler is not None:
-            handler(frame, now)
-        else:
-            _logger.debug("a push that is no push of the document: %s", data[:16].hex())
-
     def _on_telemetry(self, frame: Frame, now: float) -> None:
         if not self._requests.knows_layout:
             return
@@ -310,13 +300,12 @@ class Aircraft:
             self.authority.observe_control_device(control_device)
         self._telemetry.publish(sample)
 
-    def _on_authority_changed(self, frame: Frame, now: float) -> None:
-        self.link.acknowledge(frame, encode_code(0))
+    def _on_authority_changed(self, notification: AuthorityChanged, now: float) -> None:
         _logger.info("the aircraft notifies that authority passed away")
         self.authority.feed(AuthorityInput.NOTIFIED)
 
-    def _on_from_mobile(self, frame: Frame, now: float) -> None:
-        self._from_mobile.publish(frame.data[2:], now)
+    def _on_from_mobile(self, notification: FromMobile, now: float) -> None:
+        self._from_mobile.publish(notification.data, now)
 
     def _on_lost(self, error: LinkError) -> None:
         self._telemetry.fail(error)

@@ -171,6 +171,11 @@ class Notification(Command):
 
     __slots__ = ()
 
+    @classmethod
+    def when_unreadable(cls) -> Self | None:
+        """What one with a value that cannot be read is taken for; None when it says nothing."""
+        return None
+
 
 @dataclass(frozen=True, slots=True)
 class Unrecognised:

@@ -62,6 +62,11 @@ class AuthorityChanged(Notification):
             raise ValueError(f"{cls.NAME} takes 1 byte, there are {len(value)}")
         return cls(value[0])
 
+    @classmethod
+    def when_unreadable(cls) -> Self:
+        """A loss all the same: to believe in authority that is gone is the worse error."""
+        return cls()
+
 
 @dataclass(frozen=True, slots=True)
 class FromMobile(Notification):

@@ -1,0 +1,73 @@
+"""The one road up: what the aircraft says by itself, read by its class and acknowledged."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from m100link.protocol.command import Notification, encode_code
+from m100link.protocol.commands.monitor import PushTelemetry
+
+if TYPE_CHECKING:
+    from m100link.link import Link
+    from m100link.requests import Requests
+    from m100link.wire.frame import Frame
+
+__all__ = ["Notifications"]
+
+_logger = logging.getLogger("m100link.notifications")
+
+N = TypeVar("N", bound=Notification)
+
+
+class Notifications:
+    """Hands each notification to whoever wants it; takes the link's ``on_received``.
+
+    Telemetry goes on as the frame that it came in: it is read where it is used, a hundred times a
+    second.
+
+    Args:
+        link: The line.
+        requests: Knows the firmware.
+        on_telemetry: Gets telemetry frames and the time of their arrival.
+    """
+
+    def __init__(
+        self, link: Link, requests: Requests, on_telemetry: Callable[[Frame, float], None]
+    ) -> None:
+        self._link = link
+        self._requests = requests
+        self._takers: dict[tuple[int, int], Callable[[Frame, float], None]] = {
+            PushTelemetry.ADDRESS: on_telemetry
+        }
+        link.on_received = self._on_received
+
+    def subscribe(self, kind: type[N], handler: Callable[[N, float], None]) -> None:
+        """Call the handler with each notification of that class and the time of its arrival."""
+        self._takers[kind.ADDRESS] = partial(self._take, kind, handler)
+
+    def _on_received(self, frame: Frame, now: float) -> None:
+        data = frame.data
+        taker = self._takers.get((data[0], data[1])) if len(data) >= 2 else None
+        if taker is not None:
+            taker(frame, now)
+        else:
+            _logger.debug("a push that is no push of the document: %s", data[:16].hex())
+
+    def _take(
+        self,
+        kind: type[Notification],
+        handler: Callable[[Any, float], None],
+        frame: Frame,
+        now: float,
+    ) -> None:
+        self._link.acknowledge(frame, encode_code(0))  # nothing is sent where no ack is wanted
+        try:
+            notification: Notification | None = kind.parse(frame.data[2:], self._requests.firmware)
+        except ValueError as error:
+            notification = kind.when_unreadable()
+            _logger.warning("a notification that cannot be read: %s", error)
+        if notification is not None:
+            handler(notification, now)

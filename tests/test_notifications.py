@@ -1,0 +1,92 @@
+"""What the aircraft says by itself reaches whoever wants it, whatever it looks like."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from m100link.notifications import Notifications
+from m100link.protocol import AuthorityChanged, FromMobile, PushTelemetry, profile
+from m100link.requests import Requests
+from m100link.session import SessionMode
+from m100link.wire import Frame
+from tests.link.peer import Peer, connected
+
+pytestmark = pytest.mark.anyio
+
+FIRMWARE = profile("1.0")
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+class Program:
+    """The program's end of a line, and what it was told."""
+
+    def __init__(self) -> None:
+        self.losses: list[AuthorityChanged] = []
+        self.messages: list[bytes] = []
+        self.telemetry: list[bytes] = []
+        self.times: list[float] = []
+
+    async def connect(self) -> Peer:
+        link, peer, _ = await connected()
+        notifications = Notifications(link, Requests(link, FIRMWARE), self._on_telemetry)
+        notifications.subscribe(AuthorityChanged, lambda lost, now: self.losses.append(lost))
+        notifications.subscribe(FromMobile, self._on_message)
+        return peer
+
+    def _on_telemetry(self, frame: Frame, now: float) -> None:
+        self.telemetry.append(frame.data)
+
+    def _on_message(self, message: FromMobile, now: float) -> None:
+        self.messages.append(message.data)
+        self.times.append(now)
+
+
+async def test_each_kind_goes_to_its_own_handler() -> None:
+    program = Program()
+    peer = await program.connect()
+    before = asyncio.get_running_loop().time()
+    for data in (
+        AuthorityChanged().encode(FIRMWARE),
+        FromMobile(b"hello").encode(FIRMWARE),
+        bytes(PushTelemetry.ADDRESS) + b"\0\0",
+    ):
+        peer.link.push(data)
+    await asyncio.sleep(0.01)
+    assert program.losses == [AuthorityChanged()]
+    assert program.messages == [b"hello"]
+    assert program.telemetry == [b"\x02\x00\x00\x00"]
+    assert before <= program.times[0] <= asyncio.get_running_loop().time()
+
+
+@pytest.mark.parametrize("data", [b"\x02\x01\x04", b"\x02\x02hello", b"\x02\x02" + bytes(101)])
+async def test_what_wants_an_ack_gets_code_0_even_if_it_cannot_be_read(data: bytes) -> None:
+    program = Program()
+    peer = await program.connect()
+    ack = await peer.link.request(data, mode=SessionMode.RELIABLE, timeout=1.0, tries=1)
+    assert ack == b"\0\0"
+
+
+@pytest.mark.parametrize("value", [b"", b"\x04\x00"])
+async def test_a_loss_of_authority_that_cannot_be_read_is_a_loss(value: bytes) -> None:
+    program = Program()
+    peer = await program.connect()
+    peer.link.push(b"\x02\x01" + value)
+    await asyncio.sleep(0.01)
+    assert program.losses == [AuthorityChanged()]
+
+
+@pytest.mark.parametrize("data", [b"\x02", b"\x02\x02", b"\x02\x02" + bytes(101), b"\x09\x09\x01"])
+async def test_what_cannot_be_read_and_says_nothing_is_passed_over(data: bytes) -> None:
+    program = Program()
+    peer = await program.connect()
+    peer.link.push(data)
+    peer.link.push(FromMobile(b"next").encode(FIRMWARE))
+    await asyncio.sleep(0.01)
+    assert program.messages == [b"next"]
+    assert not program.losses
