@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 from collections.abc import AsyncIterable, AsyncIterator, Callable
 from contextlib import asynccontextmanager, nullcontext
+from functools import partial
 from types import TracebackType
 from typing import Literal, Self
 
 from m100link.errors import (
+    GuardRefused,
     LinkClosed,
     LinkError,
     LinkLost,
@@ -37,7 +38,7 @@ from m100link.flight.lifecycle import (
     StopCause,
 )
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
-from m100link.flight.setpoints import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
+from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold, SetpointLoop, check_lifetime
 from m100link.flight.signals import SIGNALS
 from m100link.flight.stop_path import StopAction, StopPath
 from m100link.flight.tasks import Commander, TaskProgress, run_task, task_name
@@ -55,23 +56,6 @@ PauseAction = Literal["raise", "wait"]
 
 SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 """Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""
-
-
-class Hold:
-    """A setpoint that is being sent; :meth:`set` renews or replaces it."""
-
-    def __init__(self, control: Control, lifetime: float, rate_hz: float) -> None:
-        self._control = control
-        self._lifetime = lifetime
-        self._rate_hz = rate_hz
-
-    def set(self, setpoint: Setpoint) -> None:
-        """Send this setpoint from now on, for another lifetime.
-
-        Raises:
-            NoAuthority, GuardRefused, BadSetpoint: See :meth:`Control.send`.
-        """
-        self._control.send(setpoint, lifetime=self._lifetime, rate_hz=self._rate_hz)
 
 
 class Control:
@@ -110,6 +94,7 @@ class Control:
         self._life = Lifecycle()
         self._program = ProgramTask()
         self._running_task: Task | None = None  # flown by the autopilot: it ignores setpoints
+        self._refused: GuardRefused | None = None  # why the newest setpoint was ended
         self._setpoints = SetpointLoop(self._transmit, self._admits)
         self._stop_path = StopPath(commander, self._life, self._setpoints, stop)
         self._stopping = Errand(self._stop_path.run, self._on_stopped)
@@ -249,19 +234,25 @@ class Control:
         *,
         lifetime: float = SETPOINT_LIFETIME,
         rate_hz: float = MAX_RATE_HZ,
+        allow_long_lifetime: bool = False,
     ) -> None:
         """Send a setpoint now, and repeat it until it is renewed or expires.
 
         Args:
             setpoint: What to fly.
             lifetime: Seconds after which it is not repeated any more; then the mode's neutral is
-                sent for 0.3 s, then nothing.
+                sent for 0.3 s, then nothing. At most 1 s, unless ``allow_long_lifetime``.
             rate_hz: Repetitions per second, at most 50; another setpoint and the neutral do not
                 wait for it.
+            allow_long_lifetime: Allow more than 1 s: a program that hangs flies on for that long.
+
+        The guards are asked before each frame. One that refuses later replaces the setpoint by its
+        neutral; the next call raises the refusal.
 
         Raises:
             NoAuthority: Authority is not held, is paused, or a task is flying the aircraft.
             GuardRefused: A guard said no; nothing was sent.
+            UsageError: The lifetime does not end, or is longer than allowed.
             BadSetpoint: The firmware cannot express it.
         """
         self._require_flying("a setpoint")
@@ -271,10 +262,10 @@ class Control:
                 cause="the aircraft ignores movement during take-off, landing and go-home",
                 remedy="await the task first",
             )
-        if not 0 < lifetime < math.inf:
-            raise UsageError(f"a lifetime of {lifetime} s is no time that ends")
+        check_lifetime(lifetime, is_long_allowed=allow_long_lifetime)
         setpoint.control_flag(self._requests.firmware)  # refused here, not in the sending task
         self._guards.check(setpoint)
+        self._refused = None
         self._setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
 
     def send_raw_move_as_expert(self, move: Move) -> bool:
@@ -303,8 +294,21 @@ class Control:
         if self._authority.state is not AuthorityState.HELD:
             return False
         if self._life.state is BlockState.FLYING:
-            return self._watchdog.is_quiet()
+            return self._watchdog.is_quiet() and self._guards_admit(setpoint)
         return self._life.state is BlockState.STOPPING  # the neutral
+
+    def _guards_admit(self, setpoint: Setpoint) -> bool:
+        """Ask again: a setpoint may live longer than what it was checked against."""
+        try:
+            self._guards.check(setpoint)
+        except GuardRefused as error:
+            if setpoint == setpoint.neutral():
+                return True  # standing still is never refused
+            _logger.warning("sending neutral: %s", error.seen)
+            self._refused = error
+            self._setpoints.neutralise()
+            return False
+        return True
 
     def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
         """Ticks for a control loop in the caller's own task.
@@ -321,6 +325,7 @@ class Control:
         *,
         rate_hz: float = MAX_RATE_HZ,
         lifetime: float = SETPOINT_LIFETIME,
+        allow_long_lifetime: bool = False,
     ) -> AsyncIterator[Hold]:
         """A task keeps sending a setpoint while the block runs and renews it by :meth:`Hold.set`.
 
@@ -330,16 +335,23 @@ class Control:
             setpoint: The first setpoint.
             rate_hz: Repetitions per second, at most 50.
             lifetime: Seconds that each setpoint lasts when it is not renewed.
+            allow_long_lifetime: Allow more than 1 s.
 
         Raises:
             NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
+            GuardRefused: On the way out, when a guard ended the setpoint that was held last.
         """
-        hold = Hold(self, lifetime, rate_hz)
+        is_long = allow_long_lifetime
+        hold = Hold(
+            partial(self.send, lifetime=lifetime, rate_hz=rate_hz, allow_long_lifetime=is_long)
+        )
         hold.set(setpoint)
         try:
             yield hold
         finally:
             self._setpoints.neutralise()
+        if self._refused is not None:
+            raise self._refused.again()
 
     async def follow(
         self,
@@ -347,6 +359,7 @@ class Control:
         *,
         rate_hz: float = MAX_RATE_HZ,
         lifetime: float | None = None,
+        allow_long_lifetime: bool = False,
     ) -> None:
         """Send what a source gives until it ends, then the mode's neutral.
 
@@ -356,31 +369,30 @@ class Control:
             rate_hz: Ticks per second for a callable.
             lifetime: Seconds that each setpoint lasts when the next one does not come; by default
                 0.2 s, or two ticks where these are longer.
+            allow_long_lifetime: Allow more than 1 s, as a rate below 2 Hz needs it.
 
         Raises:
             NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
         """
         if lifetime is None:
             lifetime = max(SETPOINT_LIFETIME, 2 * period_of(rate_hz))
+        send = partial(self.send, lifetime=lifetime, allow_long_lifetime=allow_long_lifetime)
         try:
             if isinstance(source, AsyncIterable):
                 async for setpoint in source:
-                    self.send(setpoint, lifetime=lifetime)
+                    send(setpoint)
                 return
             async for tick in self.ticks(rate_hz):
                 wanted = source(tick)
                 if wanted is None:
                     return
-                self.send(wanted, lifetime=lifetime)
+                send(wanted)
         finally:
             self._setpoints.neutralise()
 
     async def stop(self) -> None:
         """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers."""
-        if self._setpoints.current is not None:
-            self._setpoints.neutralise()
-            await asyncio.sleep(NEUTRAL_TIME)
-            self._setpoints.silence()
+        await self._setpoints.halt()
 
     async def wait_resumable(self) -> None:
         """With ``on_pause="wait"``: wait until the pilot has given the aircraft back."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable
 
+from m100link.errors import UsageError
 from m100link.flight.pacing import MAX_RATE_HZ, Alarm
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["NEUTRAL_TIME", "SETPOINT_LIFETIME", "SetpointLoop"]
+__all__ = ["NEUTRAL_TIME", "SETPOINT_LIFETIME", "Hold", "SetpointLoop", "check_lifetime"]
 
 _logger = logging.getLogger("m100link.flight")
 
@@ -19,11 +21,44 @@ SETPOINT_LIFETIME = 0.2
 NEUTRAL_TIME = 0.3
 """Seconds of neutral after a setpoint expired; then silence, on which the aircraft hovers."""
 
+LONG_LIFETIME = 1.0
+"""Seconds above which a lifetime needs an argument that says so."""
+
 _PERIOD = 1.0 / MAX_RATE_HZ
 """Shortest time between two frames, on average."""
 
 _SLACK = 0.1 * _PERIOD
 """By how much a program that ticks itself may be early or late on our grid, s."""
+
+
+def check_lifetime(lifetime: float, *, is_long_allowed: bool) -> None:
+    """Whether a setpoint may live so long.
+
+    Raises:
+        UsageError: It does not end, or it is long and nobody said so.
+    """
+    if not 0 < lifetime < math.inf:
+        raise UsageError(f"a lifetime of {lifetime} s is not a time that ends")
+    if lifetime > LONG_LIFETIME and not is_long_allowed:
+        raise UsageError(
+            f"a lifetime of {lifetime:g} s is long: a program that hangs flies on for that long",
+            remedy=f"renew it within {LONG_LIFETIME:g} s, or say allow_long_lifetime=True",
+        )
+
+
+class Hold:
+    """A setpoint that is being sent; :meth:`set` renews or replaces it."""
+
+    def __init__(self, send: Callable[[Setpoint], None]) -> None:
+        self._send = send
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Send this setpoint from now on, for another lifetime.
+
+        Raises:
+            NoAuthority, GuardRefused, BadSetpoint: See :meth:`Control.send`.
+        """
+        self._send(setpoint)
 
 
 class SetpointLoop:
@@ -114,6 +149,13 @@ class SetpointLoop:
     def silence(self) -> None:
         """Send nothing more until the next setpoint."""
         self._setpoint = self._frame = None
+
+    async def halt(self) -> None:
+        """Neutral for a moment, then silence."""
+        if self._setpoint is not None:
+            self.neutralise()
+            await asyncio.sleep(NEUTRAL_TIME)
+            self._expire(self._loop.time())  # unless somebody has sent something new
 
     async def stop(self) -> None:
         """End the task."""

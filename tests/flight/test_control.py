@@ -138,6 +138,27 @@ async def test_a_lifetime_without_end_is_refused(flying: tuple[Rig, Control]) ->
         control.send(NORTH, lifetime=float("inf"))
 
 
+@pytest.mark.parametrize("lifetime", [1.001, 60.0])
+async def test_a_lifetime_above_a_second_needs_an_argument_that_says_so(
+    flying: tuple[Rig, Control], lifetime: float
+) -> None:
+    """A program that hangs flies on for that long."""
+    flown, control = flying
+    with pytest.raises(UsageError, match="flies on for that long") as caught:
+        control.send(NORTH, lifetime=lifetime)
+    assert "allow_long_lifetime=True" in caught.value.remedy
+    with pytest.raises(UsageError):
+        async with control.hold(NORTH, lifetime=lifetime):
+            pytest.fail("entered")
+    with pytest.raises(UsageError):
+        await control.follow(lambda _: NORTH, lifetime=lifetime)
+    with pytest.raises(UsageError):
+        await control.follow(lambda _: NORTH, rate_hz=1.0)
+    assert len(flown.moves) == 0
+    control.send(NORTH, lifetime=1.0)
+    control.send(NORTH, lifetime=lifetime, allow_long_lifetime=True)
+
+
 @pytest.mark.parametrize("rate", [0, 51, 1000])
 async def test_a_rate_beyond_50_hz_is_refused(flying: tuple[Rig, Control], rate: float) -> None:
     _, control = flying
@@ -197,7 +218,7 @@ async def test_hold_without_renewal_expires_like_any_setpoint(
 
 async def test_hold_may_be_given_a_longer_life(flying: tuple[Rig, Control]) -> None:
     flown, control = flying
-    async with control.hold(NORTH, lifetime=2.0, rate_hz=10):
+    async with control.hold(NORTH, lifetime=2.0, rate_hz=10, allow_long_lifetime=True):
         await asyncio.sleep(1.95)
     assert {move.roll_or_x for move in list(flown.moves)[:19]} == {2.0}
     assert 19 <= sum(move.roll_or_x == 2.0 for move in flown.moves) <= 21
@@ -345,6 +366,18 @@ async def test_stop_that_is_cancelled_still_falls_silent(flying: tuple[Rig, Cont
     task.cancel()
     await asyncio.sleep(0.5)
     flown.assert_stopped_in_order()
+
+
+async def test_stop_does_not_silence_what_was_sent_after_it(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    control.send(NORTH)
+    stopping = asyncio.create_task(control.stop())
+    await asyncio.sleep(0.25)
+    control.send(NORTH)
+    await stopping
+    count = len(flown.moves)
+    await asyncio.sleep(0.1)
+    assert len(flown.moves) > count + 3
 
 
 async def test_stop_with_nothing_to_stop_takes_no_time(flying: tuple[Rig, Control]) -> None:

@@ -453,7 +453,7 @@ async def test_a_held_setpoint_does_not_come_back_by_itself_after_a_pause() -> N
     async with rig() as flown:
         async with flown.aircraft.control(on_pause="wait") as control:
             await control.take_off()
-            control.send(NORTH, lifetime=60.0)
+            control.send(NORTH, lifetime=60.0, allow_long_lifetime=True)
             await asyncio.sleep(1.0)
             flown.virtual.leave_f()
             await asyncio.sleep(0.1)

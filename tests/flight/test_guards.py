@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -486,6 +486,107 @@ async def test_envelope_off_by_its_name() -> None:
 def test_an_envelope_that_allows_nothing_is_no_envelope(name: str, value: float) -> None:
     with pytest.raises(UsageError, match=name):
         Envelope(**{name: value})
+
+
+# -- what is being sent is asked about again ------------------------------------------------------
+
+
+def battery_runs_low(flown: Rig) -> None:
+    flown.virtual.battery_percent = 15
+
+
+def gps_is_lost(flown: Rig) -> None:
+    flown.virtual.gps_health = 1
+
+
+def position_stops(flown: Rig) -> None:
+    flown.virtual.set_rates(position=0)
+
+
+def nothing_happens(flown: Rig) -> None:
+    """It flies out of its radius of 20 m."""
+
+
+@pytest.mark.parametrize(
+    ("happening", "guard"),
+    [
+        (battery_runs_low, "battery_floor_percent"),
+        (gps_is_lost, "gps"),
+        (position_stops, "gps"),
+        (nothing_happens, "envelope"),
+    ],
+)
+async def test_a_setpoint_that_lives_long_ends_when_a_guard_would_refuse_it(
+    happening: Callable[[Rig], None], guard: str
+) -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=20))
+    async with hovering(guards) as (flown, control):
+        with pytest.raises(GuardRefused) as caught:
+            async with control.hold(velocity(north=3), lifetime=60, allow_long_lifetime=True):
+                await asyncio.sleep(2.0)
+                happening(flown)
+                await asyncio.sleep(30.0)
+        assert caught.value.guard == guard
+        assert math.hypot(*flown.virtual.position) < 25
+        flown.assert_stopped_in_order()
+        count = len(flown.moves)
+        with pytest.raises(GuardRefused):
+            control.send(velocity(north=3))
+        await asyncio.sleep(1.0)
+        assert len(flown.moves) == count
+        await flown.assert_hovers()
+
+
+async def test_a_climb_that_lives_long_ends_at_the_envelope() -> None:
+    guards = Guards(envelope=Envelope(max_height_m=10))
+    async with hovering(guards) as (flown, control):
+        control.send(CLIMB, lifetime=60, allow_long_lifetime=True)
+        await asyncio.sleep(30)
+        assert flown.virtual.height < 11.5
+        flown.assert_stopped_in_order()
+
+
+async def test_a_hold_that_turned_back_in_time_ends_quietly() -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=20))
+    async with hovering(guards) as (_, control):
+        options: dict[str, Any] = {"lifetime": 60, "allow_long_lifetime": True}
+        async with control.hold(velocity(north=3), **options) as hold:
+            await asyncio.sleep(15.0)
+            with pytest.raises(GuardRefused):
+                hold.set(velocity(north=3))
+            hold.set(velocity(north=-3))
+            await asyncio.sleep(2.0)
+
+
+async def test_what_stands_still_is_not_refused_again() -> None:
+    async with hovering() as (flown, control):
+        async with control.hold(NORTH.neutral(), lifetime=60, allow_long_lifetime=True):
+            flown.virtual.battery_percent = 15
+            await asyncio.sleep(3.0)
+            count = len(flown.moves)
+            await asyncio.sleep(1.0)
+            assert len(flown.moves) >= count + 49
+
+
+async def test_guards_are_asked_once_for_each_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = 0
+    check = GuardKeeper.check
+
+    def counting(self: GuardKeeper, setpoint: Setpoint) -> None:
+        nonlocal asked
+        asked += 1
+        check(self, setpoint)
+
+    monkeypatch.setattr(GuardKeeper, "check", counting)
+    async with hovering() as (flown, control):
+        await flown.fly(control, 2.0)
+        assert len(flown.moves) - 2 <= asked <= len(flown.moves) + 2
+        await asyncio.sleep(1.0)
+        asked, count = 0, len(flown.moves)
+        control.send(NORTH, lifetime=1.0)
+        await asyncio.sleep(0.9)
+        sent = len(flown.moves) - count
+        assert sent - 2 <= asked <= sent + 2
 
 
 # -- stale telemetry ------------------------------------------------------------------------------

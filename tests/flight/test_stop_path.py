@@ -46,7 +46,7 @@ async def legs(flown: Rig, *, stop: str = "hover") -> AsyncIterator[int]:
     async with flown.aircraft.control(stop="land" if stop == "land" else "hover") as control:
         await control.take_off()
         for leg in range(100):
-            control.send(NORTH, lifetime=30.0)
+            control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
             await asyncio.sleep(1.0)
             yield leg
 
@@ -89,7 +89,7 @@ async def test_an_exit_stack_that_another_task_unwinds() -> None:
         async def begin() -> None:
             control = await stack.enter_async_context(flown.aircraft.control())
             await control.take_off()
-            control.send(NORTH, lifetime=30.0)
+            control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
             await asyncio.sleep(1.0)
 
         await asyncio.create_task(begin())
