@@ -194,7 +194,7 @@ async def test_a_target_outside_the_envelope_is_refused_before_anything_moves(
 async def test_a_target_inside_the_envelope_by_its_place_is_flown_to_from_outside() -> None:
     guards = Guards(envelope=Envelope(max_radius_m=20))
     async with flying(guards) as (flown, control):
-        flown.virtual.autopilot.flight.dynamics.place(40.0, 0.0, 3.0)
+        flown.virtual.vehicle.flight.dynamics.place(40.0, 0.0, 3.0)
         await asyncio.sleep(0.1)
         await control.fly_to(north=-25, east=0, up=0)
         assert flown.virtual.position == pytest.approx((15, 0), abs=0.6)
@@ -232,7 +232,7 @@ async def test_a_second_loop_is_refused_and_leaves_the_first_alone(second: Loop)
 
 async def test_a_loop_that_is_landed_on_the_way_says_so_and_stops() -> None:
     async with flying() as (flown, control):
-        asyncio.get_running_loop().call_later(1.0, flown.virtual.autopilot.flight.land)
+        asyncio.get_running_loop().call_later(1.0, flown.virtual.vehicle.flight.land)
         with pytest.raises(NotObserved, match="ended on the ground") as caught:
             await control.turn_to(90, tolerance_deg=-1, timeout=60)
         assert caught.value.situation["flight_status"] == "STANDBY"

@@ -84,7 +84,7 @@ async def circle(
                 progress=watch,
             )
             found.closing_m = math.dist(start, flown.virtual.position)
-            nose = math.degrees(flown.virtual.autopilot.flight.dynamics.yaw)
+            nose = math.degrees(flown.virtual.vehicle.flight.dynamics.yaw)
             found.facing_deg = abs(math.remainder(nose - direction_deg, 360))
     return found
 

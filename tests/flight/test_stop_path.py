@@ -276,7 +276,7 @@ async def test_a_take_off_that_was_refused_is_nothing_to_land_from() -> None:
         start = flown.now
         with pytest.raises(TaskRefused):
             async with flown.aircraft.control(stop="land") as control:
-                flown.virtual.autopilot.flight.start_motors()  # then it refuses to take off
+                flown.virtual.vehicle.flight.start_motors()  # then it refuses to take off
                 await control.take_off()
         assert flown.now - start < 3.0
         assert flown.is_released
