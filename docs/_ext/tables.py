@@ -13,6 +13,8 @@ Each directive takes its rows from one object of the package::
     ```{discard-table}                    causes for which the decoder discards
     ```{url-examples}                     connection strings that work
     ```{authority-table}                  transitions of control authority
+    ```{stop-table}                       what the stop path does for each cause
+    ```{block-table}                      transitions of a control block
     ```{cli-help}                         what `m100link … --help` says, for every verb
     ```{errata-index}                     links to the numbered errata
 """
@@ -38,6 +40,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from m100link import protocol
 from m100link.cli.app import app as cli
+from m100link.flight import lifecycle
 from m100link.flight.authority import TRANSITIONS
 from m100link.link.url import EXAMPLES
 from m100link.protocol import codes, firmware, setpoint
@@ -325,6 +328,34 @@ class AuthorityTable(TableDirective):
                 yield name, _sentence(what.value), f"``{after.name}``"
 
 
+class StopTable(TableDirective):
+    """What the stop path of a control block does."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per cause."""
+        yield "What ends the block", *(_sentence(step) for step in lifecycle.StopPlan._fields)
+        for cause, plan in lifecycle.STOP_PLANS.items():
+            yield _sentence(cause.value), *map(_yes, plan)
+
+
+class BlockTable(TableDirective):
+    """The transitions of a control block."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per state and next state."""
+        yield "State", "What happens", "Next state"
+        for state, transitions in lifecycle.TRANSITIONS.items():
+            ways: dict[lifecycle.BlockState, list[str]] = {}
+            for what, after in transitions.items():
+                ways.setdefault(after, []).append(what.value)
+            name = f"``{state.name}``: {state.value}"
+            for after, happenings in ways.items():
+                yield name, _sentence("; or: ".join(happenings)), f"``{after.name}``"
+                name = ""
+            if not ways:
+                yield name, "—", "—"
+
+
 class ErrataIndex(SphinxDirective):
     """The numbers of the errata as links, in their order; each number must be there once."""
 
@@ -394,5 +425,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("url-examples", UrlExamples)
     app.add_directive("cli-help", CliHelp)
     app.add_directive("authority-table", AuthorityTable)
+    app.add_directive("stop-table", StopTable)
+    app.add_directive("block-table", BlockTable)
     app.add_directive("errata-index", ErrataIndex)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
