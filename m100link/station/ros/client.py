@@ -85,7 +85,9 @@ class Client:
         refused: Frames not carried out.
         close_reason: Set when the client has to be disconnected.
         recent_work: Seconds of work that it caused; whoever looks sets it back to 0.
-        heard_at: When it last said anything.
+        peer: Address that it comes from.
+        heard_at: When it last said anything; when it came, if it never did.
+        has_spoken: Whether it ever said anything.
         data: For the node: what it knows about this client.
     """
 
@@ -104,7 +106,9 @@ class Client:
         self.refused = 0
         self.close_reason: str | None = None
         self.recent_work = 0.0
+        self.peer = ""
         self.heard_at = float("-inf")
+        self.has_spoken = False
         self.data: dict[str, Any] = {}
         self._outbox = Outbox(self.limits.waiting, self._output)
         self._advertised: dict[str, set[str]] = {}
@@ -140,7 +144,7 @@ class Client:
     def receive(self, frame: str | bytes, now: float) -> None:
         """Take a frame of the client. Never raises: what is wrong with it is told to the client."""
         identity = None
-        self.heard_at = now
+        self.heard_at, self.has_spoken = now, True
         try:
             self._admit(frame, now)
             message = self._parse(frame)

@@ -32,6 +32,7 @@ from m100link.station.ros.node_2015 import Node
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import App, Gate
 from m100link.station.web.logs import SparingLogger
+from m100link.station.web.places import who_makes_room
 from m100link.station.web.protocol import PATIENCE, Config, HttpConnection, WebSocketConnection
 
 if TYPE_CHECKING:
@@ -43,9 +44,7 @@ __all__ = ["Bridge", "Server", "listen"]
 
 PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
 _POLICY_VIOLATION = 1008
-SILENCE = 10.0
-"""Seconds without a word after which a client may have to make room for another."""
-_ROOM_PAUSE = 1.0
+_ACCEPTED_AT_ONCE, _BACKLOG = 8, 128
 _GUARD_INTERVAL = 0.05
 _LAG = 0.1
 _PACKING_TIME = 0.001
@@ -63,6 +62,7 @@ class Bridge:
         pages: Folder with web pages to serve on the same port.
 
     Attributes:
+        agent: As given.
         graph: Topics and services.
         clients: Who holds the lease.
     """
@@ -75,12 +75,10 @@ class Bridge:
         max_clients: int = 32,
         pages: Path | None = None,
     ) -> None:
-        self._agent = agent
+        self.agent = agent
         self._limits = limits or Limits()
         self._max_clients = max_clients
         self._log = SparingLogger(logging.getLogger("m100link.station"))
-        # When a silent client last made room for another.
-        self._made_room_at = float("-inf")
         self.graph = Graph()
         self.clients = Clients(agent, self.graph)
         Node(agent, self.graph, self.clients)
@@ -111,13 +109,13 @@ class Bridge:
         return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")
 
     async def _health(self, request: Request) -> Response:
-        state = self._agent.state
+        state = self.agent.state
         report = {
             "connection": state.connection,
             "error": str(state.connection_fault.error()) if state.connection_fault else "",
             "clients": len(self.graph.sessions),
         }
-        return JSONResponse(report, status_code=200 if self._agent.is_connected else 503)
+        return JSONResponse(report, status_code=200 if self.agent.is_connected else 503)
 
     # -- all clients -----------------------------------------------------------------------------
 
@@ -125,33 +123,33 @@ class Bridge:
     def _sessions(self) -> list[Client]:
         return [one for one in self.graph.sessions if isinstance(one, Client)]
 
-    def _make_room(self) -> bool:
-        """Whether one more client may come; one that has long been silent goes for it.
+    def _make_room(self, peer: str) -> bool:
+        """Whether one more client may come, for which another may have to go.
 
         Whoever holds the lease needs no place, and loses none.
         """
-        now = self._agent.now
+        now = self.agent.now
         others = [one for one in self._sessions if self.clients.lease(one) is None]
         if len(others) < self._max_clients:
             return True
-        silent = [one for one in others if now - one.heard_at >= SILENCE]
-        if not silent or now - self._made_room_at < _ROOM_PAUSE:
+        goes = who_makes_room(others, peer, now)
+        if goes is None:
             return False
-        self._made_room_at = now
-        longest = min(silent, key=lambda one: (one.subscribes, one.heard_at))
-        longest.disconnect(f"another client needs the place; here it was silent for {SILENCE:g} s")
-        longest.close(now)
+        goes.disconnect(
+            f"another client needs the place; here it was {now - goes.heard_at:.1f} s silent"
+        )
+        goes.close(now)
         return True
 
     async def _guard(self) -> None:
         """Let go of a client that keeps the loop from running: setpoints wait for it, too."""
         while True:
-            due = self._agent.now + _GUARD_INTERVAL
+            due = self.agent.now + _GUARD_INTERVAL
             await asyncio.sleep(_GUARD_INTERVAL)
-            lag = self._agent.now - due
+            lag = self.agent.now - due
             sessions = self._sessions
             heaviest = max(sessions, key=lambda one: one.recent_work, default=None)
-            if heaviest is not None and lag >= _LAG and heaviest.recent_work >= lag / 2:
+            if heaviest is not None and lag >= _LAG and heaviest.recent_work >= _LAG / 2:
                 heaviest.disconnect(
                     f"it kept the station from running for {1000 * heaviest.recent_work:.0f} ms"
                 )
@@ -161,15 +159,15 @@ class Bridge:
     # -- one client ------------------------------------------------------------------------------
 
     async def _serve(self, websocket: WebSocket) -> None:
-        if not self._make_room():
+        peer = websocket.client.host if websocket.client else ""
+        if not self._make_room(peer):
             self._log.warning("a client was refused: %d are connected", len(self.graph.sessions))
             await websocket.close(_POLICY_VIOLATION)
             return
-        peer = websocket.client
-        name = f"rosbridge {peer.host}:{peer.port}" if peer else "rosbridge"
+        name = f"rosbridge {peer}:{websocket.client.port}" if websocket.client else "rosbridge"
         wake = asyncio.Event()
         session = Client(self.graph, name, limits=self._limits, on_output=wake.set)
-        session.heard_at = self._agent.now
+        session.heard_at, session.peer = self.agent.now, peer
         try:
             await websocket.accept()
             self._log.info("%s connected", name)
@@ -179,14 +177,14 @@ class Bridge:
                 await asyncio.wait((writing, reading), return_when=asyncio.FIRST_COMPLETED)
             finally:
                 # The motion stops now, not when the tasks have ended.
-                session.close(self._agent.now)
+                session.close(self.agent.now)
                 for task in (writing, reading):
                     task.cancel()
                 await asyncio.gather(writing, reading, return_exceptions=True)
         except WebSocketDisconnect:
             pass
         finally:
-            session.close(self._agent.now)
+            session.close(self.agent.now)
             self._log.info("%s has gone (%d messages dropped)", name, session.dropped)
 
     async def _read(self, websocket: WebSocket, session: Client) -> None:
@@ -195,7 +193,7 @@ class Bridge:
             if message["type"] == "websocket.disconnect":
                 return
             data = message.get("text")
-            began, now = time.thread_time(), self._agent.now
+            began, now = time.thread_time(), self.agent.now
             session.receive(message.get("bytes", b"") if data is None else data, now)
             session.charge(time.thread_time() - began, now)
             # Frames may wait in a row: others have their turn between them.
@@ -208,7 +206,7 @@ class Bridge:
         with contextlib.suppress(WebSocketDisconnect):
             while session.close_reason is None:
                 wake.clear()
-                began, now = time.thread_time(), self._agent.now
+                began, now = time.thread_time(), self.agent.now
                 session.advance(now)
                 frames = _frames(session)
                 if not frames:
@@ -219,7 +217,7 @@ class Bridge:
                 session.charge(packed_at - began, now)
                 # The loop that flies has its turn in between; who wants too much waits longer,
                 # and loses messages.
-                await asyncio.sleep(session.work_pause(self._agent.now))
+                await asyncio.sleep(session.work_pause(self.agent.now))
             self._log.warning("%s is disconnected: %s", session.name, session.close_reason)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(1.0):
@@ -299,10 +297,16 @@ class Server(uvicorn.Server):
         timeout = PATIENCE if config.ssl is not None else None
         self.servers = [
             await loop.create_server(
-                connection, sock=one, ssl=config.ssl, ssl_handshake_timeout=timeout
+                connection,
+                sock=one,
+                ssl=config.ssl,
+                ssl_handshake_timeout=timeout,
+                backlog=_ACCEPTED_AT_ONCE,
             )
             for one in sockets or []
         ]
+        for one in sockets or []:
+            one.listen(_BACKLOG)  # how many may wait; asyncio takes it for how many to accept
         self.started = True
 
     async def run_on(self, sockets: Sequence[socket.socket]) -> None:
@@ -345,6 +349,6 @@ def listen(host: str, port: int) -> socket.socket:
             else "",
             remedy="end it, or choose another --port",
         ) from error
-    listening.listen(128)
+    listening.listen(_BACKLOG)
     listening.setblocking(False)
     return listening

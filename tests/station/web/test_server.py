@@ -274,8 +274,8 @@ async def test_more_clients_than_allowed_are_refused() -> None:
 async def test_silent_sockets_make_room_and_the_pilot_keeps_his(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("m100link.station.web.server.SILENCE", 0.3)
-    monkeypatch.setattr("m100link.station.web.server._ROOM_PAUSE", 0.0)
+    monkeypatch.setattr("m100link.station.web.places.SILENCE", 0.3)
+    monkeypatch.setattr("m100link.station.web.places.FIRST_WORD", 0.3)
     async with station(max_clients=2) as one, contextlib.AsyncExitStack() as stack:
 
         async def come() -> ClientConnection:

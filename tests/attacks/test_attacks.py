@@ -1,0 +1,139 @@
+"""While strangers do their worst, the pilot flies on, and whoever is welcome gets in."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import sys
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("uvicorn")
+pytest.importorskip("starlette")
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import WebSocketException
+
+from m100link.station.run import Running
+from tests.station.web.test_server import (
+    address,
+    opened,
+    publish,
+    receive,
+    send,
+    station,
+    until,
+)
+
+pytestmark = [pytest.mark.anyio, pytest.mark.timeout(90)]
+
+SECONDS = 3.0
+ATTACKS = ["large_arrays", "half_open", "idle_sockets", "orders", "greedy_readers"]
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"  # real time: the attackers are processes of their own
+
+
+@contextlib.asynccontextmanager
+async def flying(**options: Any) -> AsyncIterator[tuple[Running, ClientConnection]]:
+    """A station whose aircraft is in the air, and the client that flies it."""
+    async with station(**options) as one, connect(address(one)) as pilot:
+        await opened(one, pilot)
+        await publish(pilot, "/sdk_request_cmd", "std_msgs/Float32", data=4)
+        await until(lambda: bool(one.bridge.agent.state.task))
+        await until(lambda: not one.bridge.agent.state.task, within=30)
+        topic = {"topic": "/sdk_request_ctrl", "type": "geometry_msgs/Quaternion"}
+        await send(pilot, "advertise", **topic)
+        yield one, pilot
+
+
+async def fly(one: Running, pilot: ClientConnection, attacker: asyncio.subprocess.Process) -> float:
+    """Hold a key until the attack has ended; returns the longest time without a movement frame."""
+    assert one.virtual is not None
+    loop, counters = asyncio.get_running_loop(), one.virtual.autopilot.counters
+    longest, moved_at, count = 0.0, loop.time(), counters.movements
+    key = json.dumps({"op": "publish", "topic": "/sdk_request_ctrl", "msg": {"z": 1.0}})
+    next_key = loop.time()
+    while attacker.returncode is None:
+        if loop.time() >= next_key:
+            next_key += 0.033
+            await pilot.send(key)
+        await asyncio.sleep(0.002)
+        if counters.movements != count:
+            count = counters.movements
+            longest, moved_at = max(longest, loop.time() - moved_at), loop.time()
+        assert loop.time() - moved_at < 2.0, "no movement frame for two seconds"
+    return longest
+
+
+async def test_the_pilot_flies_on_through_every_attack() -> None:
+    async with flying() as (one, pilot):
+        notes = one.agent.journal.events
+        for name in ATTACKS:
+            before = notes[-1].number
+            attacker = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", f"tests.attacks.{name}", str(one.ports[0])),
+                *("--seconds", str(SECONDS)),
+            )
+            gap = await fly(one, pilot, attacker)
+            assert attacker.returncode == 0, name
+            print(f"{name}: longest gap between movement frames {1000 * gap:.0f} ms")  # noqa: T201
+            assert one.bridge.agent.state.has_authority, name
+            assert one.agent.desk.holder(one.agent.now) is not None, name
+            # What happened before can still be read.
+            assert notes[-1].number - before < 60, name
+            # A setpoint lasts 0.7 s at most; the machine may have other work.
+            assert gap < 0.5, name
+
+
+async def gets_in(one: Running) -> bool:
+    try:
+        async with connect(address(one)) as client:
+            await send(client, "subscribe", topic="/flight_status")
+            return bool((await receive(client))["op"] == "publish")
+    except (OSError, WebSocketException):
+        return False
+
+
+@pytest.mark.parametrize("name", ["half_open", "idle_sockets"])
+async def test_whoever_is_welcome_gets_in(name: str) -> None:
+    async with station(max_clients=8) as one:
+        attacker = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", f"tests.attacks.{name}", str(one.ports[0])),
+            *("--seconds", "30"),
+        )
+        try:
+            await asyncio.sleep(3.0)
+            async with asyncio.timeout(25):
+                while not await gets_in(one):  # noqa: ASYNC110 - it tries again
+                    await asyncio.sleep(0.1)
+        finally:
+            attacker.terminate()
+            await attacker.wait()
+
+
+async def test_an_operator_takes_over_from_whoever_while_a_spammer_asks() -> None:
+    async with flying() as (one, _):
+        attacker = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "tests.attacks.orders", str(one.ports[0]), "--seconds", "20")
+        )
+        try:
+            await asyncio.sleep(2.0)
+            async with connect(address(one)) as operator:
+                token = ""
+                for action in ("take_over", "confirm"):
+                    args = {"action": action, "name": "operator", "token": token}
+                    await send(operator, "call_service", service="/m100link/lease", args=args)
+                    answer = await receive(operator)
+                    assert answer["values"]["success"], answer
+                    token = answer["values"]["token"]
+                    await asyncio.sleep(1.0)  # the operator reads who would lose control
+                await send(operator, "call_service", service="/m100link/lease", args=["status"])
+                assert (await receive(operator))["values"]["holder"] == "operator"
+        finally:
+            attacker.terminate()
+            await attacker.wait()
