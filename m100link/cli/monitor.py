@@ -62,7 +62,7 @@ async def _monitor(url: str, link: LinkOptions, duration: float | None, as_json:
                 await (_print_lines(aircraft) if as_json else _show(aircraft))
         failure = aircraft.link.failure
         if failure is not None:
-            raise failure
+            raise failure.again()
     return 0
 
 

@@ -139,7 +139,7 @@ async def _hz(url: str, link: LinkOptions, duration: float, as_json: bool) -> No
                     await asyncio.sleep(0.25)
                     live.update(_rates_table(aircraft))
         if aircraft.link.failure is not None:
-            raise aircraft.link.failure
+            raise aircraft.link.failure.again()
         if as_json:
             print_json(_rates(aircraft))
 

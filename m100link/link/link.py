@@ -243,6 +243,10 @@ class Link(asyncio.Protocol):
         elif self._transport is None:
             self._fail(LinkClosed("the link was closed before it was open"))
             return
+        await self.wait_disconnected()
+
+    async def wait_disconnected(self) -> None:
+        """Wait until the transport has let go of the line, at most a second."""
         try:
             async with asyncio.timeout(CLOSE_TIMEOUT):
                 await self._disconnected.wait()
@@ -299,7 +303,7 @@ class Link(asyncio.Protocol):
 
     def _check_open(self) -> None:
         if self._failure is not None:
-            raise _again(self._failure)
+            raise self._failure.again()
         if self._transport is None:
             raise LinkClosed("the link is not open yet")
 
@@ -397,20 +401,13 @@ class Link(asyncio.Protocol):
             self._timer = None
         for pending in list(self._pending.values()):
             if not pending.future.done():
-                pending.future.set_exception(_again(error))
+                pending.future.set_exception(error.again())
         if not self._connected.done():
-            self._connected.set_exception(_again(error))
+            self._connected.set_exception(error.again())
             self._connected.exception()  # read, so that nobody is told it never was
         if isinstance(error, LinkLost):
             _logger.warning("%s", error.seen)
         self.on_lost(error)
-
-
-def _again(error: LinkError) -> LinkError:
-    """The same error to raise in another place: one exception object has one traceback."""
-    copy = type(error)(error.seen, cause=error.cause, remedy=error.remedy)
-    copy.__cause__ = error.__cause__
-    return copy
 
 
 def _excerpt(data: bytes) -> str:
@@ -446,5 +443,6 @@ async def open_link(
         await link.wait_connected()
     except BaseException:
         transport.abort()
+        await link.wait_disconnected()  # whoever opens it next finds it free
         raise
     return link

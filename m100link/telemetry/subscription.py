@@ -66,10 +66,16 @@ Policy = Newest | Lossless
 """What happens when a consumer is slower than the aircraft."""
 
 
-class Subscription(Generic[T]):
-    """A bounded queue of values, to be used as ``async with … as s: async for value in s``.
+class Queue(Generic[T]):
+    """Values that wait for one consumer: what the reader of the line fills.
 
     Attributes:
+        accepts: Which values are queued; None: all.
+        values: What waits.
+        waiter: Resolved when there is something to take, while the consumer waits for it. The
+            hub keeps a waiting consumer alive by it, as nothing else needs to.
+        error: How the stream ends, after what is queued.
+        is_closed: Nobody takes values any more.
         received: Values that were queued.
         dropped: Values that the policy dropped.
         thinned: Values left out by the rate limit.
@@ -80,23 +86,23 @@ class Subscription(Generic[T]):
         policy: Policy,
         *,
         min_interval: float = 0.0,
-        on_close: Callable[[Subscription[T]], None] | None = None,
+        accepts: Callable[[T], bool] | None = None,
     ) -> None:
         self._policy = policy
         self._min_interval = min_interval
-        self._on_close = on_close
-        self._queue: deque[T] = deque()
-        self._waiter: asyncio.Future[None] | None = None
-        self._error: M100Error | None = None
-        self._is_closed = False
-        self._next_at = float("-inf")
+        self._next_at = float("-inf")  # the next value of the rate limit's grid is due
+        self.accepts = accepts
+        self.values: deque[T] = deque()
+        self.waiter: asyncio.Future[None] | None = None
+        self.error: M100Error | None = None
+        self.is_closed = False
         self.received = 0
         self.dropped = 0
         self.thinned = 0
 
     def put(self, value: T, now: float) -> None:
         """Queue a value, as the policy says. Called by the reader; never waits, never raises."""
-        if self._is_closed or self._error is not None:
+        if self.is_closed or self.error is not None:
             return
         if self._min_interval:
             if now < self._next_at - _TOLERANCE_S:
@@ -106,7 +112,7 @@ class Subscription(Generic[T]):
             is_on_grid = now - self._next_at < self._min_interval
             self._next_at = (self._next_at if is_on_grid else now) + self._min_interval
         self.received += 1
-        if len(self._queue) >= self._policy.count:
+        if len(self.values) >= self._policy.count:
             if isinstance(self._policy, Lossless):
                 self.fail(
                     TelemetryOverflow(
@@ -116,33 +122,64 @@ class Subscription(Generic[T]):
                     )
                 )
                 return
-            self._queue.popleft()
+            self.values.popleft()
             self.dropped += 1
-        self._queue.append(value)
-        self._wake()
+        self.values.append(value)
+        self.wake()
 
     def fail(self, error: M100Error) -> None:
         """End the stream with an error, after what is queued."""
-        if self._error is None:
-            self._error = error
-            self._wake()
+        if self.error is None:
+            self.error = error
+            self.wake()
+
+    def wake(self) -> None:
+        """Let the consumer look."""
+        if self.waiter is not None and not self.waiter.done():
+            self.waiter.set_result(None)
+
+
+class Subscription(Generic[T]):
+    """A bounded queue of values, to be used as ``async with … as s: async for value in s``.
+
+    Without ``async with`` it ends when nobody refers to it any more, as after a ``break`` out of
+    ``async for value in aircraft.telemetry(…)``. A task that waits for a value does refer to it.
+    """
+
+    def __init__(self, queue: Queue[T]) -> None:
+        self._queue = queue
+
+    @property
+    def received(self) -> int:
+        """Values that were queued."""
+        return self._queue.received
+
+    @property
+    def dropped(self) -> int:
+        """Values that the policy dropped."""
+        return self._queue.dropped
+
+    @property
+    def thinned(self) -> int:
+        """Values left out by the rate limit."""
+        return self._queue.thinned
 
     def get_nowait(self) -> T | None:
         """The next queued value, None when there is none."""
-        return self._queue.popleft() if self._queue else None
+        values = self._queue.values
+        return values.popleft() if values else None
 
     def close(self) -> None:
         """Stop receiving. May be called any number of times."""
-        if not self._is_closed:
-            self._is_closed = True
-            self._queue.clear()
-            if self._on_close is not None:
-                self._on_close(self)
-            self._wake()
+        queue = self._queue
+        if not queue.is_closed:
+            queue.is_closed = True
+            queue.values.clear()
+            queue.wake()
 
-    def _wake(self) -> None:
-        if self._waiter is not None and not self._waiter.done():
-            self._waiter.set_result(None)
+    def __del__(self) -> None:
+        # In whichever thread and at whichever moment: a mark, on which the hub acts in its own.
+        self._queue.is_closed = True
 
     async def __aenter__(self) -> Self:
         return self
@@ -159,24 +196,30 @@ class Subscription(Generic[T]):
         return self
 
     async def __anext__(self) -> T:
-        while not self._queue:
-            if self._is_closed:
+        queue = self._queue
+        while not queue.values:
+            if queue.is_closed:
                 raise StopAsyncIteration
-            if self._error is not None:
-                raise self._error
-            if self._waiter is not None and not self._waiter.done():
+            if queue.error is not None:
+                raise queue.error.again()
+            if queue.waiter is not None and not queue.waiter.done():
                 raise RuntimeError("two tasks iterate over one subscription; give each its own")
-            self._waiter = asyncio.get_running_loop().create_future()
-            await self._waiter
-        return self._queue.popleft()
+            queue.waiter = asyncio.get_running_loop().create_future()
+            await queue.waiter
+        return queue.values.popleft()
 
 
 class Hub(Generic[T]):
-    """Gives each value to every subscription."""
+    """Gives each value to every subscription.
+
+    It holds the queues and not the subscriptions: those belong to their consumers, and a queue
+    whose subscription is gone is dropped with the next value.
+    """
 
     def __init__(self) -> None:
-        self._subscriptions: dict[Subscription[T], Callable[[T], bool] | None] = {}
-        self._error: M100Error | None = None
+        # A tuple: what happens while a value is handed out makes a new one.
+        self._queues: tuple[Queue[T], ...] = ()
+        self._error: M100Error | None = None  # of the line, for those who come later
 
     def subscribe(
         self,
@@ -186,25 +229,25 @@ class Hub(Generic[T]):
         accepts: Callable[[T], bool] | None = None,
     ) -> Subscription[T]:
         """A new subscription for the values that ``accepts`` accepts."""
-        subscription: Subscription[T] = Subscription(
-            policy, min_interval=min_interval, on_close=self._drop
-        )
+        queue: Queue[T] = Queue(policy, min_interval=min_interval, accepts=accepts)
         if self._error is not None:
-            subscription.fail(self._error)
-        self._subscriptions[subscription] = accepts
-        return subscription
-
-    def _drop(self, subscription: Subscription[T]) -> None:
-        self._subscriptions.pop(subscription, None)
+            queue.fail(self._error)
+        self._queues = (*(other for other in self._queues if not other.is_closed), queue)
+        return Subscription(queue)
 
     def publish(self, value: T, now: float) -> None:
         """Queue the value everywhere."""
-        for subscription, accepts in self._subscriptions.items():
-            if accepts is None or accepts(value):
-                subscription.put(value, now)
+        is_any_closed = False
+        for queue in self._queues:
+            if queue.is_closed:
+                is_any_closed = True
+            elif queue.accepts is None or queue.accepts(value):
+                queue.put(value, now)
+        if is_any_closed:
+            self._queues = tuple(queue for queue in self._queues if not queue.is_closed)
 
     def fail(self, error: M100Error) -> None:
         """End every subscription, present and future, with the error."""
         self._error = error
-        for subscription in self._subscriptions:
-            subscription.fail(error)
+        for queue in self._queues:
+            queue.fail(error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 
 import pytest
 
@@ -42,9 +43,10 @@ pytestmark = pytest.mark.anyio
 
 
 def filled(policy: Policy, count: int) -> Subscription[int]:
-    subscription: Subscription[int] = Subscription(policy)
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(policy)
     for value in range(count):
-        subscription.put(value, 0.01 * value)
+        hub.publish(value, 0.01 * value)
     return subscription
 
 
@@ -69,21 +71,25 @@ def test_newest_keeps_so_many_and_counts_what_it_drops() -> None:
 
 
 async def test_lossless_gives_every_value_then_tells_the_overflow() -> None:
-    subscription = filled(Lossless(5), 7)
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Lossless(5))
+    for value in range(7):
+        hub.publish(value, 0.01 * value)
     assert [await anext(subscription) for _ in range(5)] == [0, 1, 2, 3, 4]
     with pytest.raises(TelemetryOverflow, match="5 values wait") as caught:
         await anext(subscription)
     assert caught.value.remedy
-    subscription.put(8, 1.0)
+    hub.publish(8, 1.0)
     with pytest.raises(TelemetryOverflow):
         await anext(subscription)
 
 
 async def test_lossless_that_is_read_in_time_loses_nothing() -> None:
-    subscription: Subscription[int] = Subscription(Lossless(5))
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Lossless(5))
     seen = []
     for value in range(100):
-        subscription.put(value, 0.0)
+        hub.publish(value, 0.0)
         if value % 3 == 2:
             seen += [await anext(subscription) for _ in range(3)]
     assert seen == list(range(99))
@@ -105,9 +111,10 @@ def test_a_policy_that_keeps_nothing_is_refused(
 
 @pytest.mark.parametrize("rate", [1, 3, 7, 10, 25, 50, 99])
 def test_a_rate_limit_lets_so_many_through_and_never_a_burst(rate: int) -> None:
-    subscription: Subscription[int] = Subscription(Lossless(10_000), min_interval=1 / rate)
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Lossless(10_000), min_interval=1 / rate)
     for index in range(100 * 60):
-        subscription.put(index, index / 100)
+        hub.publish(index, index / 100)
     taken = drain(subscription)
     assert 60 * rate - 1 <= len(taken) <= 60 * rate + 1
     assert subscription.thinned == 100 * 60 - len(taken)
@@ -117,24 +124,27 @@ def test_a_rate_limit_lets_so_many_through_and_never_a_burst(rate: int) -> None:
 
 
 def test_the_first_value_comes_at_once_and_the_second_waits_its_turn() -> None:
-    subscription: Subscription[int] = Subscription(Newest(100), min_interval=0.1)
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Newest(100), min_interval=0.1)
     for index in range(21):
-        subscription.put(index, 5.0 + index / 100)
+        hub.publish(index, 5.0 + index / 100)
     assert drain(subscription) == [0, 10, 20]
 
 
 def test_after_a_long_gap_there_is_no_burst() -> None:
-    subscription: Subscription[int] = Subscription(Newest(100), min_interval=0.1)
-    subscription.put(0, 0.0)
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Newest(100), min_interval=0.1)
+    hub.publish(0, 0.0)
     for index in range(1, 12):
-        subscription.put(index, 10.0 + index / 100)
+        hub.publish(index, 10.0 + index / 100)
     assert drain(subscription) == [0, 1, 11]
 
 
 def test_a_late_value_does_not_shift_the_ones_after_it() -> None:
-    subscription: Subscription[float] = Subscription(Newest(100), min_interval=0.1)
+    hub: Hub[float] = Hub()
+    subscription = hub.subscribe(Newest(100), min_interval=0.1)
     for time in (0.0, 0.1, 0.23, 0.3, 0.4):
-        subscription.put(time, time)
+        hub.publish(time, time)
     assert subscription.received == 5
 
 
@@ -155,7 +165,8 @@ async def test_only_records_can_be_asked_for() -> None:
 
 
 async def test_close_ends_the_iteration_also_of_a_task_that_waits() -> None:
-    subscription: Subscription[int] = Subscription(Latest())
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Latest())
 
     async def consume() -> list[int]:
         return [value async for value in subscription]
@@ -168,21 +179,23 @@ async def test_close_ends_the_iteration_also_of_a_task_that_waits() -> None:
 
 
 async def test_two_tasks_on_one_subscription_are_a_mistake_that_is_told() -> None:
-    subscription: Subscription[int] = Subscription(Latest())
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Latest())
     first = asyncio.ensure_future(anext(subscription))
     await asyncio.sleep(0)
     with pytest.raises(RuntimeError, match="give each its own"):
         await anext(subscription)
-    subscription.put(1, 0.0)
+    hub.publish(1, 0.0)
     assert await first == 1
 
 
 async def test_a_cancelled_wait_loses_no_value() -> None:
-    subscription: Subscription[int] = Subscription(Lossless())
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Lossless())
     with pytest.raises(TimeoutError):
         async with asyncio.timeout(0.1):
             await anext(subscription)
-    subscription.put(1, 0.0)
+    hub.publish(1, 0.0)
     assert await anext(subscription) == 1
 
 
@@ -193,7 +206,77 @@ async def test_a_closed_subscription_leaves_the_hub() -> None:
         assert await anext(subscription) == 1
     hub.publish(2, 0.0)
     assert subscription.received == 1
-    assert not hub._subscriptions
+
+
+async def test_a_subscription_that_a_loop_breaks_out_of_costs_nothing_any_more() -> None:
+    hub: Hub[int] = Hub()
+    asked: list[int] = []
+
+    def accepts(value: int) -> bool:
+        asked.append(value)
+        return True
+
+    asyncio.get_running_loop().call_soon(hub.publish, 1, 0.0)
+    async for value in hub.subscribe(Latest(), accepts=accepts):
+        assert value == 1
+        break
+    hub.publish(2, 0.0)
+    assert asked == [1]
+
+
+async def test_a_task_that_nobody_refers_to_goes_on_waiting() -> None:
+    hub: Hub[int] = Hub()
+    taken: list[int] = []
+
+    async def consume() -> None:
+        with pytest.raises(LinkLost):
+            async for value in hub.subscribe(Latest()):
+                taken.append(value)
+        taken.append(-1)
+
+    asyncio.get_running_loop().call_soon(lambda: asyncio.create_task(consume()))
+    for value in range(3):
+        await asyncio.sleep(0.1)
+        gc.collect()
+        hub.publish(value, 0.0)
+    await asyncio.sleep(0.1)
+    hub.fail(LinkLost("gone"))
+    await asyncio.sleep(0.1)
+    assert taken == [0, 1, 2, -1]
+
+
+async def test_a_subscription_that_goes_while_a_value_is_handed_out_disturbs_nobody() -> None:
+    hub: Hub[int] = Hub()
+    others: list[Subscription[int]] = []
+
+    def accepts(value: int) -> bool:
+        others.clear()
+        others.append(hub.subscribe(Latest()))
+        return True
+
+    first = hub.subscribe(Latest(), accepts=accepts)
+    others.append(hub.subscribe(Latest()))
+    last = hub.subscribe(Latest())
+    for value in range(3):
+        hub.publish(value, 0.0)
+        assert (first.get_nowait(), last.get_nowait()) == (value, value)
+
+
+async def test_an_error_that_is_raised_again_does_not_grow() -> None:
+    hub: Hub[int] = Hub()
+    subscription = hub.subscribe(Latest())
+    cause = OSError(5, "unplugged")
+    error = LinkLost("gone", remedy="plug it in")
+    error.__cause__ = cause
+    hub.fail(error)
+    raised = []
+    for _ in range(3):
+        with pytest.raises(LinkLost, match="gone") as caught:
+            await anext(subscription)
+        raised.append((caught.value, len(caught.traceback)))
+    assert len({depth for _, depth in raised}) == 1
+    assert len({id(one) for one, _ in raised}) == 3
+    assert all(one.__cause__ is cause and one.remedy == "plug it in" for one, _ in raised)
 
 
 async def test_a_hub_that_failed_fails_those_who_come_later_too() -> None:
@@ -427,7 +510,7 @@ async def test_wait_for_leaves_no_subscription_behind() -> None:
     async with rig(activated=False) as flown:
         with pytest.raises(TelemetryStalled):
             await flown.aircraft.wait_for(lambda state: False, timeout=0.1)
-        assert not flown.aircraft._telemetry._hub._subscriptions
+        assert all(queue.is_closed for queue in flown.aircraft._telemetry._hub._queues)
 
 
 async def test_a_timeout_of_the_callers_own_stays_the_callers() -> None:
