@@ -104,12 +104,31 @@ async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) ->
     )
     try:
         # Opening can take a second on some adapters: not on the event loop.
-        port = await loop.run_in_executor(None, open_port)
+        port = await _kept_or_closed(loop.run_in_executor(None, open_port))
     except (serial.SerialException, OSError, ValueError) as error:
         raise _translate(device, address, error) from error
     transport = _SerialTransport(loop, protocol, port)
     transport.set_write_buffer_limits(high=_WRITE_HIGH_WATER)
     return transport
+
+
+async def _kept_or_closed(opening: asyncio.Future[serial.Serial]) -> serial.Serial:
+    """The port; if this is cancelled, only after the port is closed again.
+
+    The thread that opens cannot be cancelled: it would take the port from whoever opens it next,
+    this program included. A second cancellation does not wait.
+    """
+    try:
+        return await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        opening.add_done_callback(_close_opened)
+        await asyncio.wait([opening])
+        raise
+
+
+def _close_opened(opening: asyncio.Future[serial.Serial]) -> None:
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()
 
 
 def _expanded(path: str) -> str:

@@ -7,6 +7,7 @@ import contextlib
 import gc
 import os
 import pty
+import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -14,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 
 from m100link.errors import LinkClosed, LinkError, LinkLost, PortBusy
 from m100link.link import Link, open_link
 from m100link.link.link import CLOSE_TIMEOUT
 from m100link.wire import FrameDecoder, encode_frame
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]
 
@@ -251,3 +253,58 @@ async def test_a_cancelled_open_leaves_the_port_free(terminal: Terminal) -> None
             await link.close()
         await asyncio.sleep(0.05)
         await (await open_link(terminal.path)).close()
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.02])
+async def test_an_open_that_was_cancelled_has_let_go_of_the_port(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, seconds: float
+) -> None:
+    """However long the thread takes that opens, and whenever the cancellation comes."""
+    opened: list[serial.Serial] = []
+
+    class SlowPort(serial.Serial):
+        def open(self) -> None:
+            time.sleep(seconds)
+            super().open()
+            opened.append(self)
+
+    monkeypatch.setattr(serial, "Serial", SlowPort)
+    for number in range(20):
+        task = asyncio.ensure_future(open_link(terminal.path))
+        for _ in range(number % 5):
+            await asyncio.sleep(0)
+        await asyncio.sleep(seconds * number / 20)
+        task.cancel()
+        try:
+            await (await task).close()
+        except asyncio.CancelledError:
+            assert not any(port.is_open for port in opened)
+        await (await open_link(terminal.path)).close()
+        opened.clear()
+
+
+async def test_a_second_cancellation_does_not_wait_for_the_port(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    may_open = threading.Event()
+    opened: list[serial.Serial] = []
+
+    class StuckPort(serial.Serial):
+        def open(self) -> None:
+            may_open.wait()
+            super().open()
+            opened.append(self)
+
+    monkeypatch.setattr(serial, "Serial", StuckPort)
+    task = asyncio.ensure_future(open_link(terminal.path))
+    try:
+        await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.sleep(0.01)
+        assert not task.done()
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+    finally:
+        may_open.set()  # or the thread would keep the program from ending
+    await until(lambda: bool(opened) and not opened[0].is_open)
