@@ -6,12 +6,15 @@ import asyncio
 
 import pytest
 
+from m100link import AuthorityLost
 from m100link.notifications import Notifications
 from m100link.protocol import AuthorityChanged, FromMobile, PushTelemetry, profile
 from m100link.requests import Requests
 from m100link.session import SessionMode
+from m100link.sim import AircraftSettings, AssistantSettings, VirtualClockEventLoop
 from m100link.wire import Frame
 from tests.link.peer import Peer, connected
+from tests.rig import Rig, rig
 
 pytestmark = pytest.mark.anyio
 
@@ -19,8 +22,8 @@ FIRMWARE = profile("1.0")
 
 
 @pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
+def anyio_backend() -> object:
+    return "asyncio", {"loop_factory": VirtualClockEventLoop}
 
 
 class Program:
@@ -90,3 +93,23 @@ async def test_what_cannot_be_read_and_says_nothing_is_passed_over(data: bytes) 
     await asyncio.sleep(0.01)
     assert program.messages == [b"next"]
     assert not program.losses
+
+
+async def lose_control(flown: Rig) -> None:
+    async with flown.aircraft.control():
+        flown.virtual.leave_f()
+        await asyncio.sleep(2.0)
+
+
+async def test_a_loss_after_a_restart_of_the_aircraft_is_not_taken_for_an_old_one() -> None:
+    """Restarted, it counts its notifications from 0 again: the number of the first was used."""
+    silent_items = AssistantSettings(rates_hz={"rc": 0, "control_device": 0})
+    settings = AircraftSettings(authority_push_session=2)
+    async with rig(settings=settings, assistant=silent_items) as flown:
+        for _ in range(2):
+            with pytest.raises(AuthorityLost):
+                await lose_control(flown)
+            flown.virtual.reboot()
+            flown.virtual.return_to_f()
+            await asyncio.sleep(6.0)
+            await flown.aircraft.activate(flown.virtual.credentials)

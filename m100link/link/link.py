@@ -27,6 +27,13 @@ _logger = logging.getLogger("m100link.link")
 CLOSE_TIMEOUT = 1.0
 """Seconds that closing waits for written bytes to leave."""
 
+FORGET_AFTER = 5.0
+"""Seconds after which the same number is a new command, not a repeat.
+
+The document forgets never (1.4). But an end that restarts counts from the start again, and a loss
+of authority must not be taken for one that was told before.
+"""
+
 _LOGGED_BYTES = 64
 
 
@@ -100,7 +107,7 @@ class Link(asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         if first_sequence is None:
             first_sequence = secrets.randbits(16)
-        self._endpoint = Endpoint(first_sequence=first_sequence)
+        self._endpoint = Endpoint(first_sequence=first_sequence, forget_after=FORGET_AFTER)
         self.on_received = on_received
         self.on_lost = on_lost
         self.name = "link"
