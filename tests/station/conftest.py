@@ -23,6 +23,8 @@ from m100link.station.ros.dji_sdk import DjiSdk
 from m100link.station.ros.graph import Graph
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.node_2015 import Node
+from m100link.station.ros.rosapi import add_rosapi
+from m100link.station.ros.rosout import Rosout
 
 
 @pytest.fixture
@@ -95,6 +97,8 @@ class Rig:
             clients = Clients(self.front, self.graph)
             Node(self.front, self.graph, clients)
             DjiSdk(self.front, self.graph, clients)
+            Rosout(self.front, self.graph)
+            add_rosapi(self.graph)
             await self.until(lambda: self.front.is_connected)
             yield self
         self.driver.stop()

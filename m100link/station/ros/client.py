@@ -14,12 +14,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.station.ros.allowance import Allowance
-from m100link.station.ros.encoding import Reassembly
+from m100link.station.ros.encoding import Reassembly, to_cbor, to_png
 from m100link.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
 from m100link.station.ros.messages import BadMessage, canonical_type
 from m100link.station.ros.outbox import COMPRESSIONS, Outbox, Wish
 
 __all__ = ["Client", "Limits"]
+
+_Packing = tuple[int | None, str]
+
+_SMALLEST_FRAGMENT = 100
+"""Characters of a fragment; who wants smaller ones gets these."""
 
 _COMPLAINT_PAUSE = 1.0
 """Seconds between two statuses that tell a client that it does too much."""
@@ -66,6 +71,10 @@ class Limits:
 
 class _Overdone(Exception):
     """The client uses more than it may, in words for it."""
+
+
+class _Remark(Exception):
+    """Nothing had to be done, in words for the client."""
 
 
 class _Fault(Exception):
@@ -156,6 +165,9 @@ class Client:
             if now - self._complained_at >= _COMPLAINT_PAUSE:
                 self._complained_at = now
                 self.status("error", f"{fault}: frame dropped")
+        except _Remark as remark:
+            self._count_fault(now)
+            self.status("warning", str(remark), identity)
         except (_Fault, BadMessage) as fault:
             self._count_fault(now)
             self.status("error", str(fault), identity)
@@ -238,7 +250,7 @@ class Client:
         name = canonical_name(_text(message, "topic"))
         identities = self._advertised.get(name)
         if identities is None:
-            raise _Fault(f"{name[:128]} was not advertised")
+            raise _Remark(f"{name[:128]} was not advertised")
         if "id" in message:
             identities.discard(str(message["id"]))
         if "id" not in message or not identities:
@@ -246,8 +258,8 @@ class Client:
 
     def _publish(self, message: dict[str, Any], now: float) -> None:
         topic = self._topic({"topic": message.get("topic")})
-        if topic.name not in self._advertised or topic.on_publish is None:
-            raise _Fault(f"{topic.name} has to be advertised before it is published")
+        if topic.on_publish is None:
+            raise _Fault(f"{topic.name} is published by the station alone")
         value = topic.type.read(message.get("msg", {}))
         topic.on_publish(self, value, now)
         self.graph.publish(topic, value, now)
@@ -268,17 +280,11 @@ class Client:
             self._outbox.offer(subscription, Publication(topic, topic.last), now)
 
     def _wish(self, message: dict[str, Any]) -> Wish:
-        size = message.get("fragment_size")
-        compression = message.get("compression", "none")
-        if compression not in COMPRESSIONS:
-            raise _Fault(
-                f"there is no compression {str(compression)[:64]!r} here, "
-                f"but {', '.join(COMPRESSIONS)}"
-            )
+        size, compression = _packing(message)
         return Wish(
             _number(message, "throttle_rate", 0, 86_400_000) / 1000.0,
             min(_number(message, "queue_length", 0, 1_000_000), self.limits.queue_length),
-            None if size is None else _number(message, "fragment_size", 100, 1 << 31),
+            size,
             compression,
         )
 
@@ -286,7 +292,7 @@ class Client:
         name = _text(message, "topic")
         subscription = self._outbox.subscriptions.get(name)
         if subscription is None:
-            raise _Fault(f"{name[:128]!r} was not subscribed")
+            raise _Remark(f"{name[:128]!r} was not subscribed")
         if "id" in message:
             subscription.wishes.pop(str(message["id"]), None)
         else:
@@ -299,18 +305,20 @@ class Client:
     def _call_service(self, message: dict[str, Any], now: float) -> None:
         name = _text(message, "service")
         identity = message.get("id")
+        packing: _Packing = (None, "none")
         service = self.graph.services.get(canonical_name(name))
         try:
             if service is None:
                 raise _Fault(f"there is no service {name[:128]!r}; /rosapi/services lists them")
             if self._calls >= self.limits.calls:
                 raise _Fault(f"{self._calls} calls wait for their answers already")
+            packing = _packing(message)
             request = service.type.read_request(message.get("args"))
         except (_Fault, BadMessage) as fault:
-            self._answer(_response(name, identity, json.dumps(str(fault)), False))
+            self._respond(name, identity, packing, json.dumps(str(fault)), False)
             raise
         self._calls += 1
-        call = Call(self, service, request, (name, identity), now)
+        call = Call(self, service, request, (name, identity, packing), now)
         service.on_call(call)
 
     def _fragment(self, message: dict[str, Any], now: float) -> None:
@@ -343,8 +351,24 @@ class Client:
     def respond(self, call: Call, values: str, result: bool) -> None:
         """Answer a service call; ``values`` is JSON."""
         self._calls -= 1
-        name, identity = call.identity
-        self._answer(_response(name, identity, values, result))
+        name, identity, packing = call.identity
+        self._respond(name, identity, packing, values, result)
+
+    def _respond(
+        self, name: str, identity: object, packing: _Packing, values: str, result: bool
+    ) -> None:
+        size, compression = packing
+        text = _response(name, identity, values, result)
+        if compression in ("cbor", "cbor-raw"):
+            self._answer(to_cbor(json.loads(text)))
+            return
+        if compression == "png":
+            text = to_png(text)
+        if size is None:
+            self._answer(text)
+            return
+        for frame in self._outbox.fragmented(text, size):
+            self._answer(frame)
 
     def deliver(self, publication: Publication, now: float) -> None:
         """A message was published on a topic that this client subscribed."""
@@ -355,7 +379,7 @@ class Client:
         if self in publication.topic.subscribers:
             self.deliver(publication, now)
 
-    def _answer(self, frame: str) -> None:
+    def _answer(self, frame: str | bytes) -> None:
         self._outbox.answers.append(frame)
         if len(self._outbox.answers) > self.limits.answers:
             self.disconnect("the client does not read")
@@ -411,6 +435,19 @@ def _number(message: dict[str, Any], name: str, low: int, high: int) -> int:
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise _Fault(f"{name} is a number from {low} to {high}")
     return int(value)
+
+
+def _packing(message: dict[str, Any]) -> _Packing:
+    """Size of fragments, None for whole messages, and compression."""
+    compression = message.get("compression") or "none"
+    if compression not in COMPRESSIONS:
+        raise _Fault(
+            f"there is no compression {str(compression)[:64]!r} here, but {', '.join(COMPRESSIONS)}"
+        )
+    if message.get("fragment_size") is None:
+        return None, compression
+    size = _number(message, "fragment_size", 0, 1 << 31)
+    return max(size, _SMALLEST_FRAGMENT), compression
 
 
 def _response(name: str, identity: object, values: str, result: bool) -> str:

@@ -12,7 +12,15 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from m100link.station.ros.encoding import to_cbor, to_png
-from m100link.station.ros.messages import MESSAGES, SERVICES, Message, MessageType, ServiceType
+from m100link.station.ros.messages import (
+    MESSAGES,
+    SERVICES,
+    Message,
+    MessageType,
+    ServiceType,
+    present,
+)
+from m100link.station.ros.serial import serialise
 
 __all__ = ["Call", "Graph", "Listener", "Publication", "Service", "Topic", "canonical_name"]
 
@@ -40,10 +48,13 @@ class Publication:
         return f'{{"op":"publish","topic":{json.dumps(name)},"msg":{self._json}}}'
 
     def pack(self, name: str, compression: str) -> str | bytes:
-        """The frame under ``none``, ``png`` or ``cbor``; packed once, whoever else wants it."""
+        """The frame in one of these forms; packed once, whoever else wants it."""
         frame = self._packed.get((name, compression))
         if frame is None:
-            if compression == "cbor":
+            if compression == "cbor-raw":
+                raw = {"bytes": serialise(self.topic.type, self.message), **present()}
+                frame = to_cbor({"op": "publish", "topic": name, "msg": raw})
+            elif compression == "cbor":
                 message = self.topic.type.to_cbor(self.message)
                 frame = to_cbor({"op": "publish", "topic": name, "msg": message})
             else:
@@ -159,7 +170,6 @@ class Graph:
         self.services: dict[str, Service] = {}
         self.sessions: set[Listener] = set()
         self._on_leave: list[Callable[[Listener, float], None]] = []
-        self._add_rosapi()
 
     def add_topic(
         self,
@@ -199,33 +209,3 @@ class Graph:
                 topic.subscribers.discard(session)
             for callback in self._on_leave:
                 callback(session, now)
-
-    # -- rosapi: what roslib asks about topics and services --------------------------------------
-
-    def _add_rosapi(self) -> None:
-        def topics(call: Call) -> None:
-            names = sorted(self.topics)
-            types = [self.topics[name].type.name for name in names]
-            call.respond({"topics": names, "types": types})
-
-        def topic_type(call: Call) -> None:
-            topic = self.topics.get(canonical_name(call.request["topic"]))
-            call.respond({"type": topic.type.name if topic else ""})
-
-        def topics_for_type(call: Call) -> None:
-            wanted = call.request["type"]
-            found = [name for name, topic in self.topics.items() if topic.type.name == wanted]
-            call.respond({"topics": sorted(found)})
-
-        def services(call: Call) -> None:
-            call.respond({"services": sorted(self.services)})
-
-        def service_type(call: Call) -> None:
-            service = self.services.get(canonical_name(call.request["service"]))
-            call.respond({"type": service.type.name if service else ""})
-
-        self.add_service("/rosapi/topics", "rosapi/Topics", topics)
-        self.add_service("/rosapi/topic_type", "rosapi/TopicType", topic_type)
-        self.add_service("/rosapi/topics_for_type", "rosapi/TopicsForType", topics_for_type)
-        self.add_service("/rosapi/services", "rosapi/Services", services)
-        self.add_service("/rosapi/service_type", "rosapi/ServiceType", service_type)

@@ -13,11 +13,20 @@ import binascii
 import json
 import math
 import struct
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["MESSAGES", "SERVICES", "BadMessage", "Message", "MessageType", "canonical_type"]
+__all__ = [
+    "MESSAGES",
+    "SERVICES",
+    "BadMessage",
+    "Message",
+    "MessageType",
+    "canonical_type",
+    "present",
+]
 
 Message = dict[str, Any]
 """A ROS message: field names and values."""
@@ -52,6 +61,10 @@ sensor_msgs/BatteryState: std_msgs/Header header, float32 voltage, float32 curre
 float32 charge, float32 capacity, float32 design_capacity, float32 percentage, \
 uint8 power_supply_status, uint8 power_supply_health, uint8 power_supply_technology, \
 bool present, float32[] cell_voltage, string location, string serial_number
+rosgraph_msgs/Log: std_msgs/Header header, byte level, string name, string msg, string file, \
+string function, uint32 line, string[] topics
+rosapi/TypeDef: string type, string[] fieldnames, string[] fieldtypes, int32[] fieldarraylen, \
+string[] examples, string[] constnames, string[] constvalues
 dji_sdk/MobileData: uint8[<=100] data
 """
 
@@ -74,6 +87,25 @@ rosapi/TopicsForType: string type -> string[] topics
 rosapi/Services: -> string[] services
 rosapi/ServiceType: string service -> string type
 rosapi/GetTime: -> time time
+rosapi/TopicsAndRawTypes: -> string[] topics, string[] types, string[] typedefs_full_text
+rosapi/Publishers: string topic -> string[] publishers
+rosapi/Subscribers: string topic -> string[] subscribers
+rosapi/ServicesForType: string type -> string[] services
+rosapi/ServiceProviders: string service -> string[] providers
+rosapi/ServiceNode: string service -> string node
+rosapi/ServiceHost: string service -> string host
+rosapi/GetActionServers: -> string[] action_servers
+rosapi/Nodes: -> string[] nodes
+rosapi/NodeDetails: string node -> string[] subscribing, string[] publishing, string[] services
+rosapi/MessageDetails: string type -> rosapi/TypeDef[] typedefs
+rosapi/ServiceRequestDetails: string type -> rosapi/TypeDef[] typedefs
+rosapi/ServiceResponseDetails: string type -> rosapi/TypeDef[] typedefs
+rosapi/GetParam: string name, string default -> string value
+rosapi/GetParamNames: -> string[] names
+rosapi/HasParam: string name -> bool exists
+rosapi/SearchParam: string name -> string global_name
+rosapi/SetParam: string name, string value ->
+rosapi/DeleteParam: string name ->
 """
 
 _INTEGERS = {
@@ -137,6 +169,12 @@ class MessageType:
     name: str
     fields: tuple[Field, ...]
 
+    @property
+    def type_name(self) -> str:
+        """Its name as rosapi tells it; half of a service is ``package/NameRequest``."""
+        name, _, half = self.name.partition(" ")
+        return name + half.capitalize()
+
     def default(self) -> Message:
         """A message with every field at its default."""
         return {field.name: _default(field) for field in self.fields}
@@ -153,6 +191,8 @@ class MessageType:
         if unknown := [name for name in value if name not in names]:
             raise BadMessage(f"{self.name} has no field {str(unknown[0])[:64]!r}")
         message = {}
+        if self.name == "std_msgs/Header" and "stamp" not in value:
+            value = {**value, "stamp": "now"}
         for field in self.fields:
             path = f"{where}.{field.name}" if where else field.name
             if field.name in value:
@@ -245,6 +285,12 @@ def canonical_type(name: str) -> str:
     """``package/Name``; ROS 2 clients write ``package/msg/Name`` for it."""
     parts = name.split("/")
     return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv") else name
+
+
+def present() -> Message:
+    """The present time, as the ROS type ``time`` has it."""
+    seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
+    return {"secs": seconds, "nsecs": nanoseconds}
 
 
 def _default(field: Field) -> Any:
@@ -343,7 +389,9 @@ def _read_bool(value: Any, path: str) -> bool:
 
 
 def _read_time(value: Any, path: str) -> Message:
-    """ROS 1 writes secs and nsecs, ROS 2 sec and nanosec."""
+    """ROS 1 writes secs and nsecs, ROS 2 sec and nanosec; ``"now"`` is the present time."""
+    if value == "now":
+        return present()
     if not isinstance(value, dict) or not set(value) <= {"secs", "nsecs", "sec", "nanosec"}:
         raise BadMessage(f"{path} is no time")
     return {

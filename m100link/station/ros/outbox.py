@@ -11,7 +11,7 @@ from m100link.station.ros.graph import Publication, Topic
 
 __all__ = ["COMPRESSIONS", "Outbox", "Subscription", "Wish"]
 
-COMPRESSIONS = ("none", "png", "cbor")
+COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
 """How a message may be packed; a later one is preferred when subscriptions merge."""
 
 
@@ -98,7 +98,7 @@ class Outbox:
 
     def __init__(self, waiting: int, on_output: Callable[[], None]) -> None:
         self.subscriptions: dict[str, Subscription] = {}
-        self.answers: deque[str] = deque()
+        self.answers: deque[str | bytes] = deque()
         self.dropped = 0
         self._limit = waiting
         self._on_output = on_output
@@ -218,6 +218,10 @@ class Outbox:
         frame = publication.pack(subscription.name, wish.compression)
         if isinstance(frame, bytes) or wish.fragment_size is None:
             return frame
-        self._fragment_count += 1
-        self._ready = fragments(frame, wish.fragment_size, str(self._fragment_count))
+        self._ready = self.fragmented(frame, wish.fragment_size)
         return next(self._ready)
+
+    def fragmented(self, text: str, size: int) -> Iterator[str | bytes]:
+        """The frames of a text in pieces."""
+        self._fragment_count += 1
+        return fragments(text, size, str(self._fragment_count))

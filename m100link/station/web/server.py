@@ -29,6 +29,8 @@ from m100link.station.ros.dji_sdk import DjiSdk
 from m100link.station.ros.graph import Graph
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.node_2015 import Node
+from m100link.station.ros.rosapi import add_rosapi
+from m100link.station.ros.rosout import Rosout
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import App, Gate
 from m100link.station.web.logs import SparingLogger
@@ -83,6 +85,8 @@ class Bridge:
         self.clients = Clients(agent, self.graph)
         Node(agent, self.graph, self.clients)
         DjiSdk(agent, self.graph, self.clients)
+        Rosout(agent, self.graph)
+        add_rosapi(self.graph)
         agent.background.spawn(self._guard(), "lag")
         routes: list[BaseRoute] = [
             WebSocketRoute("/{path:path}", self._serve),
