@@ -9,6 +9,7 @@ Each directive takes its rows from one object of the package::
     ```{profile-table}                    m100link.protocol.firmware.PROFILES
     ```{item-table}                       sizes of the telemetry items per profile
     ```{item-fields} 3.1                  fields of the telemetry items under one profile
+    ```{records}                          the records of telemetry and their enumerations
     ```{mode-table}                       the fourteen control modes and their ranges
     ```{discard-table}                    causes for which the decoder discards
     ```{url-examples}                     connection strings that work
@@ -43,7 +44,7 @@ from m100link.cli.app import app as cli
 from m100link.flight import lifecycle
 from m100link.flight.authority import TRANSITIONS
 from m100link.link.url import EXAMPLES
-from m100link.protocol import codes, firmware, setpoint
+from m100link.protocol import codes, firmware, records, setpoint
 from m100link.protocol.command import Command, Movement, Notification, Push, Request
 from m100link.protocol.commands.registry import COMMANDS
 from m100link.protocol.items import ITEMS
@@ -261,6 +262,30 @@ class ItemFields(TableDirective):
                 yield item, str(offset), _C_TYPES[letter], f"``{field}``"
 
 
+class Records(SphinxDirective):
+    """Every record of telemetry, in the order of the flag bits, each before what it enumerates."""
+
+    def run(self) -> list[nodes.Node]:
+        """One description per public class."""
+        lines: list[str] = []
+        enumerations: list[str] = []
+        for name, kind in vars(records).items():
+            if name not in records.__all__:
+                continue
+            described = [f".. autoclass:: m100link.{name}", "   :members:"]
+            if issubclass(kind, Enum):
+                enumerations += [*described, "   :undoc-members:", ""]
+                continue
+            if kind.__base__ is not tuple:
+                described.append("   :inherited-members: tuple")
+            lines += [*described, "", *enumerations]
+            enumerations = []
+        whole = nodes.Element()
+        text = ["```{eval-rst}", *lines, *enumerations, "```"]
+        self.state.nested_parse(StringList(text, source=records.__name__), 0, whole)
+        return whole.children
+
+
 class ModeTable(TableDirective):
     """The fourteen control modes."""
 
@@ -420,6 +445,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("profile-table", ProfileTable)
     app.add_directive("item-table", ItemTable)
     app.add_directive("item-fields", ItemFields)
+    app.add_directive("records", Records)
     app.add_directive("mode-table", ModeTable)
     app.add_directive("discard-table", DiscardTable)
     app.add_directive("url-examples", UrlExamples)

@@ -1,5 +1,6 @@
 """What the data bytes mean: command sets, setpoints, telemetry, firmware profiles."""
 
+from m100link.protocol import records
 from m100link.protocol.codes import (
     AckCode,
     ActivationCode,
@@ -42,23 +43,7 @@ from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, Pus
 from m100link.protocol.commands.registry import parse_command
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.protocol.packet import TelemetryPacket, encode_telemetry
-from m100link.protocol.records import (
-    Acceleration,
-    AngularVelocity,
-    Attitude,
-    Battery,
-    ControlDevice,
-    Device,
-    FlightPhase,
-    FlightStatus,
-    Gimbal,
-    Magnetometer,
-    Position,
-    RcMode,
-    RemoteControl,
-    Time,
-    Velocity,
-)
+from m100link.protocol.records import *  # noqa: F403 (all of records.__all__, nothing else)
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -70,43 +55,30 @@ from m100link.protocol.setpoint import (
 
 __all__ = [
     "PROFILES",
-    "Acceleration",
     "AckCode",
     "Activate",
     "ActivationCode",
     "Address",
-    "AngularVelocity",
     "Arm",
     "ArmCode",
-    "Attitude",
     "AuthorityChanged",
     "AuthorityCode",
-    "Battery",
     "Command",
-    "ControlDevice",
     "ControlMode",
     "Credentials",
-    "Device",
     "FirmwareProfile",
-    "FlightPhase",
-    "FlightStatus",
     "FromMobile",
     "GetVersion",
-    "Gimbal",
     "Horizontal",
-    "Magnetometer",
     "MobileDataCode",
     "Move",
     "Movement",
     "Notification",
-    "Position",
     "Push",
     "PushTelemetry",
     "QueryTask",
     "RatesCode",
-    "RcMode",
     "ReferenceFrame",
-    "RemoteControl",
     "Request",
     "RequestAuthority",
     "SendToMobile",
@@ -118,9 +90,7 @@ __all__ = [
     "TaskResultCode",
     "TaskStartCode",
     "TelemetryPacket",
-    "Time",
     "Unrecognised",
-    "Velocity",
     "Version",
     "VersionCode",
     "Vertical",
@@ -130,3 +100,5 @@ __all__ = [
     "parse_command",
     "profile",
 ]
+
+__all__ += records.__all__

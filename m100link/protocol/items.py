@@ -1,17 +1,18 @@
 """The telemetry items: one table, from which everything that enumerates items is derived.
 
 An item has a bit in the flag word, a name, a record that users see, and a layout on the wire, which
-some firmwares changed (document 2.2.3.1; the later layouts are those of DJI's own programs, errata
-37 to 47). To add one: a record and its view in :mod:`m100link.protocol.records`, a row here, and a
-reader in :mod:`m100link.sim.vehicle.sensors`.
+some firmwares changed (document 2.2.3.1; the later layouts are those of DJI's own programs). To add
+one: a record in :mod:`m100link.protocol.records`, a row and a view here, and a reader in
+:mod:`m100link.sim.vehicle.sensors`.
 """
 
 from __future__ import annotations
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from m100link.errors import UsageError
 from m100link.protocol.records import (
@@ -29,7 +30,18 @@ from m100link.protocol.records import (
     Velocity,
 )
 
-__all__ = ["BY_NAME", "BY_RECORD", "ITEMS", "Item", "ItemLayout", "layouts"]
+__all__ = [
+    "BY_NAME",
+    "BY_RECORD",
+    "ITEMS",
+    "Item",
+    "ItemLayout",
+    "Record",
+    "RecordViews",
+    "layouts",
+]
+
+R = TypeVar("R", bound=tuple[Any, ...])
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,3 +274,90 @@ def layouts(*firmwares: str) -> dict[str, ItemLayout]:
             raise UsageError(f"no telemetry item has a layout of firmware {firmware!r}")
         found |= brought
     return found
+
+
+Record = (
+    Time
+    | Attitude
+    | Acceleration
+    | Velocity
+    | AngularVelocity
+    | Position
+    | Magnetometer
+    | RemoteControl
+    | Gimbal
+    | FlightStatus
+    | Battery
+    | ControlDevice
+)
+"""Any telemetry record."""
+
+
+class RecordViews(ABC):
+    """A property per record, for whatever can look one up by its class."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def get(self, record: type[R]) -> R | None:
+        """The record of that class, None when there is none."""
+
+    @property
+    def time(self) -> Time | None:
+        """Clock of the aircraft."""
+        return self.get(Time)
+
+    @property
+    def attitude(self) -> Attitude | None:
+        """Attitude quaternion."""
+        return self.get(Attitude)
+
+    @property
+    def acceleration(self) -> Acceleration | None:
+        """Linear acceleration."""
+        return self.get(Acceleration)
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """Linear velocity."""
+        return self.get(Velocity)
+
+    @property
+    def angular_velocity(self) -> AngularVelocity | None:
+        """Angular velocity."""
+        return self.get(AngularVelocity)
+
+    @property
+    def position(self) -> Position | None:
+        """Position, altitude, height and GPS health."""
+        return self.get(Position)
+
+    @property
+    def magnetometer(self) -> Magnetometer | None:
+        """Magnetometer."""
+        return self.get(Magnetometer)
+
+    @property
+    def remote_control(self) -> RemoteControl | None:
+        """Channels of the remote controller."""
+        return self.get(RemoteControl)
+
+    @property
+    def gimbal(self) -> Gimbal | None:
+        """Gimbal attitude."""
+        return self.get(Gimbal)
+
+    @property
+    def flight_status(self) -> FlightStatus | None:
+        """Flight status."""
+        return self.get(FlightStatus)
+
+    @property
+    def battery(self) -> Battery | None:
+        """Battery charge."""
+        return self.get(Battery)
+
+    @property
+    def control_device(self) -> ControlDevice | None:
+        """Who controls the aircraft."""
+        return self.get(ControlDevice)

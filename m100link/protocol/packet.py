@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 
 from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
-from m100link.protocol.items import BY_RECORD, ITEMS, Item, ItemLayout
-from m100link.protocol.records import RecordViews
+from m100link.protocol.items import BY_RECORD, ITEMS, Item, ItemLayout, RecordViews
 
 __all__ = ["TelemetryPacket", "encode_telemetry", "fitting_profiles", "telemetry_size"]
 

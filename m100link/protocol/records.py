@@ -3,14 +3,15 @@
 A record's fields are the raw wire values under names that say unit, axis and frame; properties give
 the other views. Ground frame: north, east, up (up is positive although the document's frame is
 north-east-down; errata, vertical sign). Body frame: forward, right, down.
+
+Everything in ``__all__`` is public as it is: :mod:`m100link` and its manual have it from here.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from enum import IntEnum
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 __all__ = [
     "Acceleration",
@@ -25,14 +26,10 @@ __all__ = [
     "Magnetometer",
     "Position",
     "RcMode",
-    "Record",
-    "RecordViews",
     "RemoteControl",
     "Time",
     "Velocity",
 ]
-
-R = TypeVar("R", bound=tuple[Any, ...])
 
 
 class Time(NamedTuple):
@@ -346,90 +343,3 @@ class ControlDevice(NamedTuple):
     def is_virtual_rc(self) -> bool:
         """Whether the virtual remote controller is on (firmware 3.1)."""
         return bool(self.control & 0x10)
-
-
-Record = (
-    Time
-    | Attitude
-    | Acceleration
-    | Velocity
-    | AngularVelocity
-    | Position
-    | Magnetometer
-    | RemoteControl
-    | Gimbal
-    | FlightStatus
-    | Battery
-    | ControlDevice
-)
-"""Any telemetry record."""
-
-
-class RecordViews(ABC):
-    """A property per record, for whatever can look one up by its class."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def get(self, record: type[R]) -> R | None:
-        """The record of that class, None when there is none."""
-
-    @property
-    def time(self) -> Time | None:
-        """Clock of the aircraft."""
-        return self.get(Time)
-
-    @property
-    def attitude(self) -> Attitude | None:
-        """Attitude quaternion."""
-        return self.get(Attitude)
-
-    @property
-    def acceleration(self) -> Acceleration | None:
-        """Linear acceleration."""
-        return self.get(Acceleration)
-
-    @property
-    def velocity(self) -> Velocity | None:
-        """Linear velocity."""
-        return self.get(Velocity)
-
-    @property
-    def angular_velocity(self) -> AngularVelocity | None:
-        """Angular velocity."""
-        return self.get(AngularVelocity)
-
-    @property
-    def position(self) -> Position | None:
-        """Position, altitude, height and GPS health."""
-        return self.get(Position)
-
-    @property
-    def magnetometer(self) -> Magnetometer | None:
-        """Magnetometer."""
-        return self.get(Magnetometer)
-
-    @property
-    def remote_control(self) -> RemoteControl | None:
-        """Channels of the remote controller."""
-        return self.get(RemoteControl)
-
-    @property
-    def gimbal(self) -> Gimbal | None:
-        """Gimbal attitude."""
-        return self.get(Gimbal)
-
-    @property
-    def flight_status(self) -> FlightStatus | None:
-        """Flight status."""
-        return self.get(FlightStatus)
-
-    @property
-    def battery(self) -> Battery | None:
-        """Battery charge."""
-        return self.get(Battery)
-
-    @property
-    def control_device(self) -> ControlDevice | None:
-        """Who controls the aircraft."""
-        return self.get(ControlDevice)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from m100link.protocol.items import BY_RECORD, ITEMS
-from m100link.protocol.records import RecordViews
+from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
 from m100link.telemetry.sample import Sample
 
 __all__ = ["AircraftState", "ItemStatistics"]

@@ -8,11 +8,20 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
+import m100link
 from m100link.errors import UsageError
 from m100link.protocol import PROFILES, TelemetryPacket, encode_telemetry
 from m100link.protocol.commands.activation import RATES_HZ
-from m100link.protocol.items import BY_NAME, BY_RECORD, ITEMS, Item, ItemLayout, layouts
-from m100link.protocol.records import Record, RecordViews
+from m100link.protocol.items import (
+    BY_NAME,
+    BY_RECORD,
+    ITEMS,
+    Item,
+    ItemLayout,
+    Record,
+    RecordViews,
+    layouts,
+)
 
 # Bit, name and default rate as the document prints them (2.2.3.1).
 DOCUMENT = [
@@ -50,6 +59,13 @@ def test_every_record_has_its_view_of_packages_and_state(item: Item) -> None:
     view = getattr(RecordViews, name)
     assert view.__doc__
     assert get_type_hints(view.fget)["return"] == item.record | None
+
+
+@each_item
+def test_every_record_is_public(item: Item) -> None:
+    name = item.record.__name__
+    assert name in m100link.__all__
+    assert getattr(m100link, name) is item.record
 
 
 def test_any_record_means_every_record_of_the_table() -> None:
