@@ -47,7 +47,7 @@ class Settings:
         bundle_id: Bundle id of the app.
         host: Address to bind; beyond this machine a token is needed.
         port: Port of rosbridge.
-        also_ports: One more port for it, such as 19871 for DJI's later page; may be repeated.
+        also_ports: One more port for it; may be repeated.
         console_port: Port of the console.
         allow_host: A name that this station goes by; may be repeated.
         allow_origin: A page from elsewhere that may connect, such as http://127.0.0.1:8000; null
