@@ -10,9 +10,12 @@ from m100link.errors import AckTimeout, AuthorityLost, AuthorityRefused, LossRea
 from m100link.flight.authority import AuthorityInput
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
+from m100link.protocol.records import ControlDevice, Device, RemoteControl
 
 if TYPE_CHECKING:
     from m100link.flight.tasks import Commander
+    from m100link.protocol.firmware import FirmwareProfile
+    from m100link.telemetry.state import AircraftState
 
 __all__ = ["authority_lost", "explained_loss", "obtain_authority", "release_authority"]
 
@@ -24,6 +27,7 @@ _RELEASE_DEADLINE_S = 2.0
 _RELEASE_TIMEOUT_S = 0.4  # two requests of two tries each fit into the deadline
 _EXPLANATION_S = 0.15  # seven RC items, or one or two control device items at 10 Hz
 _EXPLANATION_STEP_S = 0.01
+_FRESH_S = 1.2  # an item that is sent once a second
 
 
 def _requests(commander: Commander) -> int:
@@ -70,15 +74,60 @@ async def obtain_authority(commander: Commander) -> None:
             return
     finally:
         authority.feed(AuthorityInput.REFUSED)  # no news once it was obtained
-    situation = commander.state.situation()
-    raise AuthorityRefused(
-        f"the aircraft did not give control authority: {code.meaning or code.name} "
-        f"(code 0x{code:04X}; mode switch {situation['mode_switch'] or 'unknown'})",
+    raise _refused(commander, code)
+
+
+def _refused(commander: Commander, code: AuthorityCode) -> AuthorityRefused:
+    """The refusal with everything that can be behind it, as far as profile and telemetry tell.
+
+    One code stands for most obstacles (document 2.2.2.1, errata 24, 25).
+    """
+    state, firmware = commander.state, commander.requests.firmware
+    switch = state.situation()["mode_switch"] or "unknown"
+    what, obstacles = "", [(code.cause, code.remedy)]
+    if code in (AuthorityCode.NOT_IN_F, AuthorityCode.NOT_CHANGED):
+        obstacles = _obstacles(state, firmware)
+    else:
+        what = f": {code.meaning or code.name}"
+    return AuthorityRefused(
+        f"the aircraft did not give control authority{what} "
+        f"(code 0x{code:04X}; mode switch {switch})",
         command=RequestAuthority.NAME,
         code=int(code),
-        cause=code.cause,
-        remedy=code.remedy,
+        cause=", or ".join(cause for cause, _ in obstacles if cause),
+        remedy="; ".join(remedy for _, remedy in obstacles if remedy),
     )
+
+
+def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[str, str]]:
+    """What can keep the onboard device out, with what to do about it; what is seen comes first."""
+    device = state.fresh(ControlDevice, within=_FRESH_S)
+    app = ("the mobile app holds control", "let the mobile app release control")
+    if device is not None and device.device is Device.APP:
+        return [app]
+    found = []
+    rc = state.fresh(RemoteControl, within=_FRESH_S)
+    if rc is None:
+        found.append(("the mode switch is not in F", "move the mode switch to F"))
+    elif not rc.is_in_f:
+        found.append(
+            (f"the mode switch is in {rc.mode_switch.name}, not in F", "move the mode switch to F")
+        )
+    if firmware.needs_f_toggle and (rc is None or rc.is_in_f):
+        found.append(
+            (
+                "F stands since power-on and was not chosen anew",
+                "move the mode switch out of F and back",
+            )
+        )
+    found.append(
+        ("API control is not enabled", "tick 'enable API control' in the PC assistant"),
+    )
+    if firmware.ioc_must_be_off and not firmware.authority_refusal_has_reason:
+        found.append(("IOC is on", "turn IOC off in the DJI app"))
+    if device is None:
+        found.append(app)
+    return found
 
 
 async def release_authority(commander: Commander) -> None:

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 import m100link
-from m100link import AuthorityLost
+from m100link import AuthorityLost, AuthorityRefused
 from m100link.sim import NO_FAULTS, AssistantSettings, LineFaults
 from tests.flight.foreign_aircraft import APP_ID, KEY, foreign_aircraft
 from tests.rig import FIRMWARES, NORTH, Rig, rig
@@ -113,6 +113,77 @@ async def test_the_items_do_not_end_a_block_that_has_authority(firmware: str) ->
             await control.take_off()
             await flown.fly(control, 3.0)
         await flown.assert_hovers()
+
+
+# -- refusals -------------------------------------------------------------------------------------
+
+
+async def refusal(flown: Rig) -> AuthorityRefused:
+    await asyncio.sleep(0.1)
+    with pytest.raises(AuthorityRefused) as caught:
+        async with flown.aircraft.control():
+            pytest.fail("entered")
+    return caught.value
+
+
+@each_firmware
+async def test_a_refusal_in_f_lists_what_it_can_be_and_not_the_switch(firmware: str) -> None:
+    async with rig(firmware=firmware) as flown:
+        flown.virtual.enable_api(False)
+        error = await refusal(flown)
+        assert "mode switch F" in error.seen
+        assert "not in F" not in str(error)
+        assert "API control" in error.cause
+        assert "enable API control" in error.remedy
+        assert "mobile app" in error.cause
+        # From 2.3 on there is a code of its own for it; the profile of 3.1 allows IOC.
+        assert ("IOC" in error.cause) == (firmware == "1.0")
+        assert ("power-on" in error.cause) == flown.aircraft.firmware.needs_f_toggle
+
+
+@each_firmware
+async def test_a_refusal_outside_f_begins_with_the_switch_where_it_stands(firmware: str) -> None:
+    async with rig(firmware=firmware) as flown:
+        flown.virtual.leave_f()
+        error = await refusal(flown)
+        assert error.cause.startswith("the mode switch is in P, not in F")
+        assert error.remedy.startswith("move the mode switch to F")
+        assert "power-on" not in error.cause
+
+
+async def test_a_refusal_without_an_rc_item_lists_everything() -> None:
+    async with rig(assistant=AssistantSettings(rates_hz={"rc": 0}, ioc_on=True)) as flown:
+        error = await refusal(flown)
+        assert "mode switch unknown" in error.seen
+        for part in ("not in F", "power-on", "API control", "IOC", "mobile app"):
+            assert part in error.cause
+
+
+@each_firmware
+async def test_an_app_that_is_seen_to_hold_control_is_the_cause(firmware: str) -> None:
+    async with rig(firmware=firmware) as flown:
+        flown.virtual.set_rates(control_device=10)
+        flown.virtual.app_takes_control()
+        error = await refusal(flown)
+        assert error.cause == "the mobile app holds control"
+        assert error.remedy == "let the mobile app release control"
+
+
+async def test_an_app_that_is_seen_not_to_hold_control_is_not_the_cause() -> None:
+    async with rig() as flown:
+        flown.virtual.set_rates(control_device=10)
+        flown.virtual.enable_api(False)
+        assert "app" not in (await refusal(flown)).cause.replace("DJI app", "")
+
+
+@pytest.mark.parametrize("firmware", ["2.3", "3.1"])
+async def test_ioc_has_a_code_of_its_own_from_2_3_on(firmware: str) -> None:
+    async with rig(firmware=firmware, assistant=AssistantSettings(ioc_on=True)) as flown:
+        if not flown.aircraft.firmware.ioc_must_be_off:
+            return
+        error = await refusal(flown)
+        assert "IOC is on" in error.seen
+        assert error.remedy == "turn IOC off in the DJI app"
 
 
 @pytest.mark.pty
