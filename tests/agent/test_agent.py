@@ -90,7 +90,7 @@ async def test_a_stop_during_a_task_gives_authority_back(rig: Rig) -> None:
 
 async def test_the_end_of_a_lease_stops_the_motion_and_gives_authority_back(rig: Rig) -> None:
     await airborne(rig)
-    rig.agent.steer(rig.token, NORTH, 5.0)
+    rig.agent.steer(rig.token, NORTH, 1.0)
     await anyio.sleep(0.5)
     rig.agent.desk.release(rig.token, rig.agent.now)
     await anyio.sleep(0.03)

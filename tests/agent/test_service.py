@@ -148,7 +148,7 @@ async def test_the_state_is_told_before_the_outcome(rig: Rig, service: Service) 
 async def test_a_front_that_has_gone_costs_a_hover(rig: Rig, service: Service) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
-    front.send(Steer(fence, rig.agent.now, 5.0, NORTH))
+    front.send(Steer(fence, rig.agent.now, 1.0, NORTH))
     await anyio.sleep(0.5)
     front.channel.close("killed")
     await anyio.sleep(0.03)
