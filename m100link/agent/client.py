@@ -50,7 +50,10 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 
-__all__ = ["AgentClient"]
+__all__ = ["MAX_SILENCE", "AgentClient"]
+
+MAX_SILENCE = 2.0
+"""Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz."""
 
 _MAX_EVENTS = 200
 _ACTIONS = {
@@ -88,6 +91,7 @@ class AgentClient:
         self._channel = channel
         self._name = name
         self.state = State(at=self.now)
+        self._heard_at = self.now
         self.holder = LeaseChanged(0, "")
         self.telemetry: AircraftState | None = None
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
@@ -124,9 +128,24 @@ class AgentClient:
         return self._clock()
 
     @property
+    def is_gone(self) -> bool:
+        """Whether the agent has gone for good."""
+        return self._gone is not None
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing was heard of the agent for :data:`MAX_SILENCE`; it may hang."""
+        return self.now - self._heard_at > MAX_SILENCE
+
+    @property
     def is_connected(self) -> bool:
-        """Whether the aircraft is connected."""
-        return self.state.connection == "connected"
+        """Whether the aircraft is connected, by an agent that is heard."""
+        return self.state.connection == "connected" and not self.is_silent
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether setpoints and tasks are obeyed, by an agent that is heard."""
+        return self.state.has_authority and not self.is_silent
 
     async def __aenter__(self) -> Self:
         self._channel.send(Hello(VERSION, self._name, self.now))
@@ -146,6 +165,7 @@ class AgentClient:
     # -- what comes in ---------------------------------------------------------------------------
 
     def _receive(self, message: Message) -> None:
+        self._heard_at = self.now
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message)
@@ -176,11 +196,11 @@ class AgentClient:
             self._closed(reason)
 
     def _on_state(self, state: State) -> None:
-        was_connected, self.state = self.is_connected, state
-        if self.is_connected and (not was_connected or self.telemetry is None):
-            self.telemetry = AircraftState(self._clock)
-        elif not self.is_connected:
+        self.state = state
+        if state.connection != "connected":
             self.telemetry = None
+        elif self.telemetry is None:
+            self.telemetry = AircraftState(self._clock)
 
     def _on_telemetry(self, message: Telemetry) -> None:
         profile = PROFILES.get(message.profile)

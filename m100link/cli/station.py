@@ -19,6 +19,7 @@ from m100link.station.config import ENVIRONMENT, Settings, resolve
 
 if TYPE_CHECKING:
     from m100link.agent.messages import Event
+    from m100link.station.apart import RunningApart
     from m100link.station.run import Running
 
 __all__ = ["console", "serve"]
@@ -49,12 +50,14 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
         launch: ROS launch file of DJI's node, read as it is.
         json_output: Print one line of JSON when it runs.
         show_config: Print the settings and where each came from, and end.
+        single_process: Let one process fly and talk to clients: to look into it, not to fly.
     """
 
     config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
     launch: Path | None = None
     json_output: Annotated[bool, Parameter(name="--json")] = False
     show_config: bool = False
+    single_process: bool = False
 
     def settings(self, **more: Any) -> Settings:
         """The settings from all sources."""
@@ -133,13 +136,15 @@ def _show(settings: Settings) -> int:
 async def _serve(
     settings: Settings, options: StationOptions, with_console: bool, open_browser: bool
 ) -> int:
+    from m100link.station.apart import running_apart
     from m100link.station.run import running
 
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    async with running(settings, with_console=with_console) as station:
+    run = running if options.single_process else running_apart
+    async with run(settings, with_console=with_console) as station:
         for event in station.agent.journal.events:
             _tell(event)
         station.agent.journal.on_event.append(_tell)
@@ -151,13 +156,13 @@ async def _serve(
     return ExitCode.OK
 
 
-def _console_url(settings: Settings, running: Running) -> str:
+def _console_url(settings: Settings, running: Running | RunningApart) -> str:
     scheme = "http" if settings.tls_cert is None else "https"
     assert running.console_port is not None
     return f"{scheme}://{settings.authority(running.console_port)}{running.console_path()}"
 
 
-def _announce(settings: Settings, running: Running, *, as_json: bool) -> None:
+def _announce(settings: Settings, running: Running | RunningApart, *, as_json: bool) -> None:
     scheme = "ws" if settings.tls_cert is None else "wss"
     addresses = [f"{scheme}://{settings.authority(port)}" for port in running.ports]
     console_url = None if running.console_port is None else _console_url(settings, running)

@@ -1,16 +1,18 @@
-"""The whole station for as long as a block runs: aircraft, rosbridge, console."""
+"""The station for as long as a block runs: the agent that owns the aircraft, and its fronts.
+
+:func:`running` has both in one event loop, for tests and for looking into it. What ``m100link
+serve`` does is in :mod:`m100link.station.apart`: the fronts in a process of their own.
+"""
 
 from __future__ import annotations
 
-import asyncio
-import socket
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 
 from m100link.agent.agent import Agent
+from m100link.agent.carriers import Channel
 from m100link.agent.carriers.memory import memory_channels
-from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver, by_url
 from m100link.agent.connection import Connect
 from m100link.agent.service import Service
@@ -20,35 +22,70 @@ from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
-from m100link.station.web.access import Access
-from m100link.station.web.server import Bridge, Server, listen
+from m100link.station.console.orders import orders_in_process
+from m100link.station.fronts import Fronts, Sockets, open_sockets, serving_fronts
+from m100link.station.web.server import Bridge
 
-__all__ = ["Running", "running"]
+__all__ = ["Owner", "Running", "owning", "running"]
+
+
+@dataclass(frozen=True, slots=True)
+class Owner:
+    """What owns the aircraft.
+
+    Attributes:
+        agent: The aircraft and its lease.
+        service: What serves fronts.
+        virtual: The virtual aircraft that it brought, or None.
+    """
+
+    agent: Agent
+    service: Service
+    virtual: VirtualAircraft | None
 
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A station that runs.
+    """A station that runs in one event loop.
 
     Attributes:
-        agent: The aircraft and its lease.
-        bridge: What rosbridge clients reach.
-        ports: Ports of rosbridge, in the order of the settings.
-        console_port: Port of the console, None without it.
-        virtual: The virtual aircraft that it brought, or None.
-        console_access: What browsers have to show, None where nothing is needed.
+        owner: What owns the aircraft.
+        fronts: What strangers reach.
+        sockets: Where.
     """
 
-    agent: Agent
-    bridge: Bridge
-    ports: list[int]
-    console_port: int | None
-    virtual: VirtualAircraft | None
-    console_access: Access | None = None
+    owner: Owner
+    fronts: Fronts
+    sockets: Sockets
+
+    @property
+    def agent(self) -> Agent:
+        """The aircraft and its lease."""
+        return self.owner.agent
+
+    @property
+    def bridge(self) -> Bridge:
+        """What rosbridge clients reach."""
+        return self.fronts.bridge
+
+    @property
+    def virtual(self) -> VirtualAircraft | None:
+        """The virtual aircraft that it brought, or None."""
+        return self.owner.virtual
+
+    @property
+    def ports(self) -> list[int]:
+        """Ports of rosbridge, in the order of the settings."""
+        return self.sockets.ports
+
+    @property
+    def console_port(self) -> int | None:
+        """Port of the console, None without it."""
+        return self.sockets.console_port
 
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
-        return "/" if self.console_access is None else f"/?code={self.console_access.new_code()}"
+        return self.fronts.console_path()
 
 
 def _virtual(credentials: Credentials | None) -> VirtualAircraft:
@@ -64,21 +101,19 @@ def _virtual(credentials: Credentials | None) -> VirtualAircraft:
 
 
 @asynccontextmanager
-async def running(
-    settings: Settings, *, with_console: bool = False, virtual: VirtualAircraft | None = None
-) -> AsyncIterator[Running]:
-    """Run a station while the block runs.
+async def owning(
+    settings: Settings, virtual: VirtualAircraft | None = None
+) -> AsyncIterator[Owner]:
+    """Own the aircraft while the block runs.
 
     Args:
-        settings: What it needs to know.
-        with_console: Serve the console, too.
+        settings: Which aircraft, and whose app.
         virtual: The virtual aircraft to use with ``sim``; by default one that stands ready.
 
     Raises:
-        UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
+        UsageError, BadKey: Something in the settings cannot be.
     """
     credentials = settings.credentials()
-    settings.access_token()  # before anything is bound
     async with AsyncExitStack() as stack:
         if settings.sim:
             virtual = virtual or _virtual(credentials)
@@ -94,68 +129,36 @@ async def running(
                 "no aircraft was named",
                 remedy="give its URL, set M100LINK_URL, or use --sim for a virtual one",
             )
-        sockets = [listen(settings.host, port) for port in (settings.port, *settings.also_ports)]
-        for one in sockets:
-            stack.callback(one.close)
         agent = await stack.enter_async_context(Agent(connect, credentials=credentials))
         service = Service(agent)
-        front = await _front(stack, service, "rosbridge")
-        bridge = Bridge(front, max_clients=settings.max_clients, pages=settings.pages)
-        server = Server.make(bridge.app(settings), settings)
-        await stack.enter_async_context(_serving(server, sockets))
-        console_port = access = None
-        if with_console:
-            front = await _front(stack, service, "console")
-            console_port, access = await _add_console(stack, front, settings, virtual)
-        yield Running(
-            agent,
-            bridge,
-            [one.getsockname()[1] for one in sockets],
-            console_port,
-            virtual,
-            access,
-        )
-
-
-async def _front(stack: AsyncExitStack, service: Service, name: str) -> AgentClient:
-    """A front's end of a way to the agent inside this process."""
-    ours, its = memory_channels()
-    service.attach(its)
-    return await stack.enter_async_context(AgentClient(ours, name))
-
-
-async def _add_console(
-    stack: AsyncExitStack,
-    agent: AgentClient,
-    settings: Settings,
-    virtual: VirtualAircraft | None,
-) -> tuple[int, Access | None]:
-    try:
-        from m100link.station.console.app import console_app
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"the console needs {error.name}, which is not installed",
-            remedy="pip install 'm100link[station]'",
-        ) from None
-    listening = listen(settings.host, settings.console_port)
-    stack.callback(listening.close)
-    app = console_app(agent, settings, virtual)
-    server = Server.make(app, settings, lifespan="on")
-    await stack.enter_async_context(_serving(server, [listening]))
-    port: int = listening.getsockname()[1]
-    return port, app.access
+        stack.callback(service.close)
+        yield Owner(agent, service, virtual)
 
 
 @asynccontextmanager
-async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterator[None]:
-    serving = asyncio.create_task(server.run_on(sockets), name="m100link station: server")
-    started = asyncio.create_task(server.wait_started())
-    try:
-        await asyncio.wait((serving, started), return_when=asyncio.FIRST_COMPLETED)
-        if serving.done():
-            await serving
-        yield
-    finally:
-        started.cancel()
-        serving.cancel()
-        await asyncio.gather(serving, started, return_exceptions=True)
+async def running(
+    settings: Settings, *, with_console: bool = False, virtual: VirtualAircraft | None = None
+) -> AsyncIterator[Running]:
+    """Run a station in this event loop while the block runs.
+
+    Args:
+        settings: What it needs to know.
+        with_console: Serve the console, too.
+        virtual: The virtual aircraft to use with ``sim``; by default one that stands ready.
+
+    Raises:
+        UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
+    """
+    settings.access_token()  # before anything is bound
+    async with AsyncExitStack() as stack:
+        sockets = open_sockets(stack, settings, with_console=with_console)
+        owner = await stack.enter_async_context(owning(settings, virtual))
+
+        async def reach() -> Channel:
+            ours, its = memory_channels()
+            owner.service.attach(its)
+            return ours
+
+        orders = None if owner.virtual is None else orders_in_process(owner.virtual)
+        fronts = await stack.enter_async_context(serving_fronts(settings, sockets, reach, orders))
+        yield Running(owner, fronts, sockets)

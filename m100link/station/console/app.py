@@ -19,6 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from m100link.errors import UsageError
 from m100link.station.console.fields import live
+from m100link.station.console.orders import Orders
 from m100link.station.console.page import Page
 from m100link.station.console.tab import Tab
 from m100link.station.web.files import PublicFiles
@@ -26,7 +27,6 @@ from m100link.station.web.gate import Gate
 
 if TYPE_CHECKING:
     from m100link.agent.client import AgentClient
-    from m100link.sim.virtual import VirtualAircraft
     from m100link.station.config import Settings
 
 __all__ = ["console_app"]
@@ -91,24 +91,29 @@ class Tabs:
             if message["type"] == "websocket.disconnect":
                 return
             answer = tab.receive(message.get("text") or message.get("bytes") or "")
-            if answer is not None:
+            if answer is not None and self._is_up_to_date():
                 await websocket.send_json(answer)
             await asyncio.sleep(0)
 
     async def _write(self, websocket: WebSocket) -> None:
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                await websocket.send_json(live(self._agent.telemetry, self._agent.now))
+                if self._is_up_to_date():
+                    await websocket.send_json(live(self._agent.telemetry, self._agent.now))
                 await asyncio.sleep(LIVE_INTERVAL)
 
+    def _is_up_to_date(self) -> bool:
+        """Whether the agent is heard. A page that hears nothing shows everything as old."""
+        return not self._agent.is_gone and not self._agent.is_silent
 
-def console_app(agent: AgentClient, settings: Settings, virtual: VirtualAircraft | None) -> Gate:
+
+def console_app(agent: AgentClient, settings: Settings, orders: Orders | None) -> Gate:
     """The application behind its gate.
 
     Args:
         agent: The agent that owns the aircraft.
         settings: Who may connect, and the folder with tiles.
-        virtual: The virtual aircraft, for the panel that plays pilot and weather.
+        orders: What the panel does that plays pilot and weather of a virtual aircraft.
 
     Raises:
         UsageError: The folder with tiles does not exist.
@@ -125,7 +130,7 @@ def console_app(agent: AgentClient, settings: Settings, virtual: VirtualAircraft
     def page(client: Client) -> None:
         key, tab = tabs.open()
         client.on_delete(lambda: tabs.close(key))
-        Page(agent, tab, virtual).build(key, has_tiles=settings.tiles is not None)
+        Page(agent, tab, orders).build(key, has_tiles=settings.tiles is not None)
 
     ui.page("/", title="m100link")(page)
     ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)

@@ -6,7 +6,7 @@ import asyncio
 import json
 import math
 from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nicegui import ui
 
@@ -17,11 +17,9 @@ from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude
 from m100link.station.console.fields import FIELDS, read
+from m100link.station.console.orders import Orders
 from m100link.station.console.simpanel import sim_panel
 from m100link.station.console.tab import Tab
-
-if TYPE_CHECKING:
-    from m100link.sim.virtual import VirtualAircraft
 
 __all__ = ["Page"]
 
@@ -44,11 +42,11 @@ class Page:
     Args:
         agent: The agent that owns the aircraft.
         tab: Who looks at it.
-        virtual: The virtual aircraft, or None.
+        orders: What the panel does to a virtual aircraft, or None.
     """
 
-    def __init__(self, agent: AgentClient, tab: Tab, virtual: VirtualAircraft | None) -> None:
-        self._agent, self._tab, self._virtual = agent, tab, virtual
+    def __init__(self, agent: AgentClient, tab: Tab, orders: Orders | None) -> None:
+        self._agent, self._tab, self._orders = agent, tab, orders
         self._fields: dict[str, tuple[Any, Any, Any]] = {}
         self._numbers: dict[str, Any] = {}
         self._buttons: dict[str, Any] = {}
@@ -76,9 +74,9 @@ class Page:
                     self._build_track()
                 with ui.column().classes("w-96 shrink-0 gap-2"):
                     self._build_channels()
-                    if self._virtual is not None:
+                    if self._orders is not None:
                         with _card("Virtual aircraft"):
-                            sim_panel(self._virtual)
+                            sim_panel(self._orders)
                     self._build_events()
         ui.timer(UPDATE_INTERVAL, self._update)
 
@@ -250,17 +248,19 @@ class Page:
     def _update_banner(self) -> None:
         agent, state, tab = self._agent, self._agent.state, self._tab
         holder = agent.holder
-        if not holder.number:
+        if agent.is_silent or agent.is_gone:
+            text, kind = "Nothing is heard of the aircraft: all values are old", "theirs"
+        elif not holder.number:
             text, kind = "Nobody has control here: the pilot flies", ""
         elif not tab.has_lease:
             text, kind = f"{holder.name} has control", "theirs"
-        elif state.has_authority:
+        elif agent.has_authority:
             text, kind = "You have control", "mine"
         else:
             text, kind = "You hold the lease, but the aircraft obeys the pilot", "theirs"
         self._banner.set_text(text)
         self._banner.classes(replace=f"banner grow {kind}")
-        is_pilot = tab.has_lease and state.has_authority
+        is_pilot = tab.has_lease and agent.has_authority
         for name in ("take_off", "land", "go_home", "simple_task"):
             _enable(self._buttons[name], is_pilot and not state.task)
         _enable(self._buttons["release"], tab.has_lease)
@@ -283,7 +283,7 @@ class Page:
 
     def _update_link(self) -> None:
         agent, state, numbers = self._agent, self._agent.state, self._numbers
-        numbers["connection"].set_text(state.connection)
+        numbers["connection"].set_text("silent" if agent.is_silent else state.connection)
         fault = state.connection_fault
         self._reason.set_text(str(fault.error()) if fault is not None else "")
         holder, remaining = agent.holder, state.lease_remaining

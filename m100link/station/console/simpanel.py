@@ -2,90 +2,96 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Awaitable, Callable
+from typing import Any
 
 from nicegui import ui
+from nicegui.events import ValueChangeEventArguments
 
+from m100link.errors import M100Error
 from m100link.protocol.records import RcMode
-from m100link.sim.line import NO_FAULTS, LineFaults
-
-if TYPE_CHECKING:
-    from m100link.sim.virtual import VirtualAircraft
+from m100link.station.console.orders import Orders
 
 __all__ = ["sim_panel"]
 
-_FAULTS = {
-    "clean": NO_FAULTS,
-    "5 % lost": LineFaults(loss=0.05),
-    "20 % lost": LineFaults(loss=0.2),
-    "2 % damaged": LineFaults(damage=0.02),
-    "80 ms late": LineFaults(delay=0.08, jitter=0.02),
-    "433 MHz radio": LineFaults(radio=True),
+_LINES = {
+    "clean": "",
+    "5 % lost": "faults loss=0.05",
+    "20 % lost": "faults loss=0.2",
+    "2 % damaged": "faults damage=0.02",
+    "80 ms late": "faults delay=0.08 jitter=0.02",
+    "433 MHz radio": "faults radio=on",
 }
 
+_Handler = Callable[[ValueChangeEventArguments[Any]], Awaitable[None]]
 
-def sim_panel(virtual: VirtualAircraft) -> None:
+
+def _gives(orders: Orders, order: Callable[[Any], tuple[str, ...]]) -> _Handler:
+    """What gives the orders for a new value; a refusal is shown to whoever wanted it."""
+
+    async def give(event: ValueChangeEventArguments[Any]) -> None:
+        if event.value is None:
+            return
+        try:
+            await orders.give(*order(event.value))
+        except M100Error as error:
+            ui.notify(error.seen)
+
+    return give
+
+
+def _switch(orders: Orders, label: str, name: str, on: str, off: str, *, value: bool) -> None:
+    ui.switch(
+        label, value=value, on_change=_gives(orders, lambda is_on: (on if is_on else off,))
+    ).props(f"id={name}")
+
+
+def sim_panel(orders: Orders) -> None:
     """Lay the panel out inside the present element."""
+    shown = orders.status
     with ui.row().classes("items-center gap-2"):
         ui.label("Mode switch")
         ui.toggle(
             [mode.name for mode in RcMode],
-            value=virtual.remote.mode.name,
-            on_change=lambda event: virtual.set_rc_mode(str(event.value)),
+            value=shown["rc_mode"],
+            on_change=_gives(orders, lambda mode: (f"rc-mode {mode}",)),
         ).props("dense id=sim-mode")
     with ui.row().classes("items-center gap-2"):
-        ui.switch(
-            "remote control on",
-            value=True,
-            on_change=lambda event: virtual.rc_back() if event.value else virtual.rc_lost(),
-        ).props("id=sim-rc")
-        ui.switch(
-            "app flies",
-            on_change=lambda event: (
-                virtual.app_takes_control() if event.value else virtual.app_releases_control()
-            ),
-        ).props("id=sim-app")
+        _switch(orders, "remote control on", "sim-rc", "rc-on", "rc-off", value=shown["rc_is_on"])
+        has_app = shown["control"] == "app"
+        app = "app-takes-control", "app-releases-control"
+        _switch(orders, "app flies", "sim-app", *app, value=has_app)
     with ui.row().classes("items-center gap-2"):
-        ui.switch(
-            "plugged in",
-            value=True,
-            on_change=lambda event: virtual.replug() if event.value else virtual.unplug(),
-        ).props("id=sim-plug")
-        ui.switch(
-            "line stalled", on_change=lambda event: virtual.stall_line(bool(event.value))
-        ).props("id=sim-stall")
-        ui.switch(
-            "server refuses", on_change=lambda event: virtual.server_refuses(bool(event.value))
-        ).props("id=sim-refuse")
+        _switch(orders, "plugged in", "sim-plug", "replug", "unplug", value=True)
+        _switch(orders, "line stalled", "sim-stall", "stall on", "stall off", value=False)
+        refuses = "server-refuses on", "server-refuses off"
+        _switch(orders, "server refuses", "sim-refuse", *refuses, value=False)
     with ui.row().classes("items-center gap-2 w-full"):
         ui.select(
-            list(_FAULTS),
+            list(_LINES),
             value="clean",
             label="line",
-            on_change=lambda event: virtual.set_faults(_FAULTS[str(event.value)]),
+            on_change=_gives(
+                orders,
+                lambda name: ("no-faults", _LINES[name]) if _LINES[name] else ("no-faults",),
+            ),
         ).props("dense id=sim-line").classes("w-32")
         ui.number(
             "GPS health",
-            value=virtual.gps_health,
+            value=shown["gps_health"],
             min=0,
             max=5,
             precision=0,
-            on_change=lambda event: _set_gps(virtual, event.value),
+            on_change=_gives(orders, lambda value: (f"gps {_within(value, 5):.0f}",)),
         ).props("dense id=sim-gps").classes("w-24")
         ui.number(
             "battery, %",
-            value=round(virtual.battery_percent),
+            value=round(shown["battery_percent"]),
             min=0,
             max=100,
-            on_change=lambda event: _set_battery(virtual, event.value),
+            on_change=_gives(orders, lambda value: (f"battery {_within(value, 100):g}",)),
         ).props("dense id=sim-battery").classes("w-24")
 
 
-def _set_gps(virtual: VirtualAircraft, value: float | None) -> None:
-    if value is not None and 0 <= value <= 5:
-        virtual.gps_health = int(value)
-
-
-def _set_battery(virtual: VirtualAircraft, value: float | None) -> None:
-    if value is not None and 0 <= value <= 100:
-        virtual.battery_percent = float(value)
+def _within(value: float, high: float) -> float:
+    return min(max(float(value), 0.0), high)

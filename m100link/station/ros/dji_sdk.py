@@ -340,7 +340,7 @@ class DjiSdk:
             else:
                 await self._agent.release(lease)
         finally:
-            if not self._agent.state.has_authority:
+            if not self._agent.has_authority:
                 self._clients.let_go(call.session)
         return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
 

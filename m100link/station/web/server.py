@@ -326,6 +326,11 @@ class Server(uvicorn.Server):
             for listening in sockets:
                 listening.close()
 
+    def stop_listening(self) -> None:
+        """Take no new connections; those that are there stay."""
+        for one in self.servers:
+            one.close()
+
     async def wait_started(self) -> None:
         """Wait until connections are answered."""
         while not self.started:  # noqa: ASYNC110 - uvicorn has no event for it

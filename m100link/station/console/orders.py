@@ -1,0 +1,70 @@
+"""What the console's panel does to a virtual aircraft: the words of ``m100link sim ctl``."""
+
+from __future__ import annotations
+
+import asyncio
+import shlex
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from m100link.errors import UsageError
+from m100link.sim.orders.actions import perform, status
+from m100link.sim.orders.ctl import send_order
+from m100link.sim.virtual import VirtualAircraft
+
+__all__ = ["Orders", "orders_by_socket", "orders_in_process"]
+
+
+class Orders:
+    """Gives orders to a virtual aircraft, and keeps what it last showed.
+
+    Args:
+        give: Carries out one order of words and returns the status.
+        shown: The status at the beginning.
+
+    Attributes:
+        status: As :func:`m100link.sim.orders.actions.status` has it, after the last order.
+    """
+
+    def __init__(
+        self, give: Callable[[list[str]], Awaitable[dict[str, Any]]], shown: dict[str, Any]
+    ) -> None:
+        self._give = give
+        self.status = shown
+
+    async def give(self, *lines: str) -> None:
+        """Carry out orders, each a line of text.
+
+        Raises:
+            M100Error: One cannot be carried out.
+        """
+        for line in lines:
+            self.status = await self._give(shlex.split(line))
+
+
+def orders_in_process(virtual: VirtualAircraft) -> Orders:
+    """Orders to a virtual aircraft of this event loop."""
+
+    async def give(words: list[str]) -> dict[str, Any]:
+        perform(virtual, words)
+        return status(virtual)
+
+    return Orders(give, status(virtual))
+
+
+async def orders_by_socket(path: Path) -> Orders:
+    """Orders to the virtual aircraft behind a socket of :class:`m100link.sim.orders.ctl.CtlServer`.
+
+    Raises:
+        M100Error: Nobody answers there.
+    """
+
+    async def give(words: list[str]) -> dict[str, Any]:
+        answer = await asyncio.to_thread(send_order, words, path=path)
+        if not answer.get("ok"):
+            raise UsageError(str(answer.get("error", "the order was refused")))
+        shown: dict[str, Any] = answer["status"]
+        return shown
+
+    return Orders(give, await give(["status"]))

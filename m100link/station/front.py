@@ -1,0 +1,91 @@
+"""The process that talks to strangers: ``python -m m100link.station.front``, started by the agent.
+
+It is told by one line of JSON on its standard input where the agent is, which sockets it has
+inherited and what it serves, and answers with one line when it does. It owns nothing: when the
+agent has gone it says so to whoever is there for a while, and ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import json
+import os
+import signal
+import socket
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from m100link.agent.carriers import Channel
+from m100link.agent.carriers.unix import connect_unix
+from m100link.agent.fault import Fault
+from m100link.errors import M100Error
+from m100link.station.config import resolve
+from m100link.station.console.orders import orders_by_socket
+from m100link.station.fronts import Fronts, Sockets, serving_fronts
+
+__all__ = ["AFTERLIFE", "NICENESS", "main"]
+
+NICENESS = 10
+"""How much lower its priority is than that of the agent."""
+
+AFTERLIFE = 60.0
+"""Seconds that it tells of an agent that has gone, before it ends."""
+
+_CHECK = 0.25
+
+
+def _answer(**values: Any) -> None:
+    sys.stdout.write(json.dumps(values) + "\n")
+    sys.stdout.flush()
+
+
+async def _serve(request: dict[str, Any]) -> None:
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+
+    async def reach() -> Channel:
+        return await connect_unix(Path(request["agent"]))
+
+    settings = resolve(request["settings"], {})
+    console = request["console"]
+    sockets = Sockets(
+        [socket.socket(fileno=number) for number in request["rosbridge"]],
+        None if console is None else socket.socket(fileno=console),
+    )
+    path = request.get("orders")
+    orders = None if path is None else await orders_by_socket(Path(path))
+    async with serving_fronts(settings, sockets, reach, orders) as fronts:
+        _answer(console_path=fronts.console_path())
+        await _until_ended(ended, fronts)
+
+
+async def _until_ended(ended: asyncio.Event, fronts: Fronts) -> None:
+    alone = 0.0
+    while not ended.is_set() and alone < AFTERLIFE:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_CHECK):
+                await ended.wait()
+        if fronts.agent.is_gone:
+            if not alone:
+                fronts.stop_listening()  # the next station needs the ports
+            alone += _CHECK
+
+
+def main() -> int:
+    """Serve until told to end."""
+    os.nice(NICENESS)
+    try:
+        asyncio.run(_serve(json.loads(sys.stdin.readline())))
+    except M100Error as error:
+        _answer(fault=dataclasses.asdict(Fault.of(error)))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,162 @@
+"""Two processes: what happens to the aircraft, and to those who look, when one of them goes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("uvicorn")
+from websockets.asyncio.client import ClientConnection, connect
+
+from m100link.errors import M100Error, UsageError
+from m100link.station.apart import RunningApart, front_settings, running_apart
+from m100link.station.config import Settings, resolve
+from m100link.station.front import NICENESS
+from tests.waiting import PATIENCE, until
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+class Pilot:
+    """A rosbridge client that flies."""
+
+    def __init__(self, client: ClientConnection) -> None:
+        self.client = client
+
+    async def send(self, op: str, **fields: Any) -> None:
+        await self.client.send(json.dumps({"op": op, **fields}))
+
+    async def call(self, service: str, **args: Any) -> Any:
+        await self.send("call_service", service=service, args=args)
+        async with asyncio.timeout(PATIENCE):
+            while True:
+                answer = json.loads(await self.client.recv())
+                if answer["op"] == "service_response":
+                    return answer
+
+    async def take_off(self) -> None:
+        await self.call("/dji_sdk/activation")
+        assert (await self.call("/dji_sdk/sdk_control_authority", control_enable=1))["result"]
+        assert (await self.call("/dji_sdk/drone_task_control", task=4))["result"]
+
+    async def fly(self) -> None:
+        """A setpoint again and again."""
+        topic = "/dji_sdk/flight_control_setpoint_ENUvelocity_yawrate"
+        await self.send("advertise", topic=topic, type="sensor_msgs/Joy")
+        while True:
+            await self.send("publish", topic=topic, msg={"axes": [1.0, 0.0, 0.0, 0.0]})
+            await asyncio.sleep(0.05)
+
+
+@asynccontextmanager
+async def flying() -> AsyncIterator[tuple[RunningApart, asyncio.Task[None]]]:
+    """A station in two processes whose aircraft flies to the east."""
+    async with AsyncExitStack() as stack:
+        one = await stack.enter_async_context(running_apart(Settings(sim=True, port=0)))
+        client = await stack.enter_async_context(connect(f"ws://127.0.0.1:{one.ports[0]}"))
+        pilot = Pilot(client)
+        await pilot.take_off()
+        await until(lambda: one.agent.holding.task is None)
+        work = asyncio.create_task(pilot.fly())
+        await until(lambda: east(one) == 1.0)
+        yield one, work
+        work.cancel()
+        await asyncio.gather(work, return_exceptions=True)
+
+
+def east(one: RunningApart) -> float:
+    """Velocity to the east of the last frame that reached the aircraft, m/s."""
+    assert one.owner.virtual is not None
+    moves = one.owner.virtual.autopilot.received_movements
+    return float(moves[-1].pitch_or_y) if moves else 0.0
+
+
+async def test_fronts_run_lower_and_know_nothing_of_the_app() -> None:
+    settings = Settings(sim=True, port=0, app_id=7, key="00" * 32)
+    told = json.loads(json.dumps(front_settings(settings)))
+    assert not {"key", "key_file", "app_id", "url"} & set(told)
+    assert resolve(told, {}).port == 0
+    async with running_apart(settings) as one:
+        assert one.front.pid is not None
+        ours = os.getpriority(os.PRIO_PROCESS, 0)
+        theirs = os.getpriority(os.PRIO_PROCESS, one.front.pid)
+        assert theirs == min(ours + NICENESS, 19)
+
+
+async def test_a_front_that_is_killed_costs_a_hover_and_comes_back() -> None:
+    async with flying() as (one, _):
+        killed = one.front.pid
+        assert killed is not None
+        os.kill(killed, signal.SIGKILL)
+        await until(lambda: east(one) == 0.0)
+        await until(lambda: not one.agent.holding.has_authority)
+        assert one.owner.virtual is not None
+        assert one.owner.virtual.height > 1.0
+        await until(lambda: one.front.pid not in (None, killed))
+        async with connect(f"ws://127.0.0.1:{one.ports[0]}") as client:
+            answer = await Pilot(client).call("/dji_sdk/sdk_control_authority", control_enable=1)
+            assert answer["values"]["result"] is True
+        told = [event.text for event in one.agent.journal.events]
+        assert "the fronts ended (SIGKILL); they are started again" in told
+
+
+async def test_a_front_that_hangs_costs_a_hover() -> None:
+    async with flying() as (one, _):
+        assert one.front.pid is not None
+        os.kill(one.front.pid, signal.SIGSTOP)
+        try:
+            await until(lambda: east(one) == 0.0)
+            await until(lambda: one.agent.desk.holder(one.agent.now) is None)
+            await until(lambda: not one.agent.holding.has_authority)
+        finally:
+            os.kill(one.front.pid, signal.SIGCONT)
+
+
+async def test_an_agent_that_is_killed_is_told_by_its_front_and_its_port_is_free() -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "m100link", "serve", "--sim", "--port", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+    )
+    assert process.stdout is not None
+    url = json.loads(await process.stdout.readline())["rosbridge"][0]
+    async with connect(url) as client:
+        pilot = Pilot(client)
+        assert (await pilot.call("/dji_sdk/query_drone_version"))["result"] is True
+        process.kill()
+        await process.wait()
+        answer = await pilot.call("/dji_sdk/query_drone_version")
+        assert answer["result"] is False
+        assert "the agent that owns the aircraft has gone" in answer["values"]
+        port = int(url.rpartition(":")[2])
+
+        async def is_served_anew() -> bool:
+            try:
+                async with running_apart(Settings(sim=True, port=port)) as one:
+                    return one.ports == [port]
+            except M100Error:
+                return False
+
+        async with asyncio.timeout(PATIENCE):
+            while not await is_served_anew():  # noqa: ASYNC110 - another process has no event
+                await asyncio.sleep(0.1)
+
+
+async def test_mistakes_in_what_is_served_are_told_as_ever(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="is no folder"):
+        async with running_apart(Settings(sim=True, port=0, pages=tmp_path / "none")):
+            pass
