@@ -54,6 +54,7 @@ class Requests:
         self._is_forced = firmware is not None
         self._is_known = self._is_forced
         self._proven_cipher: Cipher | None = None  # the key that the aircraft understood once
+        self._known_pushes: set[type[Command]] = set()  # that the firmware was found to have
         self.firmware = firmware or FIRMWARE_1_0
         self.version: Version | None = None
 
@@ -125,7 +126,9 @@ class Requests:
             CommandNotSupported: The firmware does not know it.
             LinkError: The line is gone.
         """
-        self._require_firmware(command)
+        if type(command) not in self._known_pushes:  # movement comes fifty times a second
+            self._require_firmware(command)
+            self._known_pushes.add(type(command))
         link = self._link
         encrypted = command.ENCRYPTED and link.cipher is not None
         return link.push(command.encode(self.firmware), encrypted=encrypted)
@@ -163,6 +166,7 @@ class Requests:
     def _choose_firmware(self, version: Version) -> None:
         found = version.profile
         self._is_known = found is not None
+        self._known_pushes.clear()
         # An unknown firmware gets telemetry only; packets that do not fit are refused and counted.
         likeliest = reads_unknown(has_serial=version.serial is not None)
         self.firmware = found or likeliest

@@ -19,7 +19,6 @@ from m100link.errors import (
     M100Error,
     NoAuthority,
     TaskRefused,
-    TelemetryStalled,
     UsageError,
 )
 from m100link.flight.authority import AuthorityState
@@ -94,12 +93,16 @@ class Control:
         self._life = Lifecycle()
         self._program = ProgramTask()
         self._running_task: Task | None = None  # flown by the autopilot: it ignores setpoints
+        self._prepared: tuple[Setpoint, Move] | None = None  # the newest setpoint, for the wire
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
         self._setpoints = SetpointLoop(self._transmit, self._admits)
         self._stop_path = StopPath(commander, self._life, self._setpoints, stop)
+        self._on_signal = partial(self._stop, StopCause.SIGNALLED)
         self._stopping = Errand(self._stop_path.run, self._on_stopped)
         self._watchdog = TelemetryWatchdog(
-            commander.state, self._guards.guards.stale_telemetry_s, self._on_stall
+            commander.state,
+            self._guards.guards.stale_telemetry_s,
+            on_stall=partial(self._stop, StopCause.TELEMETRY_STALLED),
         )
         guided = GuidedFlight(self, self._guards)
         self.fly_to, self.climb_to = guided.fly_to, guided.climb_to
@@ -176,12 +179,6 @@ class Control:
         error = LinkClosed("the aircraft was disconnected while this block was flying it")
         self._stop(StopCause.CLOSED, error)
         await self._stopping.ended()
-
-    def _on_signal(self) -> None:
-        self._stop(StopCause.SIGNALLED)
-
-    def _on_stall(self, stalled: TelemetryStalled) -> None:
-        self._stop(StopCause.TELEMETRY_STALLED, stalled)
 
     def _on_authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
         reason = self._authority.reason
@@ -263,7 +260,8 @@ class Control:
                 remedy="await the task first",
             )
         check_lifetime(lifetime, is_long_allowed=allow_long_lifetime)
-        setpoint.control_flag(self._requests.firmware)  # refused here, not in the sending task
+        # Refused here, not in the sending task.
+        self._prepared = setpoint, setpoint.to_move(self._requests.firmware)
         self._guards.check(setpoint)
         self._refused = None
         self._setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
@@ -283,8 +281,10 @@ class Control:
         return self._requests.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
+        if self._prepared is None or self._prepared[0] is not setpoint:  # it is the neutral
+            self._prepared = setpoint, setpoint.to_move(self._requests.firmware)
         try:
-            return self._requests.push(setpoint.to_move(self._requests.firmware))
+            return self._requests.push(self._prepared[1])
         except LinkError as error:
             self._stop(StopCause.LINK_LOST, error.again())
             return False

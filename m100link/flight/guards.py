@@ -41,7 +41,7 @@ _OFF = {
     "battery_floor_percent": "Guards(battery_floor_percent=None)",
 }
 
-_MAX_LATITUDE_DEG = 89.0  # nearer to a pole there is no local frame to measure in
+_MAX_LATITUDE_RAD = math.radians(89.0)  # nearer to a pole there is no local frame to measure in
 _TAKE_OFF_POLL_S = 0.02
 
 
@@ -58,14 +58,15 @@ def known(state: AircraftState, record: type[R], *, within: float | None = None)
 
 
 def _is_possible(value: tuple[Any, ...]) -> bool:
-    if not all(field is None or math.isfinite(field) for field in value):
+    numbers = value if None not in value else [field for field in value if field is not None]
+    if not all(map(math.isfinite, numbers)):
         return False
     if isinstance(value, Battery):
         return value.percent <= 100
     if isinstance(value, Attitude):
         return 0.5 < sum(part * part for part in value) < 2.0  # a unit quaternion, roughly
     return not isinstance(value, Position) or (
-        abs(value.latitude_deg) <= _MAX_LATITUDE_DEG and abs(value.longitude_rad) <= 2 * math.pi
+        abs(value.latitude_rad) <= _MAX_LATITUDE_RAD and abs(value.longitude_rad) <= 2 * math.pi
     )
 
 
@@ -128,7 +129,7 @@ class GuardKeeper:
     def start(self) -> None:
         """Control begins here: distances are measured from this place, once GPS knows it."""
         self._began_at = asyncio.get_running_loop().time()
-        self._from_start()
+        self._from_start(known(self._state, Position))
 
     async def admit_take_off(self) -> None:
         """Wait up to 1.5 s for what the guards compare, then say whether a take-off may begin.
@@ -162,14 +163,15 @@ class GuardKeeper:
             GuardRefused: With the guard's name, the measured value and the limit.
         """
         self._check_battery("a setpoint")
+        position = known(self._state, Position)
         needs_gps = setpoint.mode.horizontal is not Horizontal.TILT
         if needs_gps and self.guards.gps:
-            self._check_gps(setpoint)
+            self._check_gps(setpoint, position)
         envelope = self.guards.envelope
         if envelope is not None:
-            self._check_height(setpoint, envelope)
+            self._check_height(setpoint, envelope, position)
             self._check_speed(setpoint, envelope)
-            self._check_radius(setpoint, envelope)
+            self._check_radius(setpoint, envelope, position)
 
     def check_target(
         self,
@@ -196,7 +198,8 @@ class GuardKeeper:
         if envelope is None:
             return
         far = None
-        if place is not None and self._from_start() is not None and self._origin is not None:
+        here = self._from_start(known(self._state, Position))
+        if place is not None and here is not None and self._origin is not None:
             far = math.hypot(*self._origin.to_local(*place)) + radius
         for value, limit, seen, name, option in (
             (height, envelope.max_height_m, "a height of {:.1f} m", "max_height_m", "--max-height"),
@@ -258,8 +261,7 @@ class GuardKeeper:
                 remedy="land; landing and going home are never refused",
             )
 
-    def _check_gps(self, setpoint: Setpoint) -> None:
-        position = known(self._state, Position)
+    def _check_gps(self, setpoint: Setpoint, position: Position | None) -> None:
         health = None if position is None else position.gps_health
         if health is None or health < GPS_HEALTH_NEEDED:
             mode = setpoint.mode.horizontal.name.lower().replace("_", " ")
@@ -275,11 +277,12 @@ class GuardKeeper:
                 remedy="wait for GPS, fly tilt setpoints, or Guards(gps=False) with Guidance",
             )
 
-    def _check_height(self, setpoint: Setpoint, envelope: Envelope) -> None:
+    def _check_height(
+        self, setpoint: Setpoint, envelope: Envelope, position: Position | None
+    ) -> None:
         limit = envelope.max_height_m
         if limit == math.inf:
             return
-        position = known(self._state, Position)
         measured = None if position is None else position.height_m
         mode = setpoint.mode.vertical
         if mode is Vertical.HEIGHT:
@@ -320,9 +323,8 @@ class GuardKeeper:
                 remedy="fly slower, or control(guards=Guards(envelope=Envelope(max_speed_m_s=…)))",
             )
 
-    def _from_start(self) -> tuple[float, float] | None:
+    def _from_start(self, position: Position | None) -> tuple[float, float] | None:
         """Metres north and east of where control began, None while nobody knows."""
-        position = known(self._state, Position)
         if position is None:
             return None
         if position.gps_health is not None and position.gps_health < GPS_HEALTH_NEEDED:
@@ -332,13 +334,15 @@ class GuardKeeper:
             self._origin = LocalFrame(*here)
         return self._origin.to_local(*here)
 
-    def _check_radius(self, setpoint: Setpoint, envelope: Envelope) -> None:
+    def _check_radius(
+        self, setpoint: Setpoint, envelope: Envelope, position: Position | None
+    ) -> None:
         limit = envelope.max_radius_m
         if limit == math.inf or (setpoint.x, setpoint.y) == (0.0, 0.0):
             return
-        place = self._from_start()
+        place = self._from_start(position)
         if place is None:
-            if self._origin is not None and known(self._state, Position) is None:
+            if self._origin is not None and position is None:
                 raise self._unknown(
                     "a setpoint that moves",
                     Position,

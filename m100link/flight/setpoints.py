@@ -133,7 +133,7 @@ class SetpointLoop:
 
     def _due_at(self) -> float:
         """When the present setpoint goes out next."""
-        return self._slot + (_PERIOD if self._is_news else self._period)
+        return self._slot + (_PERIOD if self._setpoint != self._frame else self._period)
 
     def neutralise(self) -> None:
         """Replace the setpoint by its neutral, which then falls silent by itself."""

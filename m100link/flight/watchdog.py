@@ -33,6 +33,7 @@ class TelemetryWatchdog:
         self._state = state
         self._limit = limit
         self._on_stall = on_stall
+        self._clock = asyncio.get_running_loop().time
         self._timer: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
@@ -50,8 +51,11 @@ class TelemetryWatchdog:
 
     def is_quiet(self) -> bool:
         """False when telemetry is found stalled here and now."""
-        age = self._state.newest_age
-        if self._limit is None or age is None or age <= self._limit:
+        newest_at = self._state.newest_at
+        if self._limit is None or newest_at is None:
+            return True
+        age = self._clock() - newest_at
+        if age <= self._limit:
             return True
         self._on_stall(
             TelemetryStalled(

@@ -42,6 +42,9 @@ class AircraftState(RecordViews):
     """The newest value of every telemetry item.
 
     An item that never arrived is None, never zero. Every value knows its age.
+
+    Attributes:
+        newest_at: When any telemetry arrived last, on the event loop's clock; None: never.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -50,12 +53,12 @@ class AircraftState(RecordViews):
         self._longest_gaps = [0.0] * len(ITEMS)
         self._counts: dict[int, int] = {}  # packages per flag word; few flag words ever occur
         self._recent: deque[tuple[float, int]] = deque(maxlen=512)
-        self._newest_at: float | None = None
+        self.newest_at: float | None = None
 
     def update(self, sample: Sample) -> None:
         """Take over what the sample carries."""
         now, flags = sample.received_at, sample.flags
-        self._newest_at = now
+        self.newest_at = now
         self._counts[flags] = self._counts.get(flags, 0) + 1
         self._recent.append((now, flags))
         samples, longest_gaps = self._samples, self._longest_gaps
@@ -83,12 +86,14 @@ class AircraftState(RecordViews):
     @property
     def newest_age(self) -> float | None:
         """Seconds since any telemetry arrived, None when none ever did."""
-        return None if self._newest_at is None else self._clock() - self._newest_at
+        return None if self.newest_at is None else self._clock() - self.newest_at
 
     def fresh(self, record: type[R], *, within: float) -> R | None:
         """The newest record if it is at most ``within`` seconds old, else None."""
-        age = self.age(record)
-        return None if age is None or age > within else self.get(record)
+        sample = self._samples[BY_RECORD[record].bit]
+        if sample is None or self._clock() - sample.received_at > within:
+            return None
+        return self.get(record)
 
     def statistics(self, record: type[Any]) -> ItemStatistics:
         """Measured rate, jitter and longest gap of an item."""
