@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
 
 from m100link.sim.telemetry import is_telemetry
 from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
@@ -27,9 +27,16 @@ _RADIO_TURNAROUND_S = 0.002
 _RADIO_BAUD_RATE = 230_400
 
 
+def _probability() -> Any:
+    return field(default=0.0, metadata={"most": 1.0})
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineFaults:
     """What is wrong with a line. Probabilities are per frame.
+
+    A field added here is an option of ``m100link sim`` and a word of its ``faults`` order, and its
+    range is checked; :class:`Direction` gives it its effect.
 
     Attributes:
         loss: Probability that a frame does not arrive, 0 to 1.
@@ -45,9 +52,9 @@ class LineFaults:
             transmits, the other cannot, and half of what starts in that time is lost.
     """
 
-    loss: float = 0.0
-    damage: float = 0.0
-    duplicate: float = 0.0
+    loss: float = _probability()
+    damage: float = _probability()
+    duplicate: float = _probability()
     delay: float = 0.0
     jitter: float = 0.0
     noise: float = 0.0
@@ -57,12 +64,12 @@ class LineFaults:
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        for name in ("loss", "damage", "duplicate"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} is a probability: 0 to 1, not {getattr(self, name)}")
-        for name in ("delay", "jitter", "noise"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is not negative, {getattr(self, name)} is")
+        for one in fields(self):
+            value, most = getattr(self, one.name), one.metadata.get("most")
+            if value is None or (0.0 <= value < math.inf and (most is None or value <= most)):
+                continue
+            span = "finite and not negative" if most is None else f"0 to {most:g}"
+            raise ValueError(f"{one.name} is {span}, not {value}")
         if self.noise_bytes < 1:
             raise ValueError("a burst of noise has at least one byte")
         if self.baud_rate is not None and self.baud_rate <= 0:
