@@ -166,7 +166,6 @@ class Autopilot:
                 self._execute(event.frame, now)
         # Acks go out before the telemetry that is made after them.
         self._collect()
-        self._tell_of_losses()
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now``."""
@@ -191,7 +190,8 @@ class Autopilot:
 
     def frames_to_send(self) -> list[bytes]:
         """Take the frames that wait to be sent, oldest first."""
-        self._tell_of_losses()  # a switch may have been moved between two steps
+        if self._told_losses < self.vehicle.authority_losses:
+            self._tell_of_losses()  # a switch was moved between two steps
         outbox = self._outbox
         if len(outbox) == 1:
             return [outbox.popleft()]
@@ -265,7 +265,8 @@ class Autopilot:
         vehicle.step()
         if vehicle.is_restarting:
             return
-        self._tell_of_losses()
+        if self._told_losses < vehicle.authority_losses:
+            self._tell_of_losses()
         if self._from_mobile and vehicle.time >= self._mobile_free_at:
             message = self._from_mobile.popleft()
             self._mobile_free_at = vehicle.time + len(message) / _MOBILE_BYTES_PER_S

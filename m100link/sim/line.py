@@ -222,12 +222,11 @@ class Direction:
 
     def next_wakeup(self) -> float | None:
         """When something will have arrived."""
-        if self.is_stalled or self.is_clean:
-            return None
-        times = [self._next_noise] if self._next_noise is not None else []
-        if self._waiting:
-            times.append(self._waiting[0][0])
-        return min(times, default=None)
+        noise = self._next_noise if self.faults.noise else None
+        if self.is_stalled or not self._waiting:
+            return None if self.is_stalled else noise
+        arrival = self._waiting[0][0]
+        return arrival if noise is None else min(arrival, noise)
 
     def clear(self) -> None:
         """Forget what is under way, as when the plug is pulled."""
@@ -294,8 +293,11 @@ class Line:
         by a sender who looks whether its port is free.
         """
         line = self.to_host
-        if not self.is_plugged or line.is_clean:
-            return self._pass(line, frames, now, self.to_aircraft)
+        if self.is_plugged and line.is_clean:
+            line.frames += len(frames)
+            return frames
+        if not self.is_plugged:
+            return self._lose(line, frames)
         for frame in frames:
             if line.busy_until > now + _TELEMETRY_WAITS_S and is_telemetry(frame):
                 self.skipped += 1
@@ -305,23 +307,22 @@ class Line:
 
     def from_host(self, data: bytes, now: float) -> list[bytes]:
         """Send bytes of the host; returns what arrives at the aircraft by now."""
-        if data and not self.to_aircraft.is_clean:
-            return self._pass(self.to_aircraft, split_frames(data), now, self.to_host)
-        return self._pass(self.to_aircraft, [data] if data else [], now, self.to_host)
-
-    def _pass(
-        self, direction: Direction, pieces: list[bytes], now: float, other: Direction
-    ) -> list[bytes]:
-        if self.is_plugged and direction.is_clean:
-            direction.frames += len(pieces)
-            return pieces
+        line = self.to_aircraft
+        if self.is_plugged and line.is_clean:
+            line.frames += bool(data)
+            return [data] if data else []
+        pieces = split_frames(data)
         if not self.is_plugged:
-            direction.frames += len(pieces)
-            direction.lost += len(pieces)
-            return []
+            return self._lose(line, pieces)
         for piece in pieces:
-            direction.put(piece, now, other)
-        return direction.take(now)
+            line.put(piece, now, self.to_host)
+        return line.take(now)
+
+    def _lose(self, direction: Direction, pieces: list[bytes]) -> list[bytes]:
+        """Nobody is at the other end."""
+        direction.frames += len(pieces)
+        direction.lost += len(pieces)
+        return []
 
     def next_wakeup(self) -> float | None:
         """When something will have arrived at either end."""

@@ -59,8 +59,6 @@ class GimbalMount:
 
     def carry(self, heading: float) -> None:
         """The aircraft has turned: its nose points to ``heading`` now, in radians."""
-        if heading == self.heading:
-            return
         turned = normalize_degrees(math.degrees(heading - self.heading))
         self.heading = heading
         if self.follows:

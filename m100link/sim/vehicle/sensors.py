@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import cycle
 from random import Random
 
 from m100link.geodesy import LocalFrame
@@ -45,23 +46,24 @@ _FIELD_NORTH, _FIELD_DOWN = 1100.0, 1020.0
 
 
 class _Errors:
-    """What is wrong with the fused values now; moved on every ``step_s``."""
+    """What is wrong with the fused values now.
+
+    A fourth of them moves on at each step, in turn: they change slowly, and draws cost time.
+    """
 
     def __init__(self, random: Random, scale: float, step_s: float) -> None:
         def wander(of: tuple[float, float]) -> Wander:
-            return Wander(random, scale * of[0], of[1], step_s)
+            return Wander(random, scale * of[0], of[1], 4 * step_s)
 
         self.north, self.east, self.height = wander(_PLACE), wander(_PLACE), wander(_HEIGHT)
         self.velocity = wander(_VELOCITY), wander(_VELOCITY), wander(_VELOCITY)
         self.roll, self.pitch, self.yaw = wander(_TILT), wander(_TILT), wander(_HEADING)
         self.field = wander(_FIELD), wander(_FIELD), wander(_FIELD)
-        self._all = (
-            *(self.north, self.east, self.height, *self.velocity),
-            *(self.roll, self.pitch, self.yaw, *self.field),
-        )
+        place, attitude = (self.north, self.east, self.height), (self.roll, self.pitch, self.yaw)
+        self._turns = cycle((place, self.velocity, attitude, self.field))
 
     def advance(self) -> None:
-        for error in self._all:
+        for error in next(self._turns):
             error.advance()
 
 

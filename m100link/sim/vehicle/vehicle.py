@@ -139,7 +139,9 @@ class Vehicle:
         self.time = now = self._steps * STEP_S
         self.remote.now = now
         self.flight.step(now, self.authority.device, self.remote)
-        self.gimbal.carry(self.flight.dynamics.yaw)
+        yaw = self.flight.dynamics.yaw
+        if yaw != self.gimbal.heading:
+            self.gimbal.carry(yaw)
         if self._steps % _SLOW_STEPS == 0:
             self._look_around(now)
 

@@ -65,7 +65,7 @@ def test_fused_values_wander_with_their_deviation(scale: float, health: int) -> 
     assert statistics.pstdev(climb) == pytest.approx(0.03 * scale, rel=0.1)
     assert statistics.pstdev(heading) == pytest.approx(0.6 * scale, rel=0.3)
     steps = [abs(after - before) for before, after in itertools.pairwise(north)]
-    assert max(steps) < 0.04 * scale * worse, "no jumps"
+    assert max(steps) < 0.1 * scale * worse, "no jumps"
 
 
 @pytest.mark.parametrize(
