@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from typing import Any
 
 import pytest
 
 from m100link.errors import UsageError
-from m100link.protocol import FirmwareProfile, Request, Unrecognised, parse_command, profile
+from m100link.protocol import (
+    Command,
+    FirmwareProfile,
+    Request,
+    Unrecognised,
+    commands,
+    parse_command,
+    profile,
+)
 from m100link.protocol.commands.registry import COMMANDS
 from m100link.wire import FrameDecoder
 from tests.support import load_vectors
@@ -17,6 +27,29 @@ RAW_NAMES = {command.NAME: address for address, command in COMMANDS.items()}
 ROWS = [row for row in load_vectors("later-commands") if row["name"] in RAW_NAMES]
 SENT = [row for row in ROWS if row["kind"] == "command"]
 ACKS = [row for row in ROWS if row["kind"] == "ack"]
+
+
+def declared() -> list[type[Command]]:
+    """Every class with an address, in whatever module of commands it stands."""
+    modules = [
+        importlib.import_module(module.name)
+        for module in pkgutil.iter_modules(commands.__path__, commands.__name__ + ".")
+    ]
+    return [
+        kind
+        for module in modules
+        for kind in vars(module).values()
+        if isinstance(kind, type)
+        and issubclass(kind, Command)
+        and hasattr(kind, "ADDRESS")
+        and kind.__module__ == module.__name__
+    ]
+
+
+def test_every_declared_command_is_listed_under_an_address_of_its_own() -> None:
+    ours = declared()
+    assert set(ours) == set(COMMANDS.values())
+    assert len({kind.ADDRESS for kind in ours}) == len(ours)
 
 
 def name_of(row: dict[str, Any]) -> str:
