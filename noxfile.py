@@ -27,6 +27,7 @@ PACKAGE = f".[{','.join(EXTRAS)}]"
 DOCS_OUTPUT = "docs/_build"
 # Branch coverage that `nox -s coverage` asks for, in percent.
 COVERED = {"m100link/wire": 100, "m100link/session": 100, "m100link/protocol": 100, "m100link": 93}
+PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 PARALLEL = ("-n", "2", "--dist", "worksteal")
 
 
@@ -178,7 +179,7 @@ def build(session: nox.Session) -> None:
         session.error("the wheel has no py.typed")
     if strangers:
         session.error(f"the wheel holds more than the package: {strangers}")
-    missing = {"LICENSE", "README.md", "CHANGELOG.md", "noxfile.py"} - set(in_archive)
+    missing = {"LICENSE", "README.md", "noxfile.py", *PAGES} - set(in_archive)
     if missing:
         session.error(f"the source archive lacks {missing}")
     session.log(f"{wheel.name}: {len(in_wheel)} files; {archive.name}: {len(in_archive)} entries")

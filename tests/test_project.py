@@ -58,13 +58,30 @@ def test_readme_program_prints_what_readme_says(capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().out == expected
 
 
-@pytest.mark.parametrize("page", sorted(["README.md", "CHANGELOG.md"]))
+@pytest.mark.parametrize("page", ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md"])
 def test_links_of_the_front_pages_lead_somewhere(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     targets = re.findall(r"\]\(([^)#]+)", text)
     assert targets
     missing = [t for t in targets if "://" not in t and not (ROOT / t).exists()]
     assert not missing
+
+
+def test_what_a_contributor_needs_is_in_the_source_archive() -> None:
+    packed = PYPROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+    pages = {f"/{page.name}" for page in ROOT.glob("*.md")} - {"/README.md"}  # always packed
+    assert pages <= set(packed)
+
+
+def test_sessions_and_groups_that_contributors_are_told_of_exist() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    program = (ROOT / "noxfile.py").read_text(encoding="utf-8")
+    commands = "\n".join(code_blocks(text, "sh"))
+    for session in re.findall(r"nox -s (\w+)", commands):
+        assert f"def {session}(session: nox.Session)" in program
+    assert set(re.findall(r"--group (\w+)", commands)) <= set(PYPROJECT["dependency-groups"])
+    for path in re.findall(r"pytest (tests/\S+)", commands):
+        assert (ROOT / path).exists(), path
 
 
 def test_verbs_that_the_readme_names_exist() -> None:
@@ -193,7 +210,7 @@ def test_code_named_by_the_manual_exists() -> None:
 
 
 def test_nothing_tracked_names_a_place_on_one_machine() -> None:
-    owned = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "noxfile.py", ROOT / ".ci" / "run"]
+    owned = [*ROOT.glob("*.md"), ROOT / "noxfile.py", ROOT / ".ci" / "run"]
     home = str(Path.home()) + os.sep
     for path in [*owned, *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.py")]:
         if "_build" not in path.parts:
