@@ -49,7 +49,7 @@ def test_demo_flies_and_comes_back_within_a_metre(firmware: str) -> None:
     assert max(norths) == pytest.approx(8.0, abs=0.8)
     assert max(easts) == pytest.approx(8.0, abs=0.8)
     assert min(norths + easts) > -0.8
-    assert summary["line"]["discarded_bytes"] == 0
+    assert summary["line"]["discarded_bytes"] <= 200  # opened in the middle of a frame
     assert summary["setpoints_sent"] > 100  # some 550 on an idle machine
 
 
