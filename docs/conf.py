@@ -22,6 +22,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "public_names",
     "tables",
+    "house",
 ]
 exclude_patterns = ["_build"]
 # `Frame` is two things: m100link.Frame (ground or body) and m100link.wire.Frame (bytes). A bare
