@@ -1,0 +1,158 @@
+"""What holds the whole together: sizes, rooms, arrows, and where the test of a module stands."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "m100link"
+CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+    "importlinter"
+]["contracts"]
+
+LINES_PER_FILE = 500
+LINES_PER_FUNCTION = 60  # its docstring not counted
+ROOMS, FLOORS, ARROWS = 18, 10, 75
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def programs(*folders: str) -> list[Path]:
+    return sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    """The dotted name of a module."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {name_of(path): path for path in programs("m100link")}
+
+
+# -- sizes ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("folder", ["m100link", "benchmarks", "examples", "docs/_ext"])
+def test_no_file_is_too_long_to_be_read_in_one_go(folder: str) -> None:
+    counted = {
+        str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines())
+        for path in programs(folder)
+    }
+    assert counted
+    assert {path: lines for path, lines in counted.items() if lines > LINES_PER_FILE} == {}
+
+
+def length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function without its docstring."""
+    assert function.end_lineno is not None
+    lines = function.end_lineno - function.lineno + 1
+    if ast.get_docstring(function) is not None:
+        text = function.body[0]
+        assert text.end_lineno is not None
+        lines -= text.end_lineno - text.lineno + 1
+    return lines
+
+
+def test_no_function_is_too_long_to_be_seen_at_once() -> None:
+    too_long = {
+        f"{path.relative_to(ROOT)}:{node.name}": length(node)
+        for path in programs("m100link", "benchmarks", "examples", "docs/_ext", "tests")
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and length(node) > LINES_PER_FUNCTION
+    }
+    assert too_long == {}
+
+
+# -- rooms and arrows -----------------------------------------------------------------------------
+
+
+def imports(module: str) -> Iterator[str]:
+    """The modules of the package that a module names, those for its annotations included."""
+    for node in ast.walk(tree(MODULES[module])):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in MODULES)
+        elif isinstance(node, ast.ImportFrom) and node.module in MODULES:
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            yield from inner & MODULES.keys() or {node.module}
+
+
+def arrows(*, between_rooms: bool) -> dict[str, set[str]]:
+    """Who imports whom, by module or by room: a file or folder right under the package."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for module in MODULES:
+        for target in imports(module):
+            ends = [module, target]
+            if between_rooms:
+                ends = [name.split(".")[1] if "." in name else "" for name in ends]
+            if "" not in ends and "__main__" not in ends and ends[0] != ends[1]:
+                found[ends[0]].add(ends[1])
+    return found
+
+
+def reach(start: str, graph: dict[str, set[str]]) -> set[str]:
+    """Whatever can be reached by arrows."""
+    found: set[str] = set()
+    waiting = [start]
+    while waiting:
+        new = graph.get(waiting.pop(), set()) - found
+        found |= new
+        waiting += new
+    return found
+
+
+@pytest.mark.parametrize("between_rooms", [True, False], ids=["rooms", "modules"])
+def test_there_is_no_circle(between_rooms: bool) -> None:
+    graph = arrows(between_rooms=between_rooms)
+    # What a package hands on is not its own.
+    graph = {
+        name: {target for target in targets if between_rooms or not is_package(target)}
+        for name, targets in graph.items()
+        if between_rooms or not is_package(name)
+    }
+    assert [name for name in graph if name in reach(name, graph)] == []
+
+
+def is_package(module: str) -> bool:
+    return MODULES[module].name == "__init__.py"
+
+
+def test_the_rooms_their_floors_and_their_arrows_stay_few() -> None:
+    graph = arrows(between_rooms=True)
+
+    @cache
+    def floor(room: str) -> int:
+        return 1 + max((floor(below) for below in graph.get(room, ())), default=0)
+
+    rooms = set(graph).union(*graph.values())
+    assert len(rooms) <= ROOMS
+    assert max(map(floor, rooms)) <= FLOORS
+    assert sum(map(len, graph.values())) <= ARROWS
+
+
+def test_every_room_has_its_place_in_the_contract_of_the_layers() -> None:
+    layers = {name.removeprefix("m100link.") for name in CONTRACTS[0]["layers"]}
+    graph = arrows(between_rooms=True)
+    rooms = set(graph).union(*graph.values())
+    beside = {"geodesy", "keyfile", "sim"}  # each has a contract of its own, or imports errors only
+    assert layers | beside == rooms
+    assert graph["keyfile"] | graph["geodesy"] <= {"errors"}
+
+
+def test_the_manuals_house_names_places_that_exist() -> None:
+    page = (ROOT / "docs/explanation/house.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(m100link/[\w/.]+)`", page))
+    assert len(named) > 20
+    assert {place for place in named if not (ROOT / place).exists()} == set()
