@@ -22,7 +22,6 @@ extensions = [
     "sphinx.ext.napoleon",
     "public_names",
     "tables",
-    "house",
 ]
 exclude_patterns = ["_build"]
 # `Frame` is two things: m100link.Frame (ground or body) and m100link.wire.Frame (bytes). A bare
@@ -51,8 +50,9 @@ nitpick_ignore_regex = [
     (r"py:class", r"(Path|Random)"),
     # Attributes are described by their class, they are no entries of their own.
     (r"py:attr", r"state"),
-    # Programs get a Control from the aircraft and never make one.
+    # Programs get a Control or a Subscription from the aircraft and never make one.
     (r"py:class", r"m100link\.flight\.(tasks\.Commander|guidance\.Flyer|lifecycle\.BlockClaim)"),
+    (r"py:class", r"m100link\.(flight\.guards\.GuardKeeper|telemetry\.subscription\.Queue)"),
     # Type variables.
     (r"py:class", r"m100link\.[\w.]+\.[RT]"),
     # A default factory makes a signature that Sphinx cannot parse; it guesses at the pieces.

@@ -17,16 +17,20 @@ Each directive takes its rows from one object of the package::
     ```{stop-table}                       what the stop path does for each cause
     ```{block-table}                      transitions of a control block
     ```{cli-help}                         what `m100link … --help` says, for every verb
+    ```{layer-list}                       the layers of the import contract, and what each one is
+    ```{contract-list}                    the other contracts that `lint-imports` holds
     ```{errata-index}                     links to the numbered errata
 """
 
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import inspect
 import io
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Sequence
 from enum import Enum
 from pathlib import Path
@@ -52,6 +56,7 @@ from m100link.protocol.packet import telemetry_size
 from m100link.wire import Discard
 
 PROFILES = tuple(firmware.PROFILES.values())
+_PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 class TableDirective(SphinxDirective):
@@ -436,6 +441,41 @@ class CliHelp(SphinxDirective):
         return section
 
 
+def import_contracts() -> list[dict[str, Any]]:
+    """The import contracts; the first is that of the layers."""
+    settings = tomllib.loads(_PYPROJECT.read_text(encoding="utf-8"))["tool"]["importlinter"]
+    found: list[dict[str, Any]] = settings["contracts"]
+    return found
+
+
+def summary(module: str) -> str:
+    """The first sentence of a module's docstring, which its rules for style keep on one line."""
+    first, *_ = inspect.cleandoc(importlib.import_module(module).__doc__ or "").splitlines()
+    return first
+
+
+class LayerList(TableDirective):
+    """The layers from the top down; each may import those below it."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per layer."""
+        layers = import_contracts()[0]["layers"]
+        yield "Floor", "Layer", "What it is"
+        for floor, layer in zip(range(len(layers), 0, -1), layers, strict=True):
+            yield str(floor), f"``{layer}``", summary(layer)
+
+
+class ContractList(SphinxDirective):
+    """The names of all contracts but that of the layers: each is a sentence that holds."""
+
+    def run(self) -> list[nodes.Node]:
+        """A bullet list."""
+        items = nodes.bullet_list()
+        for contract in import_contracts()[1:]:
+            items += nodes.list_item("", nodes.paragraph(text=contract["name"]))
+        return [items]
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.add_directive("ack-codes", AckCodes)
@@ -454,4 +494,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("stop-table", StopTable)
     app.add_directive("block-table", BlockTable)
     app.add_directive("errata-index", ErrataIndex)
+    app.add_directive("layer-list", LayerList)
+    app.add_directive("contract-list", ContractList)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
