@@ -33,7 +33,7 @@ from m100link.protocol import (
     encode_telemetry,
     profile,
 )
-from m100link.protocol.items import BY_RECORD, ITEMS
+from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
 from m100link.protocol.packet import fitting_profiles, telemetry_size
 from tests.support import load_vectors
 
@@ -128,14 +128,10 @@ def test_items_that_a_firmware_lacks_are_none_in_its_records() -> None:
 
 def test_a_packet_without_an_item_answers_none() -> None:
     empty = packet("3.1")
-    views = [
-        *(empty.time, empty.attitude, empty.acceleration, empty.velocity, empty.angular_velocity),
-        *(empty.position, empty.magnetometer, empty.remote_control, empty.gimbal),
-        *(empty.flight_status, empty.battery, empty.control_device),
-    ]
-    assert views == [None] * 12
+    views = [name for name, view in vars(RecordViews).items() if isinstance(view, property)]
+    assert [getattr(empty, view) for view in views] == [None] * len(ITEMS)
     assert empty.records() == []
-    assert [empty.get(item.record) for item in ITEMS] == [None] * 12
+    assert [empty.get(item.record) for item in ITEMS] == [None] * len(ITEMS)
 
 
 def test_a_packet_shows_its_records() -> None:
@@ -181,7 +177,7 @@ def test_a_value_without_a_flag_word_is_refused(value: bytes) -> None:
         TelemetryPacket(value, profile("3.1"))
 
 
-@pytest.mark.parametrize("bit", range(12, 16))
+@pytest.mark.parametrize("bit", range(len(ITEMS), 16))
 def test_reserved_flag_bits_are_refused(bit: int) -> None:
     with pytest.raises(LayoutMismatch, match="reserved"):
         TelemetryPacket(struct.pack("<H", 1 << bit), profile("3.1"))
