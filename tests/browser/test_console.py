@@ -151,6 +151,38 @@ async def test_losing_focus_stops_although_the_key_is_held(console: Console, how
     await banner(page, "You have control")
 
 
+SLOW = """
+const Native = WebSocket;
+window.WebSocket = class extends Native {
+  constructor(url, ...rest) {
+    super(url, ...rest);
+    this.isSlow = String(url).includes("/steer/");
+  }
+  send(data) {
+    if (this.isSlow) setTimeout(() => super.send(data), 1000);
+    else super.send(data);
+  }
+  set onmessage(handler) {
+    super.onmessage = this.isSlow ? (e) => setTimeout(() => handler(e), 1000) : handler;
+  }
+};
+"""
+
+
+async def test_nobody_steers_with_a_second_each_way_and_the_page_says_why(
+    console: Console,
+) -> None:
+    page = await airborne(console, SLOW)
+    await page.click("#pad")
+    await page.keyboard.press("Digit4")
+    await page.keyboard.down("w")
+    await shows(page, "#problem", "to the page and back it takes")
+    await page.wait_for_function("document.body.classList.contains('station-lost')")
+    assert is_still(console)
+    assert await page.evaluate("window.m100.socket.age") > 0.9
+    await page.keyboard.up("w")
+
+
 async def test_a_key_whose_release_is_not_told_stops(console: Console) -> None:
     page = await airborne(console)
     await page.click("#pad")

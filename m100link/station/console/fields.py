@@ -114,6 +114,9 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     message: dict[str, Any] = {"op": "live", "t": round(now, 3)}
     if state is None:
         return message
+    age = state.newest_age
+    if age is not None:
+        message["age"] = round(age, 3)
     attitude = state.fresh(Attitude, within=1.0)
     position = state.fresh(Position, within=1.0)
     velocity = state.fresh(Velocity, within=1.0)

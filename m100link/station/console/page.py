@@ -291,14 +291,12 @@ class Page:
             f"{holder.name}, {remaining:.0f} s" if holder.number else "free"
         )
         if agent.telemetry is None:
-            for name in ("firmware", "aircraft_ms", "age", "discards", "late", "dropped"):
+            for name in ("firmware", "aircraft_ms", "discards", "late", "dropped"):
                 numbers[name].set_text("–")
             return
         numbers["firmware"].set_text(state.firmware)
         trip = state.round_trip
         numbers["aircraft_ms"].set_text("no answer" if trip is None else f"{1000 * trip:.0f} ms")
-        age = agent.telemetry.newest_age
-        numbers["age"].set_text("never" if age is None else f"{age:.2f} s ago")
         numbers["discards"].set_text(str(state.discards))
         numbers["late"].set_text(str(state.late_acks))
         numbers["dropped"].set_text(str(state.dropped_writes))

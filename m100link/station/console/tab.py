@@ -4,6 +4,10 @@ A tab steers by *beats*: twenty a second while a key is held, with the numbers o
 lasts :data:`BEAT_LIFETIME`; without the next one the aircraft stops, whatever the reason: key
 released, focus lost, tab closed, socket gone, browser hanging. Between times the tab tells that it
 is alive, which keeps its lease.
+
+What counts is when the key was held, not when that became known: each message has the page's time,
+and the station's time that the page heard last. A beat that waited on its way is refused, and
+nobody steers by a picture that is old.
 """
 
 from __future__ import annotations
@@ -16,8 +20,9 @@ from typing import Any
 from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, TakeOver
 from m100link.agent.steering import setpoint_of
-from m100link.errors import M100Error
+from m100link.errors import GuardRefused, M100Error
 from m100link.protocol.commands.control import Task
+from m100link.station.way_time import MAX_LATE, MAX_ROUND_TRIP, MAX_UNHEARD, WayTime
 
 __all__ = ["BEAT_LIFETIME", "Tab"]
 
@@ -51,6 +56,7 @@ class Tab:
         self.beats = 0
         self.refused = 0
         self._last_number = -1
+        self._way = WayTime()
         self._complained_at = -math.inf
         agent.on_steer_refused.append(self._steer_refused)
 
@@ -134,18 +140,51 @@ class Tab:
             self.refused += 1  # an old message again
             return None
         self._last_number = number
+        now = self._agent.now
+        late = self._way.late(message["at"] / 1000.0, now)
+        held = message.get("held", math.inf) / 1000.0
+        if "told" in message:
+            self._way.echoed(message["told"], held, now)
         if self.lease is not None and self.has_lease:
             if message["op"] == "beat":
-                self._steer(self.lease, message)
+                self._steer(self.lease, message, late, held)
             else:
                 if message["op"] == "rest":
                     self._agent.halt()
                 self._agent.keep(self.lease)
-        return {"op": "echo", "at": message["at"]}
+        return {"op": "echo", "at": message["at"], "told": now}
 
-    def _steer(self, lease: Lease, message: dict[str, Any]) -> None:
+    def _check_way(self, late: float, held: float) -> None:
+        """Refuse what was decided too long ago, or by a picture that was old.
+
+        Raises:
+            GuardRefused: It was.
+        """
+        trip = self._way.round_trip
+        for guard, measured, limit, seen in (
+            ("way_late", late, MAX_LATE, "a key press was {:.1f} s late on its way"),
+            ("way_unheard", held, MAX_UNHEARD, "the page did not hear the station for {:.1f} s"),
+            (
+                "way_round_trip",
+                math.inf if trip is None else trip,
+                MAX_ROUND_TRIP,
+                "to the page and back it takes {:.1f} s",
+            ),
+        ):
+            if measured > limit:
+                raise GuardRefused(
+                    f"{seen.format(measured)}; it was not flown",
+                    guard=guard,
+                    measured=measured,
+                    limit=limit,
+                    cause="the network between the browser and the station is slow or blocked",
+                    remedy="wait, or let go and let the pilot fly",
+                )
+
+    def _steer(self, lease: Lease, message: dict[str, Any], late: float, held: float) -> None:
         self.problem = ""
         try:
+            self._check_way(late, held)
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]
             )
@@ -168,6 +207,7 @@ class Tab:
 
     def lost(self) -> None:
         """The socket is gone: stop, and let others have control."""
+        self._way = WayTime()  # the next one may take another way
         self.let_go()
 
     def close(self) -> None:
@@ -188,13 +228,25 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
     if not isinstance(message, dict) or message.get("op") not in ("beat", "rest", "alive"):
         return None
     wanted = ("at", "x", "y", "z", "w") if message["op"] == "beat" else ("at",)
-    for name in wanted:
-        value = message.get(name)
-        if not isinstance(value, int | float) or isinstance(value, bool):
-            return None
-        if not math.isfinite(value):
-            return None
+    if not all(_is_number(message.get(name)) for name in wanted):
+        return None
+    if not _is_told(message):
+        return None
     for name in ("n", "mode") if message["op"] == "beat" else ("n",):
         if type(message.get(name)) is not int:
             return None
     return message
+
+
+def _is_told(message: dict[str, Any]) -> bool:
+    """Whether both times of the station are there, or none."""
+    given = [name in message for name in ("told", "held")]
+    return not any(given) or (
+        all(given) and _is_number(message["told"]) and _is_number(message["held"])
+    )
+
+
+def _is_number(value: Any) -> bool:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return abs(value) < 1e15  # neither NaN nor what overflows when it is reckoned with

@@ -16,7 +16,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from m100link.agent.client import AgentClient
-from m100link.errors import BadSetpoint, CommandRefused, M100Error, UsageError
+from m100link.errors import BadSetpoint, CommandRefused, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
@@ -31,6 +31,7 @@ from m100link.protocol.setpoint import (
 from m100link.station.ros.graph import Call, Graph, Listener, Topic
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
+from m100link.station.way_time import MAX_LATE, WayTime
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
@@ -42,6 +43,7 @@ _ZERO_COVARIANCE = [0.0] * 9
 _RC_FULL = 10_000.0
 _GRAVITY_M_S2 = 9.80665
 _GPS_GOOD = 3
+_WAY = "way of setpoints"
 
 
 def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoint:
@@ -274,6 +276,7 @@ class DjiSdk:
             axes = message["axes"]
             count = 5 if fixed_flag is None else 4
             try:
+                _check_way(session, message["header"]["stamp"], now)
                 if len(axes) != count:
                     raise UsageError(f"this topic takes {count} axes, not {len(axes)}")
                 flag = fixed_flag
@@ -383,6 +386,28 @@ class DjiSdk:
     async def _send_to_mobile(self, call: Call) -> Message:
         await self._agent.send_to_mobile(self._clients.held(call.session), call.request["data"])
         return {"result": True}
+
+
+def _check_way(session: Listener, stamp: Message, now: float) -> None:
+    """Refuse a setpoint that waited on its way; one without a stamp counts as new.
+
+    Raises:
+        GuardRefused: Its stamp is old, against the newest of that client.
+    """
+    sent_at = stamp["secs"] + stamp["nsecs"] * 1e-9
+    if not sent_at:
+        return
+    way: WayTime = session.data.setdefault(_WAY, WayTime())
+    late = way.late(sent_at, now)
+    if late > MAX_LATE:
+        raise GuardRefused(
+            f"a setpoint was {late:.1f} s late on its way; it was not flown",
+            guard="way_late",
+            measured=late,
+            limit=MAX_LATE,
+            cause="the network is slow or blocked, or the stamps are not times of sending",
+            remedy="stamp each setpoint when it is sent, or leave the stamp away",
+        )
 
 
 def _xyz(x: float, y: float, z: float) -> Message:

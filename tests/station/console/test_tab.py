@@ -27,10 +27,26 @@ class Browser:
         self.rig = rig
         self.tab = Tab(rig.front, name)
         self.count = 0
+        # What the page knows of the station: its time, and when that was heard.
+        self.told: dict[str, float] | None = None
+        self.heard_at = 0.0
+
+    def message(self, op: str, **fields: Any) -> str:
+        """What the page sends at this moment."""
+        self.count += 1
+        at = 1000 * self.rig.agent.now
+        told = {} if self.told is None else {"told": self.told, "held": at - 1000 * self.heard_at}
+        return json.dumps({"op": op, "n": self.count, "at": at, **told, **fields})
+
+    def hear(self, answer: dict[str, Any] | None) -> dict[str, Any] | None:
+        if answer is not None:
+            self.told, self.heard_at = answer["told"], self.rig.agent.now
+        return answer
 
     def say(self, op: str, **fields: Any) -> dict[str, Any] | None:
-        self.count += 1
-        return self.tab.receive(json.dumps({"op": op, "n": self.count, "at": 1.0, **fields}))
+        if self.told is None:
+            self.hear(self.tab.receive(self.message("alive")))
+        return self.hear(self.tab.receive(self.message(op, **fields)))
 
     def beat(self, mode: int = 1, **axes: float) -> dict[str, Any] | None:
         return self.say("beat", mode=mode, **({"x": 0, "y": 0, "z": 0, "w": 0} | axes))
@@ -73,6 +89,50 @@ async def test_a_whole_flight(rig: Rig) -> None:
     await browser.tab.release()
     assert rig.aircraft.height == pytest.approx(0, abs=0.05)
     assert not rig.agent.holding.has_authority
+
+
+async def test_keys_that_were_long_on_their_way_move_nothing(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.2, x=-4)
+    browser.say("rest")
+    waiting = [browser.message("beat", mode=1, x=-4, y=0, z=0, w=0) for _ in range(20)]
+    await anyio.sleep(2.0)
+    place = rig.aircraft.position
+    for text in waiting:  # all at once, as after a stall of the network
+        browser.tab.receive(text)
+    await keep_alive(browser, anyio.sleep(1.0))
+    assert "late on its way" in browser.tab.problem
+    assert browser.tab.refused == 20
+    assert rig.aircraft.position == pytest.approx(place, abs=0.3)
+
+
+@pytest.mark.parametrize(("each_way", "flies"), [(0.1, True), (0.25, False), (1.0, False)])
+async def test_nobody_steers_through_a_slow_network(rig: Rig, each_way: float, flies: bool) -> None:
+    browser = await airborne(rig)
+    north = rig.aircraft.position[0]
+    browser.tab.lost()  # another way
+    await browser.tab.obtain()
+
+    async def answer(reply: dict[str, Any]) -> None:
+        await anyio.sleep(each_way)
+        browser.hear(reply)
+
+    async def send(text: str, group: Any) -> None:
+        await anyio.sleep(each_way)
+        reply = browser.tab.receive(text)
+        assert reply is not None
+        group.start_soon(answer, reply)
+
+    browser.told = None
+    async with anyio.create_task_group() as group:
+        for number in range(80):
+            op = "alive" if number < 60 else "beat"
+            axes = {} if op == "alive" else {"mode": 1, "x": -4, "y": 0, "z": 0, "w": 0}
+            group.start_soon(send, browser.message(op, **axes), group)
+            await anyio.sleep(0.05)
+    assert browser.tab.beats == (20 if flies else 0)
+    assert (rig.aircraft.position[0] - north > 0.05) is flies
+    assert ("to the page and back it takes" in browser.tab.problem) is not flies
 
 
 async def test_a_beat_is_on_the_line_at_once(rig: Rig) -> None:
@@ -135,7 +195,8 @@ async def test_old_messages_again_do_nothing(rig: Rig) -> None:
 async def test_a_tab_without_the_lease_moves_nothing(rig: Rig) -> None:
     await airborne(rig)
     other = Browser(rig, "other")
-    assert other.beat(x=-4) == {"op": "echo", "at": 1.0}
+    now = rig.agent.now
+    assert other.beat(x=-4) == {"op": "echo", "at": 1000 * now, "told": now}
     with pytest.raises(LeaseHeld):
         await other.tab.obtain()
     with pytest.raises(LeaseRefused):

@@ -190,3 +190,28 @@ def test_joy_frames() -> None:
         assert joy_setpoint(0x90, 0, 0, 5.0, yaw).yaw == pytest.approx(heading)
     with pytest.raises(BadSetpoint):
         joy_setpoint(0xC0, 0, 0, 0, 0)
+
+
+async def test_setpoints_that_waited_on_their_way_are_not_flown(rig: Rig) -> None:
+    page = await rig.airborne()
+    topic = "/dji_sdk/flight_control_setpoint_ENUvelocity_yawrate"
+
+    def joy(sent_at: float, east: float) -> None:
+        secs, part = divmod(1e9 + sent_at, 1.0)  # a clock that has nothing to do with ours
+        stamp = {"secs": int(secs), "nsecs": int(part * 1e9)}
+        msg = {"header": {"stamp": stamp}, "axes": [east, 0.0, 0.0, 0.0]}
+        page.send("publish", topic=topic, msg=msg)
+
+    stopped_at = rig.agent.now
+    joy(stopped_at, 0.0)
+    await anyio.sleep(2.0)
+    count = len([move for move in rig.moves if move.pitch_or_y])
+    for number in range(20):  # from before the stop, all at once
+        joy(stopped_at + 0.05 * number, 1.0)
+    await anyio.sleep(0.5)
+    assert len([move for move in rig.moves if move.pitch_or_y]) == count
+    assert any("late on its way" in text for text in page.statuses())
+    joy(rig.agent.now, 1.0)
+    page.send("publish", topic=topic, msg={"axes": [1.0, 0.0, 0.0, 0.0]})  # no stamp: not judged
+    await anyio.sleep(0.2)
+    assert len([move for move in rig.moves if move.pitch_or_y]) > count
