@@ -16,7 +16,13 @@ __all__ = ["Receiver"]
 
 @dataclass(slots=True)
 class _Memory:
-    """The last command of one session, and its ack once there is one."""
+    """The last command of one session, and its ack once there is one.
+
+    Attributes:
+        sequence: Number of the command; another number means another command.
+        wire: The frame of its ack, to be sent again as it is; None while it is carried out.
+        stored_at: When the ack was made, which is when forgetting begins to count.
+    """
 
     sequence: int
     wire: bytes | None = None
@@ -47,7 +53,7 @@ class Receiver:
         self.cipher: Cipher | None = None
         self.forget_after = forget_after
         self.statistics = statistics or SessionStatistics()
-        self._memories: dict[int, _Memory] = {}
+        self._memories: dict[int, _Memory] = {}  # per session; none is a state of its own
         self._output: deque[bytes] = deque()
 
     def receive_command(self, frame: Frame, now: float) -> Received | None:

@@ -26,6 +26,23 @@ _REMEMBERED = 256  # finished requests whose acks are still told apart from fore
 
 @dataclass(slots=True)
 class _Request:
+    """A request that waits for a session, or is in flight on one.
+
+    Attributes:
+        token: What its event will carry.
+        data: Data of the frame, kept until a session gives it a number.
+        mode: How it is sent.
+        cipher: The key of the moment it was made: a key that changes meanwhile is not for it.
+        timeout: Seconds to wait after each transmission.
+        tries_left: Transmissions still allowed; 0 when the next deadline ends it.
+        session: Its session, -1 while it waits for one.
+        sequence: Its number, the same for every repeat: by it the other end knows a repeat.
+        tries: Transmissions so far.
+        deadline: When it is repeated, or ends.
+        wire: Its frame: a repeat is the same bytes again.
+        is_abandoned: Nobody wants its end any more; it holds its session until then all the same.
+    """
+
     token: int
     data: bytes
     mode: SessionMode
@@ -57,13 +74,16 @@ class Sender:
     ) -> None:
         self.cipher: Cipher | None = None
         self.statistics = statistics or SessionStatistics()
-        self._sequence = first_sequence & 0xFFFF
-        self._tokens = 0
+        self._sequence = first_sequence & 0xFFFF  # the next number that any session would take
+        self._tokens = 0  # given out so far
+        # By session and number, as an ack names what it answers.
         self._in_flight: dict[tuple[int, int], _Request] = {}
-        self._by_token: dict[int, _Request] = {}
-        self._waiting: OrderedDict[int, _Request] = OrderedDict()
+        self._by_token: dict[int, _Request] = {}  # those whose end somebody waits for
+        self._waiting: OrderedDict[int, _Request] = OrderedDict()  # for a session, oldest first
         self._free = list(RELIABLE_SESSIONS)
+        # Per session the numbers that the other end may have an ack stored for.
         self._taken: dict[int, set[int]] = {}
+        # What ended lately, and whether by an ack: a second ack of it is not a foreign one.
         self._finished: OrderedDict[tuple[int, int], bool] = OrderedDict()
         self._output: deque[bytes] = deque()
         self._events: deque[Expired] = deque()

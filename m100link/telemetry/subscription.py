@@ -71,7 +71,7 @@ class Queue(Generic[T]):
 
     Attributes:
         accepts: Which values are queued; None: all.
-        values: What waits.
+        values: What waits, oldest first.
         waiter: Resolved when there is something to take, while the consumer waits for it. The
             hub keeps a waiting consumer alive by it, as nothing else needs to.
         error: How the stream ends, after what is queued.
