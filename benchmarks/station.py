@@ -202,9 +202,9 @@ async def both(
 
 
 async def take_off(client: ClientConnection, line: Line) -> None:
-    flight = line.aircraft.autopilot
+    vehicle = line.aircraft.vehicle
     await publish(client, "/sdk_request_activation", "std_msgs/Float32", data=1)
-    while flight.activation.active is None:  # noqa: ASYNC110 - the virtual aircraft has no events
+    while vehicle.activation.active is None:  # noqa: ASYNC110 - the virtual aircraft has no events
         await asyncio.sleep(0.05)
     await asyncio.sleep(0.5)
     await publish(client, "/nav_open_close_request", "std_msgs/Float32", data=1)

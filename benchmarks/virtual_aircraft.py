@@ -15,7 +15,15 @@ import time
 import tracemalloc
 from random import Random
 
-from m100link.sim import AircraftSettings, Autopilot, Driver, VirtualAircraft, VirtualClockEventLoop
+from m100link.protocol import profile
+from m100link.sim import (
+    AircraftSettings,
+    Autopilot,
+    Driver,
+    Vehicle,
+    VirtualAircraft,
+    VirtualClockEventLoop,
+)
 from m100link.wire import encode_frame
 
 MOVE = encode_frame(bytes.fromhex("010348" + "0000803f" + 12 * "00"), session=0, sequence=1)
@@ -32,7 +40,8 @@ class Listener(asyncio.Protocol):
 
 def flight_of_the_core() -> float:
     """Ten minutes: movement received at 50 Hz, telemetry made at 100 Hz, no event loop."""
-    autopilot = Autopilot(Random(1), settings=AircraftSettings(noise=1.0))
+    settings = AircraftSettings(noise=1.0)
+    autopilot = Autopilot(Vehicle(Random(1), profile("1.0"), settings=settings))
     autopilot.advance(0.0)
     autopilot.vehicle.flight.take_off()
     autopilot.advance(8.0)

@@ -7,36 +7,30 @@
     autopilot.data_to_send() -> bytes        what it has to say
     autopilot.next_wakeup() -> float         call advance again at the latest then
 
-``now`` is seconds of any clock that does not run backwards; power-on is the first call. Everything
-that chance decides comes from the one :class:`random.Random` that is passed in.
+``now`` is seconds of any clock that does not run backwards; power-on is the first call. Here meet
+the aircraft, a :class:`~m100link.sim.vehicle.vehicle.Vehicle`, and the session layer, an
+:class:`~m100link.session.Endpoint`; commands and telemetry stand between the two.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from m100link.protocol.codes import ActivationCode, SystemCode, VersionCode
 from m100link.protocol.command import Notification, encode_code
 from m100link.protocol.commands.activation import Activate, Version
 from m100link.protocol.commands.control import Move
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
-from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.session import Endpoint, Received, SessionMode
 from m100link.sim.commands import Commands, LastCommand
 from m100link.sim.telemetry import TelemetryPusher
 from m100link.sim.vehicle.dynamics import STEP_S
-from m100link.sim.vehicle.mobile import ActivationServer, MobileApp
-from m100link.sim.vehicle.remote import PilotRemote
-from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings, Undecodable
+from m100link.sim.vehicle.settings import AssistantSettings, Undecodable
 from m100link.sim.vehicle.vehicle import Vehicle
 from m100link.wire.cipher import Cipher
 from m100link.wire.crc import frame_crc32
 from m100link.wire.frame import Frame, encode_frame
-
-if TYPE_CHECKING:
-    from random import Random
 
 __all__ = ["Autopilot", "Counters"]
 
@@ -78,19 +72,11 @@ class Autopilot:
     """The N1 autopilot of a virtual Matrice 100: the aircraft, and what answers on its line.
 
     Args:
-        random: Source of the sensor noise, the gusts and the serial number.
-        firmware: Name of the firmware profile, or the profile.
-        settings: The aircraft, its site and the open questions of the protocol.
-        assistant: Settings of the PC assistant.
-        remote: The remote control; by default in F, moved there after power-on.
-        app: The mobile app; by default connected, with Internet.
-        server: The registry of apps; by default an empty one.
-        serial_number: Ten characters; by default drawn from ``random``.
+        vehicle: The aircraft.
 
     Attributes:
         profile: The firmware that speaks.
-        vehicle: The aircraft itself.
-        flight, authority, activation, gimbal, camera, remote, app: Its parts.
+        vehicle: As given.
         endpoint: Decoder, sender and receiver; ``endpoint.statistics`` counts frames.
         received_movements: Last 10000 movement commands as they came.
         received_commands: Last 1000 other commands, with their answers.
@@ -99,34 +85,9 @@ class Autopilot:
 
     OUTBOX_LIMIT = 4096
 
-    def __init__(
-        self,
-        random: Random,
-        *,
-        firmware: str | FirmwareProfile = "1.0",
-        settings: AircraftSettings | None = None,
-        assistant: AssistantSettings | None = None,
-        remote: PilotRemote | None = None,
-        app: MobileApp | None = None,
-        server: ActivationServer | None = None,
-        serial_number: str | None = None,
-    ) -> None:
-        self.profile = profile(firmware)
-        self.vehicle = vehicle = Vehicle(
-            random,
-            self.profile,
-            settings=settings,
-            assistant=assistant,
-            remote=remote,
-            app=app,
-            server=server,
-            serial_number=serial_number,
-        )
-        self.flight = vehicle.flight
-        self.authority = vehicle.authority
-        self.activation = vehicle.activation
-        self.gimbal, self.camera = vehicle.gimbal, vehicle.camera
-        self.remote, self.app = vehicle.remote, vehicle.app
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.profile = vehicle.profile
+        self.vehicle = vehicle
         self._telemetry = TelemetryPusher(self.profile, vehicle.sensors, vehicle.assistant.rates_hz)
         self.counters = Counters()
         self.received_movements: deque[Move] = deque(maxlen=10_000)
@@ -346,11 +307,6 @@ class Autopilot:
         self._sequence = 0
         self._told_losses = self.vehicle.authority_losses
         self._telemetry.set_rates(self.vehicle.assistant.rates_hz)
-
-    @property
-    def time(self) -> float:
-        """Seconds since power-on."""
-        return self.vehicle.time
 
 
 _ACTIVATION_SIZE = 2 + 44

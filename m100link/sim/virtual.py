@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.activation import Activate, Credentials
+from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.protocol.records import RcMode
 from m100link.sim.autopilot import Autopilot
 from m100link.sim.line import NO_FAULTS, Line, LineFaults
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY, ActivationServer, MobileApp
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
+from m100link.sim.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from m100link.protocol.firmware import FirmwareProfile
     from m100link.wire import Key
 
 __all__ = ["VirtualAircraft"]
@@ -50,7 +51,7 @@ class VirtualAircraft:
 
     Attributes:
         autopilot: What is at the other end of the cable.
-        vehicle: The aircraft itself: ``autopilot.vehicle``.
+        vehicle: The aircraft itself, without what answers on its line.
         line: The cable.
         remote, app, server: The remote control, the mobile app, the registry.
         credentials: What the onboard device needs for activation.
@@ -86,9 +87,9 @@ class VirtualAircraft:
             assistant = AssistantSettings(api_control_enabled=not cold)
         if not cold:
             self.remote.set_mode(RcMode.F)
-        self.autopilot = Autopilot(
+        self.vehicle = Vehicle(
             random,
-            firmware=firmware,
+            profile(firmware),
             settings=settings,
             assistant=assistant,
             remote=self.remote,
@@ -96,7 +97,7 @@ class VirtualAircraft:
             server=self.server,
             serial_number=serial_number,
         )
-        self.vehicle = self.autopilot.vehicle
+        self.autopilot = Autopilot(self.vehicle)
         if cold:
             self.vehicle.search_gps(settings.gps_seconds)
         if activated:
