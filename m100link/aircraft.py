@@ -354,9 +354,9 @@ async def open_aircraft(
     baud_rate: int | None = None,
     timeout: float = 3.0,
 ) -> Aircraft:
-    """Connect until :meth:`Aircraft.aclose` is called; :func:`connect` sees to that by itself.
+    """Connect until :meth:`Aircraft.aclose` is called; :func:`m100link.connect` sees to that by itself.
 
-    Args and errors: see :func:`connect`.
+    Args and errors: see :func:`m100link.connect`.
     """
     forced = None if firmware is None else profile(firmware)
     link = line if isinstance(line, Link) else await open_link(line, baud_rate=baud_rate)
