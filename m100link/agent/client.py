@@ -134,7 +134,7 @@ class AgentClient:
 
     @property
     def is_silent(self) -> bool:
-        """Whether nothing was heard of the agent for :data:`MAX_SILENCE`; it may hang."""
+        """Whether nothing was heard of the agent for 2 s; it may hang."""
         return self.now - self._heard_at > MAX_SILENCE
 
     @property
@@ -396,7 +396,7 @@ class AgentClient:
     def steer(self, lease: Lease, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this setpoint until it is renewed or its lifetime ends.
 
-        Renews the lease. A refusal comes to :attr:`on_steer_refused`.
+        Renews the lease. A refusal comes to ``on_steer_refused``.
         """
         self._channel.send(Steer(lease.number, self.now, lifetime, setpoint))
 

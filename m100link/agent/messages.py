@@ -2,7 +2,7 @@
 
 A front is what strangers reach: rosbridge, the console, a bridge to other protocols. It owns
 nothing of the aircraft. What it knows comes in these messages, and what it wants goes out in them,
-whatever carries them (:mod:`m100link.agent.carriers`).
+whatever carries them (``m100link.agent.carriers``).
 
 ==================  ========================================================================
 Both ways           Hello, Goodbye
