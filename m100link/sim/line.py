@@ -36,7 +36,7 @@ class LineFaults:
     """What is wrong with a line. Probabilities are per frame.
 
     A field added here is an option of ``m100link sim`` and a word of its ``faults`` order, and its
-    range is checked; :class:`Direction` gives it its effect.
+    range is checked; ``Direction`` gives it its effect.
 
     Attributes:
         loss: Probability that a frame does not arrive, 0 to 1.
@@ -120,8 +120,11 @@ class Direction:
         self, random: Random, faults: LineFaults = NO_FAULTS, *, baud_rate: int | None = None
     ) -> None:
         self._random = random
+        # When each piece arrives, in order.
         self._waiting: deque[tuple[float, bytes]] = deque()
+        # Jitter never lets a piece overtake the one before.
         self._last_arrival = -math.inf
+        # When the next burst comes; None while there is no noise.
         self._next_noise: float | None = None
         self.busy_until = -math.inf
         self.faults = faults

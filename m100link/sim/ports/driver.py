@@ -108,7 +108,9 @@ class Driver:
         self.loop = loop or asyncio.get_running_loop()
         self.ports: list[Port] = []
         self.scenario: Scenario | None = None
+        # The one timer: the next step of the aircraft, or the next arrival on its line.
         self._timer: asyncio.TimerHandle | None = None
+        # The plug as the ports know it; orders only change the line.
         self._was_plugged = True
         self._is_stopped = False
 

@@ -206,6 +206,7 @@ class Dynamics:
         self.rate_x = self.rate_y = self.rate_z = 0.0
         self._roll_rate = self._pitch_rate = self._yaw_rate = 0.0
         self.thrust = 0.0
+        # Braking has come to its end: from now on it holds this place.
         self._brake = False
         self._hold_north = self.north
         self._hold_east = self.east

@@ -101,12 +101,18 @@ class FlightController:
         self.setpoint: wire.Setpoint | None = None
         self.timeouts = 0
         self.now = 0.0
+        # What the last setpoint asks for, and until when it counts.
         self._guidance = self._hover = Guidance()
-        self._level = Guidance(ModelHorizontal.TILT)
         self._setpoint_until = -math.inf
+        # Without GPS it cannot hold a place: level, it drifts with the wind.
+        self._level = Guidance(ModelHorizontal.TILT)
+        # When the maneuver goes over to its next; infinite for those that end by what they reach.
         self._maneuver_until = math.inf
+        # Since when it stands with running motors and no order to take off.
         self._idle_since: float | None = None
+        # The battery is nearly empty: it lands, and nobody can stop that.
         self._forced = False
+        # The gesture acts once, when both sticks reach the corner.
         self._corner_is_held = False
 
     # --- orders -----------------------------------------------------------------------------
