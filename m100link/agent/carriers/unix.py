@@ -97,7 +97,7 @@ class UnixChannel(asyncio.Protocol):
                 # What goes wrong with one message does not end the reader.
                 _logger.exception("a %s was not taken", type(message).__name__)
 
-    def connection_lost(self, error: Exception | None) -> None:
+    def connection_lost(self, exc: Exception | None) -> None:
         """The socket is gone."""
         self._end()
 

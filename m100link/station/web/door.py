@@ -14,10 +14,12 @@ class Visitor(Protocol):
     @property
     def peer(self) -> str:
         """Where it comes from."""
+        ...
 
     @property
     def is_answered(self) -> bool:
         """Whether it asked nothing that is being answered now."""
+        ...
 
     def turn_out(self) -> None:
         """Close it at once."""

@@ -21,18 +21,22 @@ class Guest(Protocol):
     @property
     def peer(self) -> str:
         """Address that it comes from."""
+        ...
 
     @property
     def heard_at(self) -> float:
         """When it last said anything; when it came, if it never did."""
+        ...
 
     @property
     def has_spoken(self) -> bool:
         """Whether it ever said anything."""
+        ...
 
     @property
     def subscribes(self) -> bool:
         """Whether it gets anything."""
+        ...
 
 
 G = TypeVar("G", bound=Guest)

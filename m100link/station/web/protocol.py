@@ -86,7 +86,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         """Let the application find this connection as ``state["connection"]``."""
         super().handle_connect(event)
         if self.response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
-            self.scope["state"]["connection"] = self
+            self.scope.setdefault("state", {})["connection"] = self
 
     def data_received(self, data: bytes) -> None:
         """A client that says anything is alive."""
