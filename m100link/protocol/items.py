@@ -247,9 +247,6 @@ ITEMS: tuple[Item, ...] = (
 )
 """Every telemetry item, in the order of the flag bits."""
 
-if [item.bit for item in ITEMS] != list(range(len(ITEMS))):
-    raise UsageError("the telemetry items do not stand in the order of their bits")
-
 BY_NAME: dict[str, Item] = {item.name: item for item in ITEMS}
 """The items by name, in the order of the flag bits."""
 

@@ -97,3 +97,10 @@ def test_every_refusal_says_what_to_do() -> None:
         if code.name not in fine and not (code.remedy or enum is RatesCode)
     ]
     assert silent == []
+
+
+def test_a_code_that_nobody_lists_says_what_can_be_behind_it_and_asks_for_a_report() -> None:
+    unknown = ActivationCode(0x7FED)
+    assert "0x7FED" in unknown.meaning
+    assert "firmware" in unknown.cause
+    assert "report" in unknown.remedy

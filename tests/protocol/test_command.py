@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import pytest
 from hypothesis import given
@@ -41,12 +41,15 @@ from m100link.protocol import (
     parse_command,
     profile,
 )
+from m100link.protocol.command import plain
 from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.commands.registry import COMMANDS, address_of
 from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 from m100link.protocol.items import BY_NAME
 from m100link.session import SessionMode
+
+T = TypeVar("T")
 
 FIRMWARE = profile("3.1")
 FIRMWARES = st.sampled_from(list(PROFILES.values()))
@@ -291,3 +294,38 @@ def test_the_answer_to_an_unreadable_value_is_a_refusal(
     assert kind is RequestAuthority or code != 0
     if kind is not GetVersion:
         assert kind.parse_ack(kind.encode_ack(code)) == code
+
+
+def test_a_command_that_declares_neither_value_nor_parse_says_so() -> None:
+    class Empty(Push):
+        ADDRESS = Address(0x7F, 0x01)
+        NAME = "empty"
+
+    with pytest.raises(TypeError, match="Empty has no value"):
+        Empty().encode(FIRMWARE)
+    with pytest.raises(ValueError, match="Empty is never parsed"):
+        Empty.parse(b"", FIRMWARE)
+
+
+def test_bytes_and_codes_are_shown_as_json_can_carry_them() -> None:
+    assert plain(b"\x01\xff") == "01ff"
+    assert plain(1.5) == 1.5
+    shown = plain(AuthorityCode(2))
+    assert (shown["code"], shown["name"]) == (2, AuthorityCode(2).name)
+    assert shown["meaning"] == AuthorityCode(2).meaning
+
+
+def test_the_answer_of_a_request_is_found_beside_other_generic_bases() -> None:
+    class Labelled(Generic[T]):
+        """Something else with brackets."""
+
+    class Odd(Labelled[int], Request[AuthorityCode]):
+        ADDRESS = Address(0x7F, 0x02)
+        NAME = "odd"
+
+    assert Odd.ANSWER is AuthorityCode
+    assert Odd.parse_ack(b"\x02\x00") is AuthorityCode(2)
+
+
+def test_the_fields_of_an_ack_are_its_code_in_words() -> None:
+    assert RequestAuthority.ack_fields(AuthorityCode(2)) == {"ack": plain(AuthorityCode(2))}

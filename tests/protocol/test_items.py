@@ -126,3 +126,8 @@ def test_a_layout_names_each_of_its_values(
 def test_a_row_whose_parts_do_not_fit_is_refused(wrong: dict[str, Any], seen: str) -> None:
     with pytest.raises(UsageError, match=seen):
         replace(BY_NAME["battery"], **wrong)
+
+
+def test_the_items_stand_in_the_order_of_their_bits_without_a_gap() -> None:
+    """What finds an item by its bit takes it from its place."""
+    assert [item.bit for item in ITEMS] == list(range(len(ITEMS)))

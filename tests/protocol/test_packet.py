@@ -367,3 +367,15 @@ def test_records_and_single_reads_agree(flags: int, data: st.DataObject) -> None
 
 def test_battery_is_a_percentage() -> None:
     assert packet("1.0", battery=[55]).battery == Battery(55)
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=range(len(VECTORS)))
+def test_the_row_has_every_raw_value_under_its_column(vector: dict[str, Any]) -> None:
+    packet = TelemetryPacket(bytes.fromhex(vector["value"]), profile(vector["firmware"]))
+    flat = {
+        f"{item}.{field}": value
+        for item, fields in packet.raw_items().items()
+        for field, value in fields.items()
+    }
+    assert dict(zip(packet.columns, packet.row(), strict=True)) == flat
+    assert [ITEMS[bit].name for bit in packet.indices] == list(packet.raw_items())

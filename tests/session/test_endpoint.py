@@ -27,6 +27,27 @@ def received(endpoint: Endpoint) -> list[Frame]:
     return [event.frame for event in endpoint.events() if isinstance(event, Received)]
 
 
+def waits(*endpoints: Endpoint) -> list[bool]:
+    """Which of them have something to write."""
+    return [endpoint.has_output for endpoint in endpoints]
+
+
+def test_whether_there_is_output_is_known_without_taking_it() -> None:
+    host, aircraft = Endpoint(), Endpoint()
+    assert waits(host, aircraft) == [False, False]
+    host.push(b"push")
+    assert waits(host, aircraft) == [True, False]
+    transfer(host, aircraft, 0.0)
+    host.request(b"request", now=0.0)
+    assert waits(host, aircraft) == [True, False]
+    transfer(host, aircraft, 0.0)
+    _, command = received(aircraft)
+    aircraft.acknowledge(command, b"ack", now=0.0)
+    assert waits(host, aircraft) == [False, True]
+    transfer(aircraft, host, 0.0)
+    assert waits(host, aircraft) == [False, False]
+
+
 def test_a_request_is_delivered_answered_and_reported() -> None:
     host, aircraft = Endpoint(first_sequence=9), Endpoint()
     token = host.request(b"question", now=0)

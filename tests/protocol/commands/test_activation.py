@@ -203,3 +203,23 @@ def test_a_message_has_1_to_100_bytes(kind: type[SendToMobile | FromMobile]) -> 
 def test_the_data_of_a_message_are_shown_under_a_name_of_their_own() -> None:
     assert SendToMobile(b"\x01\xff").fields() == {"mobile_data": "01ff"}
     assert FromMobile(b"\x01\xff").fields() == {"mobile_data": "01ff"}
+
+
+def test_whatever_a_version_query_carries_is_one() -> None:
+    """Its one byte is arbitrary (errata 13), and some programs send none."""
+    for value in (b"", b"\0", b"\x17\x2a"):
+        assert GetVersion.parse(value, FIRMWARE) == GetVersion()
+
+
+def test_the_fields_of_a_version_name_the_profile_that_it_calls_for() -> None:
+    fields = GetVersion.ack_fields(version(NAME_3_1, SERIAL, 0xA6453AAC))
+    assert (fields["firmware"], fields["crc_matches"]) == ("3.1", True)
+    assert GetVersion.ack_fields(version(NAME_A3))["firmware"] is None
+
+
+def test_the_codes_of_an_answer_mean_what_the_document_says() -> None:
+    code = VersionCode.ACTIVATED
+    assert code.meaning
+    assert version(NAME_2_3).encode()[:2] == int(code).to_bytes(2, "little")
+    assert GetVersion.encode_ack(version(NAME_2_3)) == version(NAME_2_3).encode()
+    assert GetVersion.encode_ack(code) == int(code).to_bytes(2, "little")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from m100link.protocol import AuthorityChanged, PushTelemetry, TelemetryPacket, profile
+from m100link.protocol import AuthorityChanged, FromMobile, PushTelemetry, TelemetryPacket, profile
 from tests.support import load_vectors
 
 
@@ -17,3 +17,10 @@ def test_the_fields_of_a_telemetry_push_are_those_of_the_golden_vectors() -> Non
             "telemetry": vector["items"],
             "flags": vector["flags"],
         }
+
+
+def test_of_notifications_only_a_loss_means_something_when_it_cannot_be_read() -> None:
+    """To believe in authority that is gone is the worse error."""
+    assert AuthorityChanged.when_unreadable() == AuthorityChanged()
+    assert FromMobile.when_unreadable() is None
+    assert PushTelemetry.when_unreadable() is None
