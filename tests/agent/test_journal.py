@@ -1,0 +1,20 @@
+"""The journal: events are numbered, bounded and told."""
+
+from __future__ import annotations
+
+from m100link.agent.journal import Journal
+from m100link.agent.messages import Event
+
+
+def test_events_are_numbered_told_and_bounded() -> None:
+    now = 0.0
+    journal = Journal(lambda: now)
+    told: list[Event] = []
+    journal.on_event.append(told.append)
+    for number in range(1000):
+        now = float(number)
+        journal.note(f"event {number}", "warning" if number % 2 else "info")
+    assert len(told) == 1000
+    assert told[0] == Event(1, 0.0, "info", "event 0")
+    assert list(journal.events) == told[-len(journal.events) :]
+    assert len(journal.events) == 200
