@@ -354,7 +354,7 @@ async def open_aircraft(
     baud_rate: int | None = None,
     timeout: float = 3.0,
 ) -> Aircraft:
-    """Connect until :meth:`Aircraft.aclose` is called; :func:`m100link.connect` sees to that by itself.
+    """Connect until :meth:`Aircraft.aclose` is called, which :func:`m100link.connect` sees to.
 
     Args and errors: see :func:`m100link.connect`.
     """

@@ -1,4 +1,4 @@
-"""Programs for ``test_processes.py``: python -m tests.flight.foreign_programs PROGRAM PORT.
+"""Programs for ``test_processes.py``: python -m tests.flight.foreign_programs PROGRAM PORT…
 
 They fly the foreign aircraft, which is in the air already, north for ever, and never handle a
 signal, a break or a failure: whatever happens then is the library's doing.
@@ -46,11 +46,21 @@ async def in_a_task(aircraft: m100link.Aircraft) -> None:
     del flying  # main leaves connect() while it flies
 
 
-async def main(program: str, port: str) -> None:
+PROGRAMS = {"loop": in_a_loop, "generator": in_a_generator, "task": in_a_task}
+
+
+async def fly(program: str, port: str) -> None:
     async with m100link.connect(port) as aircraft:
         await aircraft.activate(m100link.Credentials(app_id=APP_ID, key=KEY))
         await aircraft.wait_for(lambda state: state.position is not None, timeout=5)
-        await {"loop": in_a_loop, "generator": in_a_generator, "task": in_a_task}[program](aircraft)
+        await PROGRAMS[program](aircraft)
+
+
+async def main(program: str, *ports: str) -> None:
+    """One aircraft per port."""
+    async with asyncio.TaskGroup() as group:
+        for port in ports:
+            group.create_task(fly(program, port))
 
 
 if __name__ == "__main__":

@@ -43,5 +43,5 @@ def test_a_program_flies_it_and_gives_it_back(firmware: str) -> None:
         asyncio.run(fly(there.name))
         assert there.device == RC
         assert all(movement.is_obeyed for movement in there.movements)
-        assert {movement.values for movement in there.movements[-10:]} == {(0.0, 0.0, 0.0, 0.0)}
-        assert sum(movement.values[0] == 2.0 for movement in there.movements) > 15
+        assert {movement.values for movement in there.movements[-3:]} == {(0.0, 0.0, 0.0, 0.0)}
+        assert sum(movement.values[0] == 2.0 for movement in there.movements) > 8
