@@ -37,6 +37,7 @@ DJI_EARTH_RADIUS_M = 6_378_137.0
 
 _E2 = WGS84_FLATTENING * (2.0 - WGS84_FLATTENING)
 _MAXIMUM_FRAME_LATITUDE_DEG = 89.0
+_SERIES_REACH_M = 200_000.0
 
 
 def normalize_degrees(angle: float) -> float:
@@ -138,11 +139,18 @@ class LocalFrame:
         """Metres north and east of the origin of a point in degrees: the inverse, to a micrometre.
 
         Newton steps with the first-order coefficients: each shrinks the error by about the ratio
-        of distance to the Earth's radius, so three or four are the rule.
+        of distance to the Earth's radius, so three or four are the rule. Beyond 200 km, where the
+        series means nothing any more: distance and direction of the shortest line.
         """
         east_of_origin = normalize_degrees(longitude_deg - self.longitude_deg)
         north = (latitude_deg - self.latitude_deg) / self._n
         east = east_of_origin / self._longitude_e
+        if math.hypot(north, east) > _SERIES_REACH_M:
+            distance, bearing = geodesic(
+                self.latitude_deg, self.longitude_deg, latitude_deg, longitude_deg
+            )
+            bearing = math.radians(bearing)
+            return distance * math.cos(bearing), distance * math.sin(bearing)
         for _ in range(20):
             latitude, longitude = self.to_geodetic(north, east)
             step_north = (latitude_deg - latitude) / self._n

@@ -75,6 +75,24 @@ def test_there_and_back_is_here(
     assert frame.to_local(*frame.to_geodetic(north, east)) == pytest.approx((north, east), abs=2e-5)
 
 
+@given(
+    latitude=st.floats(-89, 89),
+    longitude=st.floats(-180, 180),
+    other_latitude=st.floats(-90, 90),
+    other_longitude=st.floats(-360, 360),
+)
+def test_every_place_on_earth_lies_somewhere(
+    latitude: float, longitude: float, other_latitude: float, other_longitude: float
+) -> None:
+    """A receiver that jumps to the other side must not raise out of what measures by it."""
+    frame = LocalFrame(latitude, longitude)
+    distance = math.hypot(*frame.to_local(other_latitude, other_longitude))
+    assert distance < 25_000_000
+    real = distance_m(latitude, longitude, other_latitude, other_longitude)
+    if abs(latitude) < 80 and abs(other_latitude) < 80:
+        assert distance == pytest.approx(real, rel=1e-3, abs=0.1)
+
+
 def test_the_antimeridian_is_no_edge() -> None:
     frame = LocalFrame(10.0, 179.999)
     latitude, longitude = frame.to_geodetic(0.0, 1000.0)

@@ -68,6 +68,8 @@ class _Flight:
         self.stage = ""
 
     def add(self, position: Position, now: float) -> None:
+        if not position.is_possible:
+            return
         here = (position.latitude_deg, position.longitude_deg)
         if self.home is None:
             self.home = LocalFrame(*here)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterable, AsyncIterator, Callable
-from contextlib import asynccontextmanager, nullcontext
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, nullcontext
 from functools import partial
 from types import TracebackType
 from typing import Literal, Self
@@ -302,12 +302,11 @@ class Control:
         try:
             self._guards.check(setpoint)
         except GuardRefused as error:
-            if setpoint == setpoint.neutral():
-                return True  # standing still is never refused
-            _logger.warning("sending neutral: %s", error.seen)
-            self._refused = error
-            self._setpoints.neutralise()
-            return False
+            if setpoint != setpoint.neutral():  # standing still is never refused
+                _logger.warning("sending neutral: %s", error.seen)
+                self._refused = error
+                self._setpoints.neutralise()
+                return False
         return True
 
     def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
@@ -341,13 +340,18 @@ class Control:
             NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
             GuardRefused: On the way out, when a guard ended the setpoint that was held last.
         """
-        is_long = allow_long_lifetime
-        hold = Hold(
-            partial(self.send, lifetime=lifetime, rate_hz=rate_hz, allow_long_lifetime=is_long)
-        )
+        send = partial(self.send, lifetime=lifetime, rate_hz=rate_hz)
+        hold = Hold(partial(send, allow_long_lifetime=allow_long_lifetime))
         hold.set(setpoint)
-        try:
+        with self._ends_neutral():
             yield hold
+
+    @contextmanager
+    def _ends_neutral(self) -> Iterator[None]:
+        """Neutral on the way out, and the refusal if a guard ended what was sent last."""
+        self._refused = None
+        try:
+            yield
         finally:
             self._setpoints.neutralise()
         if self._refused is not None:
@@ -377,18 +381,15 @@ class Control:
         if lifetime is None:
             lifetime = max(SETPOINT_LIFETIME, 2 * period_of(rate_hz))
         send = partial(self.send, lifetime=lifetime, allow_long_lifetime=allow_long_lifetime)
-        try:
+        with self._ends_neutral():
             if isinstance(source, AsyncIterable):
                 async for setpoint in source:
                     send(setpoint)
                 return
             async for tick in self.ticks(rate_hz):
-                wanted = source(tick)
-                if wanted is None:
+                if (wanted := source(tick)) is None:
                     return
                 send(wanted)
-        finally:
-            self._setpoints.neutralise()
 
     async def stop(self) -> None:
         """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers."""

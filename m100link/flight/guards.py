@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from m100link.errors import GuardRefused, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.items import BY_RECORD
-from m100link.protocol.records import Attitude, Battery, Position
+from m100link.protocol.records import Attitude, Battery, FlightStatus, Position
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical
 
 if TYPE_CHECKING:
@@ -28,7 +28,12 @@ R = TypeVar("R", bound=tuple[Any, ...])
 GPS_HEALTH_NEEDED = 3
 """From this health on the autopilot holds a position (document 2.2.3.1)."""
 
-AGE_LIMITS_S: dict[type[Any], float] = {Position: 1.2, Attitude: 1.2, Battery: 5.0}
+AGE_LIMITS_S: dict[type[Any], float] = {
+    Position: 1.2,
+    Attitude: 1.2,
+    FlightStatus: 2.5,
+    Battery: 5.0,
+}
 """Seconds after which the value of an item counts as unknown: more than one period of an item that
 is sent once a second; the charge changes slowly and may miss four packages."""
 
@@ -65,9 +70,7 @@ def _is_possible(value: tuple[Any, ...]) -> bool:
         return value.percent <= 100
     if isinstance(value, Attitude):
         return 0.5 < sum(part * part for part in value) < 2.0  # a unit quaternion, roughly
-    return not isinstance(value, Position) or (
-        abs(value.latitude_rad) <= _MAX_LATITUDE_RAD and abs(value.longitude_rad) <= 2 * math.pi
-    )
+    return value.is_possible if isinstance(value, Position) else True
 
 
 @dataclass(frozen=True, slots=True)

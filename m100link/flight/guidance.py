@@ -18,7 +18,7 @@ from m100link.flight.orbit import Orbit
 from m100link.flight.pacing import Ticker
 from m100link.flight.tasks import describe_situation
 from m100link.geodesy import LocalFrame, normalize_degrees
-from m100link.protocol.records import Attitude, FlightPhase, Position, Velocity
+from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def _heading(flyer: Flyer) -> float:
 
 def _is_on_ground(flyer: Flyer) -> bool:
     """Whether the newest status says so; while nobody knows, it does not."""
-    status = flyer.state.flight_status
+    status = known(flyer.state, FlightStatus)
     return status is not None and status.status == FlightPhase.STANDBY
 
 

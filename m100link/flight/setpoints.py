@@ -85,7 +85,7 @@ class SetpointLoop:
     """
 
     def __init__(
-        self, send: Callable[[Setpoint], bool], admits: Callable[[Setpoint], bool]
+        self, send: Callable[[Setpoint], object], admits: Callable[[Setpoint], bool]
     ) -> None:
         self._send = send
         self._admits = admits

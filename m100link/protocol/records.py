@@ -207,6 +207,18 @@ class Position(NamedTuple):
     gps_health: int | None
 
     @property
+    def is_possible(self) -> bool:
+        """Whether this can be a place: finite numbers, a latitude within ±89°.
+
+        Nearer to a pole there is no local frame to measure in.
+        """
+        return (
+            all(map(math.isfinite, self[:4]))
+            and abs(self.latitude_deg) <= 89.0
+            and abs(self.longitude_rad) <= 2 * math.pi
+        )
+
+    @property
     def latitude_deg(self) -> float:
         """Latitude in degrees, north positive."""
         return math.degrees(self.latitude_rad)

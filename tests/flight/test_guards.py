@@ -334,6 +334,18 @@ async def test_the_radius_is_measured_from_the_first_position_that_is_possible()
             control.send(velocity(north=1))
 
 
+async def test_a_receiver_that_jumps_to_the_other_side_of_the_earth_is_outside() -> None:
+    async with hovering() as (flown, control):
+        real = position(flown)
+        there = -real.latitude_rad, real.longitude_rad - math.pi
+        pretend(flown, real._replace(latitude_rad=there[0], longitude_rad=there[1]))
+        assert refusal(flown, control, NORTH).limit == 150
+        with pytest.raises(GuardRefused):
+            await control.fly_to(
+                latitude_deg=math.degrees(there[0]), longitude_deg=math.degrees(there[1]), height=5
+            )
+
+
 @pytest.mark.parametrize(
     "impossible", [Attitude(math.nan, 0.0, 0.0, 0.0), Attitude(0.0, 0.0, 0.0, 0.0)]
 )
@@ -556,6 +568,19 @@ async def test_a_hold_that_turned_back_in_time_ends_quietly() -> None:
                 hold.set(velocity(north=3))
             hold.set(velocity(north=-3))
             await asyncio.sleep(2.0)
+
+
+async def test_a_slow_source_hears_at_its_end_that_its_last_setpoint_was_refused() -> None:
+    async def source() -> AsyncIterator[Setpoint]:
+        yield velocity(north=3)
+        await asyncio.sleep(20.0)
+
+    guards = Guards(envelope=Envelope(max_radius_m=20))
+    async with hovering(guards) as (flown, control):
+        with pytest.raises(GuardRefused):
+            await control.follow(source(), lifetime=60, allow_long_lifetime=True)
+        assert flown.virtual.position[0] < 25
+        await control.follow(lambda _: None)  # one that sends nothing hears nothing of it
 
 
 async def test_what_stands_still_is_not_refused_again() -> None:

@@ -14,6 +14,7 @@ from m100link import (
     AuthorityLost,
     Control,
     Envelope,
+    FlightPhase,
     GuardRefused,
     Guards,
     NotObserved,
@@ -228,6 +229,15 @@ async def test_a_second_loop_is_refused_and_leaves_the_first_alone(second: Loop)
         await first
         assert flown.virtual.position == pytest.approx((10, 0), abs=0.6)
         await second(control)
+
+
+async def test_a_flight_status_that_stopped_on_the_ground_does_not_forbid_a_flight() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        flown.virtual.set_rates(flight_status=0)
+        await control.take_off()
+        assert flown.aircraft.state.flight_status is not None
+        assert flown.aircraft.state.flight_status.phase is FlightPhase.STANDBY
+        await control.fly_to(north=3, east=0, up=0)
 
 
 async def test_a_loop_that_is_landed_on_the_way_says_so_and_stops() -> None:

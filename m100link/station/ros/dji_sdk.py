@@ -196,7 +196,7 @@ class DjiSdk:
 
     def _local_position(self, sample: Sample) -> Message | None:
         position = sample.position
-        if position is None or self._origin is None:
+        if position is None or self._origin is None or not position.is_possible:
             return None
         frame, altitude = self._origin
         north, east = frame.to_local(position.latitude_deg, position.longitude_deg)
@@ -372,7 +372,7 @@ class DjiSdk:
     async def _set_origin(self, call: Call) -> Message:
         telemetry = self._agent.telemetry
         position = telemetry.fresh(Position, within=1.0) if telemetry is not None else None
-        if position is None:
+        if position is None or not position.is_possible:
             return {"result": False}
         holder = self._agent.holder
         if holder.number and self._clients.lease(call.session) is None:
