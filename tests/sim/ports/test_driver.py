@@ -18,14 +18,12 @@ from m100link.sim import (
     LineFaults,
     VirtualAircraft,
     open_sim,
-    serve_tcp,
 )
 from m100link.sim.orders.scenario import Scenario, Step
 from m100link.sim.ports.driver import Backlog, StreamPort
 from m100link.sim.telemetry import is_telemetry
 from m100link.testing import ConnectableAircraft, VirtualClock
 from m100link.wire import Frame, FrameDecoder, encode_frame
-from tests.waiting import until
 
 pytestmark = pytest.mark.anyio
 
@@ -354,41 +352,6 @@ async def test_sim_urls_make_an_aircraft(
 async def test_bad_sim_urls_say_so(url: str, virtual_clock: VirtualClock) -> None:
     with pytest.raises(m100link.M100Error):
         await open_sim(parse_url(url), Link())
-
-
-# --- TCP (real time) ------------------------------------------------------------------------
-
-
-async def test_tcp_serves_one_program_at_a_time_and_a_new_one_replaces_it() -> None:
-    driver = Driver(VirtualAircraft(seed=1))
-    server = await serve_tcp(driver)
-    loop = asyncio.get_running_loop()
-    listeners: list[Listener] = []
-    for _ in range(2):
-        _, listener = await loop.create_connection(Listener, "127.0.0.1", server.port)
-        listeners.append(listener)
-        await until(lambda: listeners[-1].frames > 5)
-    await until(lambda: listeners[0].lost == [None])
-    await server.stop()
-    driver.stop()
-    await until(lambda: bool(listeners[1].lost))
-    assert server.port > 0
-
-
-async def test_tcp_refuses_while_the_aircraft_is_unplugged() -> None:
-    aircraft = VirtualAircraft(seed=1)
-    driver = Driver(aircraft)
-    server = await serve_tcp(driver)
-    loop = asyncio.get_running_loop()
-    listeners: list[Listener] = []
-    for plugged in (True, False, True):
-        aircraft.replug() if plugged else aircraft.unplug()
-        _, listener = await loop.create_connection(Listener, "127.0.0.1", server.port)
-        listeners.append(listener)
-        await until(lambda: bool(listeners[-1].bytes or listeners[-1].lost))
-    assert [listener.bytes > 0 for listener in listeners] == [True, False, True]
-    await server.stop()
-    driver.stop()
 
 
 # --- pace -----------------------------------------------------------------------------------

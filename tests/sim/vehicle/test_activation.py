@@ -21,8 +21,7 @@ from m100link.protocol import (
 from m100link.sim import DEMO_KEY, ActivationServer, VirtualAircraft
 from m100link.wire import Cipher
 from m100link.wire.crc import frame_crc32
-
-from .host import Host, aircraft
+from tests.sim.host import Host, aircraft
 
 FIRMWARES = ["1.0", "2.3", "3.1", "1.0-document"]
 

@@ -19,8 +19,7 @@ from m100link.protocol import (
 from m100link.sim.vehicle.flight import Maneuver
 from m100link.sim.vehicle.tasks import TaskMachine, TaskState
 from m100link.wire import encode_frame
-
-from .host import Host, aircraft
+from tests.sim.host import Host, aircraft
 
 GO_HOME, TAKE_OFF, LAND = Task
 NORTH = Setpoint.velocity(north=3, east=0, up=0, yaw_rate_deg_s=0)

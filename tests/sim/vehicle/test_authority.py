@@ -6,8 +6,7 @@ import pytest
 
 from m100link.protocol import Device, RequestAuthority, Setpoint
 from m100link.sim import VirtualAircraft
-
-from .host import Host, aircraft
+from tests.sim.host import Host, aircraft
 
 ONE, TWO, BOTH = ["1.0", "1.0-document"], ["2.3", "3.1"], ["1.0", "2.3", "3.1"]
 OBTAIN, RELEASE = RequestAuthority(True), RequestAuthority(False)

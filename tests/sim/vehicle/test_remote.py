@@ -8,8 +8,7 @@ import pytest
 
 from m100link.protocol import Device, FlightPhase, RcMode, Setpoint, StartTask, Task
 from m100link.sim import PilotRemote
-
-from .host import Host
+from tests.sim.host import Host
 
 NORTH = Setpoint.velocity(north=3, east=0, up=0, yaw_rate_deg_s=0)
 

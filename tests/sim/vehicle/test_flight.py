@@ -23,10 +23,9 @@ from m100link.protocol import (
 )
 from m100link.sim import Airframe
 from m100link.sim.vehicle.dynamics import GRAVITY
+from tests.sim.host import Host, aircraft
 
-from .host import Host, aircraft
-
-VECTORS = json.loads((Path(__file__).parent.parent / "vectors" / "movement.json").read_text())
+VECTORS = json.loads((Path(__file__).parents[2] / "vectors" / "movement.json").read_text())
 MODES = [
     ControlMode(horizontal, vertical, yaw)
     for vertical in Vertical
