@@ -169,3 +169,62 @@ def test_the_manuals_house_names_places_that_exist() -> None:
     named = set(re.findall(r"`(m100link/[\w/.]+)`", page))
     assert len(named) > 20
     assert {place for place in named if not (ROOT / place).exists()} == set()
+
+
+# -- tests ----------------------------------------------------------------------------------------
+
+# Module → the test that shows what it does, and why that one stands elsewhere.
+TESTED_ELSEWHERE = {
+    "activation.py": ("test_aircraft.py", "activating is one method of the aircraft"),
+    "agent/activation.py": ("agent/test_agent.py", "a part that only the agent has"),
+    "agent/codec.py": ("agent/test_messages.py", "what is said, and how it is written down"),
+    "agent/connect.py": ("agent/test_agent.py", "three lines that each open a connection"),
+    "agent/connection.py": ("agent/test_agent.py", "a part that only the agent has"),
+    "agent/patterns.py": ("station/ros/test_node_2015.py", "flown by the commands of 2015"),
+    "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
+    "flight/watchdog.py": ("flight/test_control_ends.py", "it exists to end a block"),
+    "protocol/records.py": ("protocol/test_packet.py", "records are what packages are read into"),
+    "session/events.py": ("session/test_endpoint.py", "names and counters, nothing to run"),
+    "sim/orders/ctl.py": ("cli/test_sim.py", "a socket between two processes"),
+    "sim/orders/scenario.py": ("sim/orders/test_actions.py", "a scenario is a list of actions"),
+    "sim/vehicle/airframe.py": ("sim/vehicle/test_dynamics.py", "numbers that the dynamics uses"),
+    "sim/vehicle/mobile.py": ("sim/vehicle/test_activation.py", "the app is where activation is"),
+    "sim/vehicle/settings.py": ("sim/test_telemetry.py", "numbers that the others use"),
+    "sim/virtual.py": ("sim/test_autopilot.py", "it hands on to vehicle, autopilot and line"),
+    "station/console/app.py": ("browser/test_console.py", "a page is seen in a browser"),
+    "station/console/fields.py": ("browser/test_console.py", "a page is seen in a browser"),
+    "station/console/page.py": ("browser/test_console.py", "a page is seen in a browser"),
+    "station/console/simpanel.py": ("browser/test_console.py", "a page is seen in a browser"),
+    "station/front.py": ("station/test_apart.py", "a process of its own"),
+    "station/fronts.py": ("station/test_apart.py", "it starts and ends processes"),
+    "station/launch.py": ("station/test_config.py", "launch files are one source of the settings"),
+    "station/ros/encoding.py": ("station/ros/test_client.py", "seen in what a client gets"),
+    "station/ros/graph.py": ("station/ros/test_client.py", "seen in what a client gets"),
+    "station/ros/leases.py": ("station/ros/test_node_2015.py", "taken by opening control"),
+    "station/run.py": ("station/web/test_server.py", "every test there runs it"),
+    "station/web/access.py": ("station/web/test_gate.py", "the gate's two questions"),
+    "station/web/files.py": ("station/web/test_server.py", "seen by asking the server"),
+    "telemetry/stream.py": ("telemetry/test_subscription.py", "seen in what a consumer gets"),
+}
+
+
+def mirrored(module: Path) -> Path:
+    place = module.relative_to(PACKAGE)
+    return ROOT / "tests" / place.parent / f"test_{place.name}"
+
+
+def test_the_test_of_a_module_is_found_where_its_name_says() -> None:
+    missing = {
+        str(path.relative_to(PACKAGE))
+        for path in programs("m100link")
+        if path.name not in ("__init__.py", "__main__.py") and not mirrored(path).exists()
+    }
+    assert missing - TESTED_ELSEWHERE.keys() == set(), "write it, or say where and why"
+    assert TESTED_ELSEWHERE.keys() - missing == set(), "no exception is needed any more"
+
+
+@pytest.mark.parametrize("module", TESTED_ELSEWHERE)
+def test_what_is_tested_elsewhere_says_where_and_why(module: str) -> None:
+    test, reason = TESTED_ELSEWHERE[module]
+    assert (ROOT / "tests" / test).exists()
+    assert len(reason) > 10

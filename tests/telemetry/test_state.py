@@ -1,0 +1,76 @@
+"""The newest value of every item, its age, and how it arrives."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.protocol import Attitude, Battery, Position, encode_telemetry, profile
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
+
+FIRMWARE = profile("1.0")
+ATTITUDE = {"quaternion": (1.0, 0.0, 0.0, 0.0)}
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def sample(at: float, **items: tuple[float, ...]) -> Sample:
+    return Sample(encode_telemetry(items, FIRMWARE), FIRMWARE, at)
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def state(clock: Clock) -> AircraftState:
+    return AircraftState(clock)
+
+
+def test_what_never_arrived_is_none_and_has_no_age(state: AircraftState) -> None:
+    assert state.get(Position) is None
+    assert state.age(Position) is None
+    assert state.received_at(Position) is None
+    assert state.newest_age is None
+    assert state.fresh(Position, within=1e9) is None
+    assert set(state.situation().values()) == {None}
+
+
+def test_each_item_keeps_its_newest_value_and_its_own_age(
+    state: AircraftState, clock: Clock
+) -> None:
+    state.update(sample(100.0, battery=(90,), **ATTITUDE))
+    state.update(sample(100.5, battery=(80,)))
+    clock.now = 101.0
+    assert state.get(Battery) == Battery(80)
+    assert state.age(Battery) == pytest.approx(0.5)
+    assert state.age(Attitude) == pytest.approx(1.0)
+    assert state.newest_age == pytest.approx(0.5)
+
+
+def test_fresh_is_what_is_not_older_than_asked_for(state: AircraftState, clock: Clock) -> None:
+    state.update(sample(100.0, battery=(90,)))
+    clock.now = 102.0
+    assert state.fresh(Battery, within=2.0) == Battery(90)
+    assert state.fresh(Battery, within=1.9) is None
+
+
+def test_rate_jitter_and_longest_gap_are_those_of_the_item(state: AircraftState) -> None:
+    assert state.statistics(Battery).rate_hz is None
+    for at in (100.0, 101.0, 102.0):
+        state.update(sample(at, battery=(90,)))
+        state.update(sample(at + 0.5, **ATTITUDE))
+    state.update(sample(104.0, **ATTITUDE))
+    battery, attitude = state.statistics(Battery), state.statistics(Attitude)
+    assert (battery.count, battery.rate_hz, battery.jitter_s) == (3, 1.0, 0.0)
+    assert (attitude.count, attitude.longest_gap_s) == (4, 1.5)
+    # Of the last 2.5 s: gaps of 1 and 1.5 s.
+    assert attitude.rate_hz == pytest.approx(0.8)
+    assert attitude.jitter_s == pytest.approx(0.25)
