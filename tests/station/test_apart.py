@@ -63,10 +63,13 @@ class Pilot:
 
 
 @asynccontextmanager
-async def flying() -> AsyncIterator[tuple[RunningApart, asyncio.Task[None]]]:
+async def flying(
+    *, with_console: bool = False
+) -> AsyncIterator[tuple[RunningApart, asyncio.Task[None]]]:
     """A station in two processes whose aircraft flies to the east."""
     async with AsyncExitStack() as stack:
-        one = await stack.enter_async_context(running_apart(Settings(sim=True, port=0)))
+        settings = Settings(sim=True, port=0, console_port=0)
+        one = await stack.enter_async_context(running_apart(settings, with_console=with_console))
         client = await stack.enter_async_context(connect(f"ws://127.0.0.1:{one.ports[0]}"))
         pilot = Pilot(client)
         await pilot.take_off()
@@ -124,6 +127,34 @@ async def test_a_front_that_hangs_costs_a_hover() -> None:
             await until(lambda: not one.agent.holding.has_authority)
         finally:
             os.kill(one.front.pid, signal.SIGCONT)
+
+
+async def get(port: int) -> bytes:
+    """The console's page, as a browser asks for it."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    host = f"127.0.0.1:{port}"
+    writer.write(f"GET / HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n".encode())
+    try:
+        return await reader.read()
+    finally:
+        writer.close()
+
+
+async def test_pages_asked_for_without_pause_do_not_end_a_flight() -> None:
+    pytest.importorskip("nicegui")
+    async with flying(with_console=True) as (one, work):
+        port = one.console_port
+        assert port is not None
+        holder = one.agent.desk.holder(one.agent.now)
+        before = one.front.pid
+        async with asyncio.timeout(2 * PATIENCE):
+            pages = await asyncio.gather(*(get(port) for _ in range(20)))
+        assert sum(page.startswith(b"HTTP/1.1 200") for page in pages) >= 1
+        assert not work.done()
+        assert one.agent.desk.holder(one.agent.now) == holder
+        assert one.agent.holding.has_authority
+        assert one.front.pid == before
+        await until(lambda: east(one) == 1.0)
 
 
 async def test_an_agent_that_is_killed_is_told_by_its_front_and_its_port_is_free() -> None:
