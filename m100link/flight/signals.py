@@ -48,7 +48,9 @@ class SignalWatch:
         """Call ``stop`` in the present event loop when a signal comes, or has come to others."""
         if threading.current_thread() is not threading.main_thread():
             return
+        self._forget_the_dead()
         if not self._blocks:
+            self._let_go()  # nothing, unless the last block died with its event loop
             self._take()
         loop = asyncio.get_running_loop()
         self._blocks[stop] = loop
@@ -57,11 +59,19 @@ class SignalWatch:
 
     def leave(self, stop: Stop) -> None:
         """That block has ended. After the last one, signals that came act."""
-        if self._blocks.pop(stop, None) is None or self._blocks:
-            return
+        if self._blocks.pop(stop, None) is not None and not self._blocks:
+            self._let_go()
+
+    def _forget_the_dead(self) -> None:
+        """Blocks whose event loop was closed before they ended cannot be stopped any more."""
+        for stop, loop in tuple(self._blocks.items()):
+            if loop.is_closed():
+                self._blocks.pop(stop)
+
+    def _let_go(self) -> None:
         for number, previous in self._previous.items():
             if signal.getsignal(number) == self._on_signal:
-                signal.signal(number, previous)
+                signal.signal(number, _as_it_is_now(previous))
         self._previous.clear()
         received, self._received = self._received, []
         # What ends the process comes first: SIGINT raises.
@@ -79,6 +89,7 @@ class SignalWatch:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         # This runs between any two lines of the program: the event loop does the work.
         now = time.monotonic()
+        self._forget_the_dead()
         is_first = not self._received
         if signal.Signals(number) not in self._received:
             self._received.append(signal.Signals(number))
@@ -86,6 +97,8 @@ class SignalWatch:
             self._received_at = now
             for stop, loop in self._blocks.items():
                 loop.call_soon_threadsafe(self._stop, stop, signal.Signals(number))
+            if not self._blocks:
+                self._let_go()
         elif number == signal.SIGINT and not self._is_seen and now > self._received_at + _HUNG_S:
             raise KeyboardInterrupt  # a program that blocks its loop can be broken into by hand
 
@@ -105,6 +118,12 @@ def _would_end_the_program(number: signal.Signals, handler: Any) -> bool:
         getattr(handler.func, "__self__", None), asyncio.Runner
     )
     return handler is signal.default_int_handler or is_of_asyncio
+
+
+def _as_it_is_now(handler: Any) -> Any:
+    """What asyncio.run installed goes with its main task."""
+    task = handler.keywords.get("main_task") if isinstance(handler, functools.partial) else None
+    return signal.default_int_handler if task is not None and task.done() else handler
 
 
 SIGNALS = SignalWatch()

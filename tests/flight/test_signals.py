@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -239,3 +239,40 @@ async def test_a_handler_that_the_program_set_meanwhile_stays() -> None:
         assert signal.getsignal(signal.SIGTERM) is own
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def test_a_block_whose_event_loop_was_closed_does_not_keep_the_signals(
+    acted: list[signal.Signals],
+) -> None:
+    watch = SignalWatch()
+
+    async def begin(stop: Callable[[], None]) -> None:
+        watch.join(stop)
+
+    def stop() -> None:
+        pytest.fail("called in a closed loop")
+
+    asyncio.run(begin(stop))
+    come(signal.SIGTERM)
+    assert acted == [signal.SIGTERM]
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_new_block_is_protected_although_an_older_one_died_with_its_loop(
+    acted: list[signal.Signals],
+) -> None:
+    watch = SignalWatch()
+    stopped: list[str] = []
+
+    async def begin(name: str) -> None:
+        stop = functools.partial(stopped.append, name)
+        watch.join(stop)
+        if name == "new":
+            come(signal.SIGTERM)
+            await asyncio.sleep(0)
+            watch.leave(stop)
+
+    asyncio.run(begin("old"))
+    asyncio.run(begin("new"))
+    assert stopped == ["new"]
+    assert acted == [signal.SIGTERM]
