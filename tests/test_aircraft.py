@@ -241,7 +241,7 @@ async def test_a_firmware_of_ones_own_flies_without_being_listed() -> None:
         name="3.9",
         version_name="SDK-v1.0 BETA M100-03.09.01.00",
         hardware_versions=(),
-        tick_hz=1000,
+        tick_hz=250,
         items=items,
         generation=Generation.V2_3,
     )
@@ -257,7 +257,10 @@ async def test_a_firmware_of_ones_own_flies_without_being_listed() -> None:
         assert aircraft.state.battery is not None
         assert aircraft.state.battery.percent >= 99
         assert aircraft.state.magnetometer is None
-        assert aircraft.device_clock.tick_hz == 1000
+        clock, time = aircraft.device_clock, aircraft.state.time
+        assert clock.tick_hz == 250
+        assert time is not None
+        assert time.seconds == pytest.approx(virtual.vehicle.time, abs=0.03)
     virtual.stop()
 
 

@@ -55,7 +55,9 @@ class TelemetryPusher:
     ) -> None:
         self._profile = profile
         self._sensors = sensors
-        self._plans: dict[int, _Plan] = {}
+        # Per flag word. That of every item is made at once: an item without a reader fails here.
+        every = profile.item_flags
+        self._plans = {every: _Plan(every, profile, sensors)}
         self._schedule: list[_Plan | None] = []
         self.rates_hz: dict[str, int] = {}
         self.packets = 0

@@ -101,7 +101,7 @@ class Sensors:
         # that no component jumps when the heading passes south.
         self._quaternion = (1.0, 0.0, 0.0, 0.0)
         self._down = -1.0 if settings.vertical_down else 1.0
-        self._tick_step = profile.tick_hz // STEPS_PER_SECOND
+        self._tick_hz = profile.tick_hz
         self._site = LocalFrame(settings.latitude_deg, settings.longitude_deg)
 
     def advance(self) -> None:
@@ -129,7 +129,8 @@ class Sensors:
         # Nobody published how the nanoseconds of 3.1 relate to the tick; here they count the
         # same time within its second.
         ticks = self.ticks
-        return ticks * self._tick_step & 0xFFFFFFFF, ticks % STEPS_PER_SECOND * 10_000_000, 0
+        tick = ticks * self._tick_hz // STEPS_PER_SECOND & 0xFFFFFFFF
+        return tick, ticks % STEPS_PER_SECOND * 10_000_000, 0
 
     def _read_quaternion(self) -> Values:
         motion, errors = self._motion, self._errors
