@@ -144,3 +144,15 @@ def test_random_padding_hides_that_two_commands_are_equal() -> None:
     texts = {cipher.encrypt(b"\x01\x00\x01")[0] for _ in range(20)}
     assert len(texts) == 20
     assert {cipher.decrypt(text)[:3] for text in texts} == {b"\x01\x00\x01"}
+
+
+@pytest.mark.parametrize("digits", [63, 65, 66])
+def test_a_key_with_too_few_or_too_many_digits_names_both_numbers(digits: int) -> None:
+    with pytest.raises(BadKey, match=f"has {digits} characters, 64 hex digits are needed"):
+        Key("a" * digits)
+
+
+def test_spaces_in_a_key_of_the_right_length_are_refused() -> None:
+    """bytes.fromhex forgives them, and would give a key that is too short."""
+    with pytest.raises(BadKey, match="hex digit"):
+        Key("aa " * 21 + "a")

@@ -238,11 +238,14 @@ def test_any_encryption_value_but_0_means_aes_as_in_djis_codec(encryption: int) 
 
 
 def test_without_a_key_an_encrypted_frame_is_counted_and_passed_over_whole() -> None:
-    hidden = encrypted_frame(b"secret", session=3)
-    frames, decoder = decode(GOOD + hidden + GOOD)
-    assert frames == [GOOD_DECODED, GOOD_DECODED]
+    """Ciphertext may be anything, a whole plain frame too: it was not sent, so it is not found."""
+    hidden = raw_frame(b"\x02\x01\x04" + bytes(13), sequence=7)
+    outer = raw_frame(hidden.ljust(48, b"\x55"), encryption=1, padding=1, sequence=6)
+    behind = raw_frame(b"\x02\x01\x04", sequence=8)
+    found, decoder = decode(outer + behind)
+    assert [frame.sequence for frame in found] == [8]
     assert faults(decoder) == {"no_key": 1}
-    assert decoder.discarded_bytes == len(hidden)
+    assert decoder.discarded_bytes == len(outer)
 
 
 def test_a_key_applies_to_frames_completed_after_it_is_set() -> None:
@@ -341,12 +344,25 @@ def test_the_simple_model_agrees_with_the_golden_streams() -> None:
         assert [frame.data for frame in found] == wanted
 
 
-def test_without_a_key_an_encrypted_frame_is_passed_over_whole() -> None:
-    """Ciphertext may be anything, a whole plain frame too: it was not sent, so it is not found."""
-    hidden = raw_frame(b"\x02\x01\x04" + bytes(13), sequence=7)
-    outer = raw_frame(hidden.ljust(48, b"\x55"), encryption=1, padding=1, sequence=6)
-    behind = raw_frame(b"\x02\x01\x04", sequence=8)
-    found, decoder = decode(outer + behind)
-    assert [frame.sequence for frame in found] == [8]
-    assert faults(decoder) == {"no_key": 1}
-    assert decoder.discarded_bytes == len(outer)
+# -- checksums, bit by bit -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("is_warm", [False, True], ids=["first of its kind", "kind known"])
+@pytest.mark.parametrize("bit", range(16))
+def test_a_header_with_any_wrong_checksum_begins_nothing(bit: int, is_warm: bool) -> None:
+    """Too high or too low: a header alone has no other checksum that would notice."""
+    for sequence in (0, 1, 0x5555, 0xFFFF):
+        decoder = FrameDecoder()
+        if is_warm:
+            assert decoder.feed(raw_frame(sequence=sequence))
+        assert decoder.feed(raw_frame(sequence=sequence, crc16_error=1 << bit)) == []
+        assert decoder.close() == []
+        assert decoder.discards[Discard.HEADER_CRC] >= 1
+
+
+@pytest.mark.parametrize("bit", range(32))
+def test_a_frame_with_any_wrong_checksum_is_not_delivered(bit: int) -> None:
+    for sequence in range(8):
+        found, decoder = decode(raw_frame(b"\x02\x01\x04", sequence=sequence, crc32_error=1 << bit))
+        assert found == []
+        assert decoder.discards[Discard.FRAME_CRC] == 1
