@@ -153,6 +153,13 @@ def browser(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def mutation(session: nox.Session) -> None:
+    """Changes to the code that no test notices; takes minutes to hours. `-- wire` for one room."""
+    session.install(PACKAGE, *group("test", "mutation"))
+    session.run("python", "-m", "tests.mutation", *session.posargs)
+
+
+@nox.session(default=False)
 def bench(session: nox.Session) -> None:
     """The benchmarks, beside their rivals on the same machine."""
     session.install("-e", PACKAGE, *group("bench"))

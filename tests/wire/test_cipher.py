@@ -156,3 +156,7 @@ def test_spaces_in_a_key_of_the_right_length_are_refused() -> None:
     """bytes.fromhex forgives them, and would give a key that is too short."""
     with pytest.raises(BadKey, match="hex digit"):
         Key("aa " * 21 + "a")
+
+
+def test_a_cipher_tells_its_key_to_who_compares() -> None:
+    assert Cipher(KEY).key == Key(KEY)

@@ -220,6 +220,22 @@ def test_padding_means_nothing_where_nothing_is_encrypted_as_in_djis_codec() -> 
     assert faults(decoder) == {}
 
 
+def test_an_encrypted_frame_without_padding_is_decrypted() -> None:
+    """No codec of DJI sends it; nothing in the document forbids it."""
+    data = bytes(range(16))
+    ciphertext, _ = Cipher(KEY).encrypt(data)
+    whole = raw_frame(ciphertext[:16], encryption=1, padding=0)
+    assert decode(whole, KEY)[0][0].data == data
+    assert faults(decode(whole)[1]) == {"no_key": 1}
+
+
+def test_padding_without_encryption_needs_no_key() -> None:
+    for data, padding in ((b"\x02\x01\x04", 2), (bytes(20), 16)):
+        found, decoder = decode(raw_frame(data, padding=padding))
+        assert [(frame.data, frame.encrypted) for frame in found] == [(data, False)]
+        assert faults(decoder) == {}
+
+
 def test_padding_of_all_the_data_leaves_nothing() -> None:
     (frame,), _ = decode(encrypted_frame(b""), KEY)
     assert (frame.padding, frame.data) == (16, b"")
