@@ -5,9 +5,9 @@ event loop. ``m100link sim`` runs it for people and other programs, :mod:`m100li
 to test suites.
 """
 
-from m100link.sim.autopilot import Autopilot, Counters
+from m100link.sim.autopilot import Autopilot
 from m100link.sim.clock import ScaledEventLoop, VirtualClockEventLoop, loop_factory
-from m100link.sim.commands import LastCommand
+from m100link.sim.commands import Counters, LastCommand
 from m100link.sim.line import NO_FAULTS, Line, LineFaults
 from m100link.sim.ports.driver import Driver, open_sim
 from m100link.sim.ports.pty import PtyPort

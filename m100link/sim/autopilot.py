@@ -15,7 +15,6 @@ the aircraft, a :class:`~m100link.sim.vehicle.vehicle.Vehicle`, and the session 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 from m100link.protocol.codes import ActivationCode, SystemCode, VersionCode
 from m100link.protocol.command import Notification, encode_code
@@ -23,7 +22,7 @@ from m100link.protocol.commands.activation import Activate, Version
 from m100link.protocol.commands.control import Move
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.session import Endpoint, Received, SessionMode
-from m100link.sim.commands import Commands, LastCommand
+from m100link.sim.commands import Commands, Counters, LastCommand
 from m100link.sim.telemetry import TelemetryPusher
 from m100link.sim.vehicle.dynamics import STEP_S
 from m100link.sim.vehicle.settings import AssistantSettings, Undecodable
@@ -32,27 +31,10 @@ from m100link.wire.cipher import Cipher
 from m100link.wire.crc import frame_crc32
 from m100link.wire.frame import Frame, encode_frame
 
-__all__ = ["Autopilot", "Counters"]
+__all__ = ["Autopilot"]
 
 _MOBILE_BYTES_PER_S = 1000.0  # document 2.2.3.3: around 1 KB/s from the mobile device
 _PUSH_TIMEOUT_S, _PUSH_TRIES = 0.5, 10
-
-
-@dataclass(slots=True)
-class Counters:
-    """What went over the line and what became of it.
-
-    Attributes:
-        movements: Movement commands received.
-        ignored_movements: Those without effect: no authority, illegal, on the ground, no GPS.
-        undecodable: Encrypted frames that could not be read as a command.
-        dropped_frames: Frames that nobody fetched in time.
-    """
-
-    movements: int = 0
-    ignored_movements: int = 0
-    undecodable: int = 0
-    dropped_frames: int = 0
 
 
 class _NoKey(Cipher):

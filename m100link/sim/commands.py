@@ -6,8 +6,10 @@ level too low (0xFF02), a value that cannot be read, then the command's own code
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from m100link.errors import BadSetpoint
 from m100link.protocol.codes import (
@@ -41,9 +43,10 @@ from m100link.protocol.setpoint import Setpoint
 from m100link.wire.frame import Frame
 
 if TYPE_CHECKING:
-    from m100link.sim.autopilot import Autopilot
+    from m100link.protocol.firmware import FirmwareProfile
+    from m100link.sim.vehicle.vehicle import Vehicle
 
-__all__ = ["Commands", "LastCommand", "Reply"]
+__all__ = ["CommandedAircraft", "Commands", "Counters", "LastCommand", "Reply"]
 
 
 _MISSIONS = bytes((missions.COMMAND_SET,))
@@ -83,10 +86,56 @@ class LastCommand(NamedTuple):
     code: int | None
 
 
+@dataclass(slots=True)
+class Counters:
+    """What went over the line and what became of it.
+
+    Attributes:
+        movements: Movement commands received.
+        ignored_movements: Those without effect: no authority, illegal, on the ground, no GPS.
+        undecodable: Encrypted frames that could not be read as a command.
+        dropped_frames: Frames that nobody fetched in time.
+    """
+
+    movements: int = 0
+    ignored_movements: int = 0
+    undecodable: int = 0
+    dropped_frames: int = 0
+
+
+class CommandedAircraft(Protocol):
+    """What carrying commands out needs: a vehicle, what it is asked beside it, and a record.
+
+    Attributes:
+        vehicle: What flies.
+        profile: Its firmware.
+        counters: What went over the line.
+        received_movements, received_commands: What came, newest last.
+    """
+
+    vehicle: Vehicle
+    profile: FirmwareProfile
+    counters: Counters
+    received_movements: deque[Move]
+    received_commands: deque[LastCommand]
+
+    def version(self, code: VersionCode) -> Version:
+        """The answer to a version query."""
+        ...
+
+    def activate(self, request: Activate) -> ActivationCode:
+        """The answer to an activation."""
+        ...
+
+    def set_rates(self, rates_hz: dict[str, int]) -> None:
+        """Send telemetry items at these rates."""
+        ...
+
+
 class Commands:
     """Executes commands for one autopilot: a table from the class of a command to what it does."""
 
-    def __init__(self, autopilot: Autopilot) -> None:
+    def __init__(self, autopilot: CommandedAircraft) -> None:
         self._autopilot = autopilot
         self._vehicle = autopilot.vehicle
         self._profile = autopilot.profile
