@@ -46,7 +46,6 @@ _OFF = {
     "battery_floor_percent": "Guards(battery_floor_percent=None)",
 }
 
-_MAX_LATITUDE_RAD = math.radians(89.0)  # nearer to a pole there is no local frame to measure in
 _TAKE_OFF_POLL_S = 0.02
 
 

@@ -10,6 +10,7 @@ import sys
 import time
 import weakref
 from dataclasses import dataclass
+from functools import cache
 from types import TracebackType
 from typing import Self
 
@@ -82,6 +83,7 @@ class Ticker:
         return Tick(index, index * self.period, missed, max(0.0, loop.time() - deadline))
 
 
+@cache  # asked for each setpoint
 def period_of(rate_hz: float) -> float:
     """Seconds between ticks.
 

@@ -188,6 +188,9 @@ class AngularVelocity(NamedTuple):
         return math.degrees(self.down_rad_s)
 
 
+_MAX_LATITUDE_RAD = math.radians(89.0)
+
+
 class Position(NamedTuple):
     """Position by GPS and barometer.
 
@@ -214,7 +217,7 @@ class Position(NamedTuple):
         """
         return (
             all(map(math.isfinite, self[:4]))
-            and abs(self.latitude_deg) <= 89.0
+            and abs(self.latitude_rad) <= _MAX_LATITUDE_RAD
             and abs(self.longitude_rad) <= 2 * math.pi
         )
 
