@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from m100link.errors import (
     AckTimeout,
+    BadAck,
     CommandNotSupported,
     CommandRefused,
     KeyRejected,
@@ -111,7 +112,12 @@ class Requests:
             if may_be_wrong and await self._answers_plain():
                 raise _key_rejected(request.NAME) from error
             raise
-        answer = request.parse_ack(payload)
+        try:
+            answer = request.parse_ack(payload)
+        except BadAck as error:
+            if may_be_wrong:  # what a wrong key makes of an ack is sometimes well-formed, and short
+                raise _key_rejected(request.NAME) from error
+            raise
         if isinstance(answer, AckCode) and answer.is_system:
             raise _system_error(request.NAME, answer, may_be_wrong, refusal)
         if encrypted:

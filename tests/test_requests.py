@@ -7,7 +7,7 @@ from typing import Any, assert_type, cast
 
 import pytest
 
-from m100link import Aircraft, CommandNotSupported, UsageError
+from m100link import Aircraft, BadAck, CommandNotSupported, KeyRejected, UsageError
 from m100link.protocol import (
     ActivationCode,
     ArmCode,
@@ -103,6 +103,21 @@ async def test_gimbal_and_camera_are_sent_encrypted_and_plain_without_a_key() ->
             await asyncio.sleep(0.1)
         command = flown.virtual.autopilot.received_commands[-1]
         assert (type(command.command), command.encrypted) == (TakePhoto, False)
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x07"])
+async def test_what_a_wrong_key_makes_of_an_ack_is_told_as_a_wrong_key(
+    payload: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scrambled(*_: object, **__: object) -> bytes:
+        return payload
+
+    async with rig() as flown:
+        monkeypatch.setattr(flown.aircraft.link, "request", scrambled)
+        with pytest.raises(KeyRejected):
+            await flown.aircraft.execute(RequestAuthority(obtain=False))
+        with pytest.raises(BadAck):
+            await flown.aircraft.execute(GetVersion())
 
 
 async def test_activation_travels_plain_even_with_a_key() -> None:
