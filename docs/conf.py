@@ -48,7 +48,7 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(asyncio|collections|dataclasses|enum|pathlib|struct|typing)(\..*)?"),
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
     (r"py:class", r"(Path|Random)"),
-    # Attributes are described by their class, they are no entries of their own.
+    # Attributes are described by their class, they are not entries of their own.
     (r"py:attr", r"state"),
     # Programs get a Control or a Subscription from the aircraft and never make one.
     (r"py:class", r"m100link\.flight\.(tasks\.Commander|guidance\.Flyer|lifecycle\.BlockClaim)"),

@@ -54,7 +54,7 @@ class Notifications:
         if taker is not None:
             taker(frame, now)
         else:
-            _logger.debug("a push that is no push of the document: %s", data[:16].hex())
+            _logger.debug("a push that is not a push of the document: %s", data[:16].hex())
 
     def _take(
         self,

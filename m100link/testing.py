@@ -124,7 +124,7 @@ class VirtualClock:
         return asyncio.get_running_loop().time()
 
     async def sleep_until(self, time: float) -> None:
-        """Let time pass until then; the past is no wait."""
+        """Let time pass until then; the past is not waited for."""
         await asyncio.sleep(max(0.0, time - self.now))
 
 

@@ -66,7 +66,7 @@ class Flying:
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this setpoint until it is renewed or its lifetime ends. Ends a program.
 
-        Letting go of a stick is no steering: a neutral setpoint leaves a program alone.
+        Letting go of a stick is not steering: a neutral setpoint leaves a program alone.
 
         Raises:
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.

@@ -42,7 +42,7 @@ for _command in (
 
 
 def _show_warnings() -> None:
-    """Warnings of the library go to standard error, like everything that is no data."""
+    """Warnings of the library go to standard error, like everything that is not data."""
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     logger = logging.getLogger("m100link")

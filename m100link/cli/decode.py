@@ -76,7 +76,7 @@ def _from_hex(text: str) -> bytes:
         shown = text.strip()[:40]
         raise UsageError(
             f"this is not hex: {shown!r}",
-            cause="an odd number of digits, or a character that is no hex digit",
+            cause="an odd number of digits, or a character that is not a hex digit",
             remedy="give pairs of 0-9 and a-f; spaces and colons are fine",
         ) from None
 

@@ -221,7 +221,7 @@ def _read_rates(words: tuple[str, ...]) -> dict[str, int]:
     for word in words:
         name, separator, hertz = word.partition("=")
         if not separator or not hertz.isdecimal():
-            raise UsageError(f"{word!r} is no ITEM=HZ", remedy="--rate control_device=10")
+            raise UsageError(f"{word!r} is not ITEM=HZ", remedy="--rate control_device=10")
         rates[name] = int(hertz)
     return rates
 
@@ -229,7 +229,7 @@ def _read_rates(words: tuple[str, ...]) -> dict[str, int]:
 def _read_address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65_535:
-        raise UsageError(f"{text!r} is no [HOST:]PORT", remedy="--tcp 7000 or --tcp 0.0.0.0:7000")
+        raise UsageError(f"{text!r} is not [HOST:]PORT", remedy="--tcp 7000 or --tcp 0.0.0.0:7000")
     return host or "127.0.0.1", int(port)
 
 

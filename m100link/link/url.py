@@ -84,7 +84,7 @@ def _serial(url: str, rest: str, baud_rate: int) -> ConnectionString:
         return ConnectionString("serial", rest, baud_rate)  # names by path have colons of their own
     if baud is not None:
         if not baud.isdecimal() or int(baud) == 0:
-            raise _bad(url, f"has the baud rate {baud!r}, which is no number")
+            raise _bad(url, f"has the baud rate {baud!r}, which is not a number")
         baud_rate = int(baud)
     return ConnectionString("serial", device, baud_rate)
 

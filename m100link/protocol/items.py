@@ -83,7 +83,7 @@ class Item:
         record: The record that users see.
         rate_hz: Default rate (document 2.2.3.1): 0 (not sent), 1, 10, 50 or 100 Hz.
         fields: Wire name of each field of the record, in the record's order.
-        profile_fields: What ends the record and is no wire field: attributes of the profile.
+        profile_fields: What ends the record and is not a wire field: attributes of the profile.
         layouts: Its layout by the name of the firmware that brought it.
         views: Properties of the record that are columns beside its fields.
 

@@ -32,7 +32,7 @@ def read_launch(path: Path) -> dict[str, str | int]:
     """The parameters of DJI's node in a launch file.
 
     Raises:
-        UsageError: The file cannot be read, is no XML, has a document type or a value that needs
+        UsageError: The file cannot be read, is not XML, has a document type or a value that needs
             roslaunch to be understood.
     """
     try:
@@ -40,7 +40,7 @@ def read_launch(path: Path) -> dict[str, str | int]:
     except OSError as error:
         raise UsageError(f"the launch file cannot be read: {error}") from error
     if len(text) > _MAX_SIZE:
-        raise UsageError(f"{path} has {len(text)} bytes: that is no launch file")
+        raise UsageError(f"{path} has {len(text)} bytes: that is not a launch file")
     return {
         LAUNCH_NAMES[name]: _value(LAUNCH_NAMES[name], value, path)
         for name, value in _parameters(text, path).items()
@@ -71,7 +71,7 @@ def _parameters(text: bytes, path: Path) -> dict[str, str]:
         hint = ""
         if b"<!-- your" in text:
             hint = "replace the places like <!-- your appid --> by your own values"
-        raise UsageError(f"{path} is no XML: {error}", remedy=hint) from error
+        raise UsageError(f"{path} is not XML: {error}", remedy=hint) from error
     return found
 
 

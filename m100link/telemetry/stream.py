@@ -78,7 +78,7 @@ class TelemetryStream:
                 )
             wanted |= 1 << item.bit
         if rate_hz is not None and not rate_hz > 0:
-            raise UsageError(f"a rate of {rate_hz} Hz is no rate")
+            raise UsageError(f"a rate of {rate_hz} Hz is not a rate")
         return self._hub.subscribe(
             policy,
             min_interval=1.0 / rate_hz if rate_hz else 0.0,

@@ -86,7 +86,7 @@ def _from_hex(text: str) -> bytes:
     if len(value) != KEY_SIZE:  # fromhex forgives spaces between bytes, a key has none
         # The ValueError is not chained: its message may quote the key.
         raise BadKey(
-            "the key has a character that is no hex digit",
+            "the key has a character that is not a hex digit",
             remedy="copy the enc key of your app again: 64 digits, 0-9 and a-f",
         ) from None
     return value

@@ -299,7 +299,7 @@ class FrameDecoder:
                 if discard is not None:
                     self.discards[discard] += 1
                     # An intact frame for which there is no key is passed over whole; one whose
-                    # padding cannot be is no frame, so the search goes on inside it.
+                    # padding cannot be is not a frame, so the search goes on inside it.
                     position = end if discard is Discard.NO_KEY else position + 1
                     continue
             # Frame(…) would go through a constructor in Python, at twice the cost.
@@ -342,7 +342,7 @@ _after_flood = re.compile(b"[^\xaa]").search
 def _flood(data: bytes, position: int) -> int:
     """How many of the start bytes that follow each other from here begin no header.
 
-    Twelve start bytes in a row are no header (their CRC16 is wrong), so where a line floods with
+    Twelve start bytes in a row are not a header (their CRC16 is wrong), so where a line floods with
     them only the last eleven are worth a look.
     """
     after = _after_flood(data, position)

@@ -67,7 +67,7 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("serve",), "no aircraft was named"),
         (("serve", "--sim", "--host", "0.0.0.0"), "there is no token"),
         (("serve", "--sim", "--launch", "/none.launch"), "launch file cannot be read"),
-        (("serve", "--sim", "--pages", "/none"), "is no folder"),
+        (("serve", "--sim", "--pages", "/none"), "is not a folder"),
         (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "TLS files"),
     ],
 )

@@ -188,6 +188,6 @@ async def test_an_agent_that_is_killed_is_told_by_its_front_and_its_port_is_free
 
 
 async def test_mistakes_in_what_is_served_are_told_as_ever(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="is no folder"):
+    with pytest.raises(UsageError, match="is not a folder"):
         async with running_apart(Settings(sim=True, port=0, pages=tmp_path / "none")):
             pass

@@ -119,12 +119,12 @@ OUTSIDE = """<!DOCTYPE launch [<!ENTITY x SYSTEM "file:///etc/passwd">]>
         (BOMB, "document type or entities"),
         (OUTSIDE, "document type or entities"),
         ('<!DOCTYPE launch SYSTEM "http://a/b.dtd"><launch/>', "document type or entities"),
-        ("<launch>", "is no XML"),
-        ("", "is no XML"),
+        ("<launch>", "is not XML"),
+        ("", "is not XML"),
         ('<launch><param name="app_id" value="<!-- your appid -->"/></launch>', "own values"),
         ('<launch><param name="app_id" value="$(arg id)"/></launch>', "only roslaunch"),
         ('<launch><param name="app_id" value="ten"/></launch>', "no number"),
-        ("<launch>" + " " * 300_000 + "</launch>", "no launch file"),
+        ("<launch>" + " " * 300_000 + "</launch>", "not a launch file"),
     ],
 )
 def test_launch_files_made_to_harm_or_not_filled_in(tmp_path: Path, text: str, says: str) -> None:

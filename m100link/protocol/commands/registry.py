@@ -46,18 +46,18 @@ COMMANDS: dict[Address, type[Command]] = {
 
 
 def address_of(data: bytes) -> Address | None:
-    """Command set and id of the data of a frame that is no ack; None when it is too short."""
+    """Command set and id of the data of a frame that is not an ack; None when it is too short."""
     return Address(data[0], data[1]) if len(data) >= 2 else None
 
 
 def parse_command(data: bytes, profile: FirmwareProfile) -> Command | Unrecognised:
-    """Read the data of a frame that is no ack. Never raises: what cannot be read says why."""
+    """Read the data of a frame that is not an ack. Never raises: what cannot be read says why."""
     address = address_of(data)
     if address is None:
         return Unrecognised(None, data, "too short for a command set and id")
     command = COMMANDS.get(address)
     if command is None:
-        return Unrecognised(address, data[2:], f"{address} is no command of the document")
+        return Unrecognised(address, data[2:], f"{address} is not a command of the document")
     try:
         return command.parse(data[2:], profile)
     except ValueError as error:

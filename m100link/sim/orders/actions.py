@@ -58,7 +58,7 @@ def _number(words: list[str], index: int = 0) -> float:
     except IndexError:
         raise UsageError("a number is missing") from None
     except ValueError:
-        raise UsageError(f"{words[index]!r} is no number") from None
+        raise UsageError(f"{words[index]!r} is not a number") from None
 
 
 def _numbers(named: dict[str, str]) -> dict[str, float]:

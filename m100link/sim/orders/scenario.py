@@ -51,14 +51,14 @@ class Scenario:
         """Read a file.
 
         Raises:
-            UsageError: It is not there, is no TOML, or a step cannot be one.
+            UsageError: It is not there, is not TOML, or a step cannot be one.
         """
         try:
             content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise UsageError(f"{path}: {error.strerror}") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise UsageError(f"{path} is no TOML: {error}") from error
+            raise UsageError(f"{path} is not TOML: {error}") from error
         steps = content.get("step", [])
         if not isinstance(steps, list) or set(content) - {"step"}:
             raise UsageError(

@@ -114,7 +114,7 @@ class PtyPort:
                 )
         elif link.exists():
             raise PortBusy(
-                f"{link} exists and is no symbolic link",
+                f"{link} exists and is not a symbolic link",
                 cause="a real device or file has this name",
                 remedy="choose another name; it is not replaced",
             )

@@ -51,7 +51,7 @@ class TaskMachine:
         return self.state is TaskState.EXECUTING
 
     def start(self, task_sequence: int, task: Task | None, conditions_met: bool) -> TaskStartCode:
-        """Answer 0x01/0x01. ``task`` is None for a number that is no task."""
+        """Answer 0x01/0x01. ``task`` is None for a number that is not a task."""
         if self.is_executing or task is None or not conditions_met:
             return TaskStartCode.REJECTED
         self.state = TaskState.EXECUTING

@@ -124,7 +124,7 @@ def console_app(agent: AgentClient, settings: Settings, orders: Orders | None) -
     app.mount("/console", StaticFiles(directory=STATIC))
     if settings.tiles is not None:
         if not settings.tiles.is_dir():
-            raise UsageError(f"{settings.tiles} is no folder")
+            raise UsageError(f"{settings.tiles} is not a folder")
         app.mount("/tiles", PublicFiles(directory=settings.tiles))
 
     def page(client: Client) -> None:

@@ -206,7 +206,7 @@ class Client:
         try:
             message = json.loads(frame, parse_constant=_refuse_constant)
         except (ValueError, RecursionError) as error:
-            raise _Fault(f"this is no JSON: {str(error)[:200]}") from None
+            raise _Fault(f"this is not JSON: {str(error)[:200]}") from None
         if not isinstance(message, dict):
             raise _Fault("a frame is a JSON object")
         return message

@@ -186,7 +186,7 @@ class MessageType:
             BadMessage: An unknown field, or a value of the wrong type or size.
         """
         if not isinstance(value, dict):
-            raise BadMessage(f"{where or self.name} is no object")
+            raise BadMessage(f"{where or self.name} is not an object")
         names = {field.name for field in self.fields}
         if unknown := [name for name in value if name not in names]:
             raise BadMessage(f"{self.name} has no field {str(unknown[0])[:64]!r}")
@@ -316,7 +316,7 @@ def _read(field: Field, value: Any, path: str) -> Any:
     if field.is_bytes and not isinstance(value, list | str | bytes):
         raise BadMessage(_NO_BYTES.format(path))
     if not field.is_bytes and not isinstance(value, list):
-        raise BadMessage(f"{path} is no list")
+        raise BadMessage(f"{path} is not a list")
     most = field.length or field.bound
     if len(value) > (4 * (most // 3 + 1) if isinstance(value, str) else most):
         raise BadMessage(f"{path} has more than {most} elements")
@@ -344,7 +344,7 @@ def _read_bytes(value: Any, path: str) -> bytes:
 
 
 def _fail(path: str, wanted: str) -> Any:
-    raise BadMessage(f"{path} is no {wanted}")
+    raise BadMessage(f"{path} is not {wanted}")
 
 
 def _read_scalar(kind: str, value: Any, path: str) -> Any:
@@ -357,7 +357,7 @@ def _read_scalar(kind: str, value: Any, path: str) -> Any:
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if not isinstance(value, int) or isinstance(value, bool):
-        return _fail(path, kind)
+        return _fail(path, f"of type {kind}")
     if not low <= value <= high:
         raise BadMessage(f"{path} is {value}, outside {low} to {high}")
     return value
@@ -368,7 +368,7 @@ def _read_float(limit: float) -> Callable[[Any, str], float]:
         if value is None:
             return math.nan
         if not isinstance(value, int | float) or isinstance(value, bool):
-            return float(_fail(path, "number"))
+            return float(_fail(path, "a number"))
         try:
             number = float(value)
         except OverflowError:
@@ -381,7 +381,7 @@ def _read_float(limit: float) -> Callable[[Any, str], float]:
 
 
 def _read_string(value: Any, path: str) -> str:
-    return value if isinstance(value, str) else str(_fail(path, "string"))
+    return value if isinstance(value, str) else str(_fail(path, "a string"))
 
 
 def _read_bool(value: Any, path: str) -> bool:
@@ -393,7 +393,7 @@ def _read_time(value: Any, path: str) -> Message:
     if value == "now":
         return present()
     if not isinstance(value, dict) or not set(value) <= {"secs", "nsecs", "sec", "nanosec"}:
-        raise BadMessage(f"{path} is no time")
+        raise BadMessage(f"{path} is not a time")
     return {
         "secs": _read_scalar("uint32", value.get("secs", value.get("sec", 0)), path),
         "nsecs": _read_scalar("uint32", value.get("nsecs", value.get("nanosec", 0)), path),
@@ -413,7 +413,7 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
 def _base64(value: Any) -> str:
     if isinstance(value, bytes):
         return base64.b64encode(value).decode("ascii")
-    raise TypeError(f"{type(value).__name__} is no value of a ROS message")
+    raise TypeError(f"{type(value).__name__} is not a value of a ROS message")
 
 
 def _without_nan(value: Any) -> Any:

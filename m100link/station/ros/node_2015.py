@@ -248,5 +248,5 @@ class Node:
 def _byte(data: float) -> int:
     """A float as the C program casts it to a byte."""
     if not math.isfinite(data):
-        raise UsageError(f"{data} is no number")
+        raise UsageError(f"{data} is not a number")
     return int(data) & 0xFF

@@ -185,7 +185,7 @@ def _typedef(kind: MessageType) -> Message:
         "type": kind.type_name,
         "fieldnames": [field.name for field in fields],
         "fieldtypes": [field.type for field in fields],
-        # -1 is no array, 0 one of any length.
+        # -1 is not an array, 0 one of any length.
         "fieldarraylen": [-1 if field.length is None else field.length for field in fields],
         "examples": [_example(kind, field.name) for field in fields],
         "constnames": [],

@@ -200,7 +200,7 @@ class HttpConnection(H11Protocol):
             self._patience = self.loop.call_later(PATIENCE, self._look_again)
 
     def send_400_response(self, msg: str) -> None:
-        """What is no HTTP has no application that could answer."""
+        """What is not HTTP has no application that could answer."""
         text = msg.encode("ascii")
         headers = [(name.encode(), value.encode()) for name, value in HEADERS]
         headers += [

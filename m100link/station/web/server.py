@@ -94,7 +94,7 @@ class Bridge:
         ]
         if pages is not None:
             if not pages.is_dir():
-                raise UsageError(f"{pages} is no folder")
+                raise UsageError(f"{pages} is not a folder")
             routes.append(Mount("/", PublicFiles(directory=pages, html=True)))
         else:
             routes.append(Route("/", self._greet))

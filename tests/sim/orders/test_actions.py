@@ -155,7 +155,7 @@ def test_a_scenario_happens_at_its_times(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("at = ", "no TOML"),
+        ("at = ", "not TOML"),
         ("[other]\n", "list of"),
         ("[[step]]\nat = 1\n", "'at'"),
         ('[[step]]\nat = -1\ndo = "status"\n', "seconds"),

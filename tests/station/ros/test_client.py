@@ -75,7 +75,7 @@ def test_publishing_needs_a_topic_that_takes_it_and_a_valid_message() -> None:
     assert bench.send("advertise", topic="/steer", type="std_msgs/Float32", id="a") == []
     assert bench.send("publish", topic="/steer", msg={"data": 2}) == []
     (mistyped,) = bench.send("publish", topic="/steer", msg={"data": "fast"})
-    assert "data is no number" in mistyped["msg"]
+    assert "data is not a number" in mistyped["msg"]
     assert bench.send("unadvertise", topic="/steer", id="a") == []
     assert bench.published == [{"data": 1.0}, {"data": 2.0}]
 

@@ -369,7 +369,7 @@ async def test_a_key_ends_a_simple_task(rig: Rig) -> None:
     page = await rig.airborne()
     page.publish("/sdk_request_simple_task", data=1)
     await anyio.sleep(1.0)
-    page.publish("/sdk_request_ctrl", **ZERO)  # letting go is no steering
+    page.publish("/sdk_request_ctrl", **ZERO)  # letting go is not steering
     assert rig.agent.holding.pattern is not None
     page.publish("/sdk_request_ctrl", **(ZERO | {"y": 2}))
     await rig.until(lambda: rig.agent.holding.pattern is None, within=0.1)
