@@ -11,12 +11,15 @@ from m100link.telemetry.state import AircraftState
 __all__ = ["TelemetryWatchdog"]
 
 _SLACK_S = 0.01  # so that a timer that is on time finds the limit passed
+_BLOCKED_S = 0.1  # a timer that is later than this says that the program itself did not run
+_GRACE_S = 0.05  # after that, time to read what came meanwhile
 
 
 class TelemetryWatchdog:
     """Looks at the age of the newest telemetry when asked, and by a timer when nobody asks.
 
-    Telemetry that never came cannot be missed.
+    Telemetry that never came cannot be missed. When this program itself did not run, what came
+    meanwhile is read first: only telemetry that is still missing then counts as a stall.
 
     Args:
         state: Telemetry.
@@ -35,14 +38,15 @@ class TelemetryWatchdog:
         self._on_stall = on_stall
         self._clock = asyncio.get_running_loop().time
         self._timer: asyncio.TimerHandle | None = None
+        # Until when old telemetry is forgiven; None while it is not old.
+        self._grace_ends_at: float | None = None
 
     def start(self) -> None:
         """Look now, and whenever telemetry would be too old; until it was, or :meth:`stop`."""
         if self._limit is not None and self.is_quiet():
             age = self._state.newest_age or 0.0
-            self._timer = asyncio.get_running_loop().call_later(
-                self._limit - age + _SLACK_S, self.start
-            )
+            rest = self._limit - age if age <= self._limit else _GRACE_S
+            self._timer = asyncio.get_running_loop().call_later(rest + _SLACK_S, self.start)
 
     def stop(self) -> None:
         """Look no more."""
@@ -56,6 +60,9 @@ class TelemetryWatchdog:
             return True
         age = self._clock() - newest_at
         if age <= self._limit:
+            self._grace_ends_at = None
+            return True
+        if self._is_forgiven():
             return True
         self._on_stall(
             TelemetryStalled(
@@ -65,3 +72,10 @@ class TelemetryWatchdog:
             )
         )
         return False
+
+    def _is_forgiven(self) -> bool:
+        now = self._clock()
+        if self._grace_ends_at is None:
+            was_blocked = self._timer is not None and now - self._timer.when() > _BLOCKED_S
+            self._grace_ends_at = now + _GRACE_S if was_blocked else now
+        return now < self._grace_ends_at
