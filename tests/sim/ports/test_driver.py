@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 import tracemalloc
 
 import pytest
@@ -357,13 +356,10 @@ async def test_bad_sim_urls_say_so(url: str, virtual_clock: VirtualClock) -> Non
 # --- pace -----------------------------------------------------------------------------------
 
 
-async def test_time_flies_at_least_fifty_times_as_fast_as_it_passes(
-    virtual_aircraft: ConnectableAircraft,
-) -> None:
+async def test_two_minutes_of_flight_lose_nothing(virtual_aircraft: ConnectableAircraft) -> None:
     """Telemetry at default rates, movement at 50 Hz, through the event loop and a cable.
 
-    The bound is wider than the goal of 300 times, for slow machines, and counts what this process
-    works and not what others do meanwhile; the benchmark measures.
+    How fast that is, the benchmark of the virtual aircraft measures.
     """
     listener = Listener()
     transport = virtual_aircraft.connect_protocol(listener)
@@ -372,7 +368,7 @@ async def test_time_flies_at_least_fifty_times_as_fast_as_it_passes(
     await asyncio.sleep(8.0)
     virtual_aircraft.vehicle.authority.is_requested = True
     move = encode_frame(bytes.fromhex("010348" + "0000803f" + 12 * "00"), session=0, sequence=1)
-    began, left = time.process_time(), 6_000
+    left = 6_000
 
     def send() -> None:
         nonlocal left
@@ -383,11 +379,8 @@ async def test_time_flies_at_least_fifty_times_as_fast_as_it_passes(
 
     send()
     await asyncio.sleep(120.0)
-    worked = time.process_time() - began
-    print(f"120 s of flight in {worked:.2f} s")  # noqa: T201
     assert virtual_aircraft.autopilot.counters.movements == 6_000
     assert listener.frames >= 12_700
-    assert worked < 120.0 / 50
 
 
 def test_packets_carry_what_the_driver_made(virtual_aircraft: ConnectableAircraft) -> None:
