@@ -180,8 +180,8 @@ async def test_a_bad_line_is_no_reason_not_to_connect(loss: float) -> None:
     [
         ("ttyUSB0", "names neither"),
         ("", "names neither"),
-        ("serial:///dev/ttyUSB0:fast", "no number"),
-        ("serial:///dev/ttyUSB0:0", "no number"),
+        ("serial:///dev/ttyUSB0:fast", "not a number"),
+        ("serial:///dev/ttyUSB0:0", "not a number"),
         ("tcp://somewhere", "no host or no port"),
         ("carrier-pigeon://coop", "no transport called"),
     ],

@@ -86,4 +86,4 @@ def _value(name: str, value: str, path: Path) -> str | int:
     try:
         return int(value, 0)
     except ValueError:
-        raise UsageError(f"{path}: {name} is {value!r}, no number") from None
+        raise UsageError(f"{path}: {name} is {value!r}, which is not a number") from None

@@ -123,7 +123,7 @@ OUTSIDE = """<!DOCTYPE launch [<!ENTITY x SYSTEM "file:///etc/passwd">]>
         ("", "is not XML"),
         ('<launch><param name="app_id" value="<!-- your appid -->"/></launch>', "own values"),
         ('<launch><param name="app_id" value="$(arg id)"/></launch>', "only roslaunch"),
-        ('<launch><param name="app_id" value="ten"/></launch>', "no number"),
+        ('<launch><param name="app_id" value="ten"/></launch>', "not a number"),
         ("<launch>" + " " * 300_000 + "</launch>", "not a launch file"),
     ],
 )
