@@ -111,11 +111,15 @@ class Link(asyncio.Protocol):
         self.on_received = on_received
         self.on_lost = on_lost
         self.name = "link"
+        # None until the line is open; what becomes of it then is in _failure.
         self._transport: asyncio.Transport | None = None
+        # Who waits for which ack, by the token of the session's request.
         self._pending: dict[int, _Pending] = {}
+        # The one timer of all requests; it stands at the earliest repeat or end of a wait.
         self._timer: asyncio.TimerHandle | None = None
+        # False while the transport's buffer is full: pushes are dropped then, never queued.
         self._is_writable = True
-        self._is_closed_by_us = False
+        # The first reason counts; whoever comes later gets the same one.
         self._failure: LinkError | None = None
         self._connected: asyncio.Future[None] = self._loop.create_future()
         self._disconnected = asyncio.Event()
@@ -241,7 +245,6 @@ class Link(asyncio.Protocol):
         Bytes already written get up to a second to leave. May be called any number of times.
         """
         if self._transport is not None and self._failure is None:
-            self._is_closed_by_us = True
             self._fail(LinkClosed("the link was closed by this side"))
             try:
                 await self._drain()
