@@ -182,7 +182,6 @@ TESTED_ELSEWHERE = {
     "agent/connection.py": ("agent/test_agent.py", "a part that only the agent has"),
     "agent/patterns.py": ("station/ros/test_node_2015.py", "flown by the commands of 2015"),
     "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
-    "flight/watchdog.py": ("flight/test_control_ends.py", "it exists to end a block"),
     "protocol/records.py": ("protocol/test_packet.py", "records are what packages are read into"),
     "session/events.py": ("session/test_endpoint.py", "names and counters, nothing to run"),
     "sim/orders/ctl.py": ("cli/test_sim.py", "a socket between two processes"),
