@@ -72,7 +72,7 @@ class UnixChannel(asyncio.Protocol):
         while len(self._received) >= _LENGTH.size and self._transport is not None:
             (size,) = _LENGTH.unpack_from(self._received)
             if size > MAX_SIZE:
-                self.close(f"a message of {size} bytes")
+                self._refuse(f"a message of {size} bytes")
                 return
             end = _LENGTH.size + size
             if len(self._received) < end:
@@ -85,7 +85,7 @@ class UnixChannel(asyncio.Protocol):
         try:
             message = decode(body)
         except MessageError as error:
-            self.close(error.seen)
+            self._refuse(error.seen)
             return
         if isinstance(message, Goodbye):
             self._reason = message.reason
@@ -96,6 +96,12 @@ class UnixChannel(asyncio.Protocol):
             except Exception:
                 # What goes wrong with one message does not end the reader.
                 _logger.exception("a %s was not taken", type(message).__name__)
+
+    def _refuse(self, reason: str) -> None:
+        """End it for what came in: neither end has asked for that, so both are told."""
+        self._reason = reason
+        self.send(Goodbye(reason))
+        self._end()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The socket is gone."""

@@ -104,6 +104,8 @@ async def test_what_is_not_a_message_ends_the_connection(data: bytes) -> None:
                 while await loop.sock_recv(raw, 1000):
                     pass
         assert agent.inbox == []
+        assert len(agent.reasons) == 1, "whoever listens has to know that the other end is gone"
+        assert "message" in agent.reasons[0]
 
 
 async def test_the_reason_of_a_close_is_told() -> None:
