@@ -241,6 +241,8 @@ async def running_apart(
         stack.push_async_callback(front.end)
         keeping = asyncio.create_task(front.keep(), name="m100link station: fronts")
         stack.push_async_callback(_ended, keeping)
+        # Before the child is waited for: one that hangs must not fly on until its lease ends.
+        stack.callback(owner.service.close)
         yield RunningApart(owner, front, sockets)
 
 

@@ -18,6 +18,7 @@ pytest.importorskip("uvicorn")
 from websockets.asyncio.client import ClientConnection, connect
 
 from m100link.errors import M100Error, UsageError
+from m100link.station import apart
 from m100link.station.apart import RunningApart, front_settings, running_apart
 from m100link.station.config import Settings, resolve
 from m100link.station.front import NICENESS
@@ -155,6 +156,23 @@ async def test_pages_asked_for_without_pause_do_not_end_a_flight() -> None:
         assert one.agent.holding.has_authority
         assert one.front.pid == before
         await until(lambda: east(one) == 1.0)
+
+
+async def test_the_end_gives_authority_back_before_it_waits_for_a_front_that_hangs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(apart, "_END_TIMEOUT", 0.5)
+    was_running: list[bool] = []
+    async with AsyncExitStack() as stack, running_apart(Settings(sim=True, port=0)) as one:
+        address = f"ws://127.0.0.1:{one.ports[0]}"
+        client = await stack.enter_async_context(connect(address, close_timeout=0.1))
+        await Pilot(client).take_off()
+        await until(lambda: one.agent.holding.task is None)
+        assert one.front.pid is not None
+        os.kill(one.front.pid, signal.SIGSTOP)
+        one.agent.holding.on_change.append(lambda *_: was_running.append(one.front.pid is not None))
+    assert was_running, "authority stayed where it was"
+    assert was_running[0], "the aircraft flew on while the end waited for the child"
 
 
 async def test_an_agent_that_is_killed_is_told_by_its_front_and_its_port_is_free() -> None:
