@@ -203,15 +203,30 @@ class GuardKeeper:
         here = self._from_start(known(self._state, Position))
         if place is not None and here is not None and self._origin is not None:
             far = math.hypot(*self._origin.to_local(*place)) + radius
-        for value, limit, seen, name, option in (
-            (height, envelope.max_height_m, "a height of {:.1f} m", "max_height_m", "--max-height"),
-            (far, envelope.max_radius_m, "{:.0f} m from the start", "max_radius_m", "--max-radius"),
-            (speed, envelope.max_speed_m_s, "a speed of {:.1f} m/s", "max_speed_m_s", ""),
+        for value, limit, unit, seen, name, option in (
+            (
+                height,
+                envelope.max_height_m,
+                "m",
+                "a height of {:.1f} m",
+                "max_height_m",
+                "--max-height",
+            ),
+            (
+                far,
+                envelope.max_radius_m,
+                "m",
+                "{:.0f} m from the start",
+                "max_radius_m",
+                "--max-radius",
+            ),
+            (speed, envelope.max_speed_m_s, "m/s", "a speed of {:.1f} m/s", "max_speed_m_s", ""),
         ):
             if value is not None and value > limit + 1e-9:
                 widen = f"control(guards=Guards(envelope=Envelope({name}=…)))"
                 raise GuardRefused(
-                    f"{what} to {seen.format(value)} was refused: the envelope ends at {limit:g}",
+                    f"{what} to {seen.format(value)} was refused: the envelope ends at "
+                    f"{limit:g} {unit}",
                     guard="envelope",
                     measured=value,
                     limit=limit,
