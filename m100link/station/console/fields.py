@@ -83,8 +83,8 @@ FIELDS: tuple[Field, ...] = (
     Field("latitude", "Latitude", Position, lambda p: f"{p.latitude_deg:.6f}°"),
     Field("longitude", "Longitude", Position, lambda p: f"{p.longitude_deg:.6f}°"),
     Field("speed", "Ground speed", Velocity, lambda v: f"{v.ground_speed_m_s:.1f} m/s"),
-    Field("climb", "Climb", Velocity, lambda v: f"{v.up_m_s:+.1f} m/s"),
-    Field("heading", "Heading", Attitude, lambda a: f"{a.yaw_deg % 360:.0f}°"),
+    Field("climb", "Climb", Velocity, lambda v: f"{v.up_m_s:+z.1f} m/s"),
+    Field("heading", "Heading", Attitude, lambda a: f"{round(a.yaw_deg) % 360}°"),
     Field(
         "gimbal",
         "Gimbal",

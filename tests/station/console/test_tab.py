@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import anyio
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from m100link.agent.lease import LeaseHeld, LeaseRefused
 from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Attitude, Velocity
 from m100link.station.console.fields import FIELDS, live, read
 from m100link.station.console.tab import BEAT_LIFETIME, Tab, _read
 from tests.station.conftest import Rig
@@ -264,6 +266,15 @@ def test_a_message_is_whole_or_nothing(message: dict[str, Any]) -> None:
         assert type(result["n"]) is int
         if result["op"] == "beat":
             assert all(isinstance(result[axis], int | float) for axis in "xyzw")
+
+
+def test_no_field_shows_a_zero_below_zero_or_a_whole_turn() -> None:
+    fields = {field.name: field for field in FIELDS}
+    half = math.radians(-0.2) / 2
+    a_bit_west = Attitude(q0=math.cos(half), q1=0.0, q2=0.0, q3=math.sin(half))
+    assert fields["heading"].text(a_bit_west) == "0°"
+    sinking = Velocity(north_m_s=0.0, east_m_s=0.0, up_m_s=-0.02, status=None)
+    assert fields["climb"].text(sinking) == "+0.0 m/s"
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "1", "[" * 1000, "x" * 3000, b"\xff\xfe"])
