@@ -51,7 +51,10 @@ def _read(path: Path, what: str) -> bytes:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
             data = file.read(MAX_SECRET_SIZE + 1)
     except OSError as error:
-        raise UsageError(f"the {what} file cannot be read: {error}") from error
+        raise UsageError(
+            f"the {what} file {path} cannot be read: {error.strerror}",
+            remedy="check the path, and who may read it",
+        ) from error
     if mode & 0o077:
         raise UsageError(
             f"the {what} file {path} can be read by others (mode {mode:o})",

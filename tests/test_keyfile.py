@@ -46,8 +46,9 @@ def test_what_others_can_read_is_refused(tmp_path: Path, read: object, mode: int
 def test_what_cannot_be_read_names_the_file(tmp_path: Path, read: object) -> None:
     assert callable(read)
     for path in (tmp_path / "none", tmp_path):
-        with pytest.raises(UsageError, match="cannot be read"):
+        with pytest.raises(UsageError, match=f"{path} cannot be read") as caught:
             read(path)
+        assert "check the path" in caught.value.remedy
     with pytest.raises(UsageError, match="not ASCII"):
         read(write(tmp_path / "umlaut", "ü".encode() * 20))
     with pytest.raises(UsageError, match=f"more than {MAX_SECRET_SIZE} bytes"):
