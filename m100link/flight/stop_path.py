@@ -13,7 +13,7 @@ from m100link.flight.authority import AuthorityState
 from m100link.flight.handover import explained_loss, release_authority
 from m100link.flight.lifecycle import Lifecycle
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
-from m100link.flight.tasks import Commander, run_task
+from m100link.flight.tasks import STATUS_AGE_S, Commander, run_task
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
@@ -26,7 +26,6 @@ StopAction = Literal["hover", "land"]
 
 _LANDING_DEADLINE_S = 60.0
 _LANDING_RETRY_S = 0.5
-_STATUS_AGE_S = 2.5  # the slowest rate of the item is 1 Hz
 _LEAVES_THE_GROUND_S = 1.0  # after a take-off was commanded, if it does at all
 
 
@@ -128,7 +127,7 @@ class StopPath:
             return True
         if take_off_at is not None:  # "standby" of before it left the ground proves nothing
             return status_at is None or status_at < take_off_at + _LEAVES_THE_GROUND_S
-        if status_at is None or self._clock() > status_at + _STATUS_AGE_S:
+        if status_at is None or self._clock() > status_at + STATUS_AGE_S:
             _logger.error(
                 "stop='land' did not land: the flight status is %s, and no take-off was commanded",
                 "unknown" if status is None else "old",

@@ -19,7 +19,7 @@ from m100link.errors import (
 )
 from m100link.protocol.codes import TaskResultCode, TaskStartCode
 from m100link.protocol.commands.control import QueryTask, StartTask, Task
-from m100link.protocol.records import FlightPhase
+from m100link.protocol.records import FlightPhase, FlightStatus, Position
 
 if TYPE_CHECKING:
     from m100link.flight.authority import Authority
@@ -37,6 +37,9 @@ _TAKEN_OFF_HEIGHT_M = 1.0
 _SETTLED_S = 1.0
 _SETTLED_M_S = 0.15
 _UNANSWERED = 3  # queries in a row, after which what telemetry shows must do
+
+STATUS_AGE_S = 2.5
+"""Seconds after which a flight status shows nothing; the slowest rate of the item is 1 Hz."""
 
 TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
 """Seconds to wait for the end of each task unless told otherwise."""
@@ -203,8 +206,11 @@ class _Watch:
         return result not in (None, TaskResultCode.EXECUTING) and is_observed
 
     def _is_observed(self) -> bool:
-        """Whether telemetry shows the end, for a while: at 1 m a take-off is still climbing."""
-        status = self._state.flight_status
+        """Whether telemetry shows the end, for a while: at 1 m a take-off is still climbing.
+
+        What is old shows nothing: an item that stopped on the ground still says "standby".
+        """
+        status = self._state.fresh(FlightStatus, within=STATUS_AGE_S)
         if self._task is not Task.TAKE_OFF:
             return status is not None and status.status == FlightPhase.STANDBY
         if not self._hovers():
@@ -216,7 +222,8 @@ class _Watch:
         return now - self._observed_since >= _SETTLED_S
 
     def _hovers(self) -> bool:
-        status, position = self._state.flight_status, self._state.position
+        status = self._state.fresh(FlightStatus, within=STATUS_AGE_S)
+        position = self._state.fresh(Position, within=STATUS_AGE_S)
         velocity = self._state.velocity
         return (
             status is not None

@@ -188,6 +188,20 @@ async def test_without_the_result_query_what_telemetry_shows_decides() -> None:
         assert flown.virtual.height == 0.0
 
 
+async def test_an_old_standby_does_not_show_that_a_landing_is_done() -> None:
+    """The item stopped on the ground, and the result query brings nothing."""
+    async with rig() as flown:
+        flown.virtual.set_rates(flight_status=0)
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+            handlers = flown.virtual.autopilot._commands._handlers
+            handlers[QueryTask] = lambda query: TaskResultCode.NOT_CURRENT
+            flown.virtual.vehicle.flight.dynamics.place(0.0, 0.0, 15.0)
+            with pytest.raises(NotObserved):
+                await control.land(timeout=4.0)
+            assert flown.virtual.height > 1.0
+
+
 async def test_neither_seen_nor_told_is_not_observed_and_says_that_it_may_still_run() -> None:
     async with rig() as flown, flown.aircraft.control() as control:
         start = flown.now
