@@ -60,9 +60,16 @@ class StopPath:
             raise
 
     def let_go(self) -> None:
-        """At once: the neutral instead of the setpoint that is being sent, or nothing."""
+        """At once: the neutral instead of the setpoint that is being sent, or nothing.
+
+        A neutral that cannot be sent must not keep the steps after it from their turn.
+        """
         if self._life.plan.neutral:
-            self._setpoints.neutralise()
+            try:
+                self._setpoints.neutralise()
+            except M100Error as error:  # the firmware was found to be another one
+                _logger.error("no neutral was sent, and nothing more will be: %s", error)
+                self._setpoints.silence()
         else:
             self._setpoints.silence()
 

@@ -21,6 +21,8 @@ from m100link import (
     TelemetryStalled,
 )
 from m100link.flight.guards import GuardKeeper
+from m100link.protocol.codes import VersionCode
+from m100link.protocol.commands.activation import GetVersion, Version
 from tests.rig import FIRMWARES, NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -264,6 +266,32 @@ async def test_a_step_that_fails_does_not_keep_the_release_from_its_turn(
                 await flown.fly(control)
                 monkeypatch.setattr("m100link.flight.stop_path.run_task", explode)
         flown.assert_stopped_in_order()
+        assert flown.is_released
+
+
+async def test_a_neutral_that_cannot_be_sent_does_not_keep_the_block_from_its_end(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Asked again in flight, the aircraft names an unknown firmware: nothing is sent to that."""
+    async with rig() as flown:
+        handlers = flown.virtual.autopilot._commands._handlers
+        known = handlers[GetVersion]
+        control = flown.aircraft.control()
+        await control.__aenter__()
+        await control.take_off()
+        control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
+        await asyncio.sleep(1.0)
+        name = "SDK-v9.9 BETA M999-09.09.09.09"
+        handlers[GetVersion] = lambda _: Version(VersionCode.ACTIVATED, 0, name)
+        await flown.aircraft.version()
+        await asyncio.sleep(0.1)
+        await control.__aexit__(None, None, None)
+        assert "no neutral was sent" in caplog.text
+        await flown.assert_hovers()
+        handlers[GetVersion] = known
+        await flown.aircraft.version()
+        async with flown.aircraft.control():
+            pass
         assert flown.is_released
 
 
