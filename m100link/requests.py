@@ -220,15 +220,27 @@ def _no_aircraft(link: Link, timeout: float) -> SilentLine | NoValidFrame | NoAn
             remedy="swap TX and RX, check ground and the port name; docs: howto/silent-line",
             **received,
         )
+    garbled = "another baud rate than the one set in the PC assistant, or noise"
+    try_rates = "try 230400, 115200, 921600; docs: howto/silent-line"
     if not numbers.frames_received:
         return NoValidFrame(
             f"{numbers.bytes_received} bytes arrived and not one valid frame ({where})",
-            cause="another baud rate than the one set in the PC assistant, or noise",
-            remedy="try 230400, 115200, 921600; docs: howto/silent-line",
+            cause=garbled,
+            remedy=try_rates,
+            **received,
+        )
+    unanswered = f"{numbers.frames_received} frames arrived, but no answer to a version query"
+    # Good frames that waited in the port since another program had it do not make the rate right.
+    if 2 * numbers.discarded_bytes > numbers.bytes_received:
+        return NoAnswer(
+            f"{unanswered}, and {numbers.discarded_bytes} of {numbers.bytes_received} bytes "
+            f"were part of no frame ({where})",
+            cause=garbled,
+            remedy=try_rates,
             **received,
         )
     return NoAnswer(
-        f"{numbers.frames_received} frames arrived, but no answer to a version query ({where})",
+        f"{unanswered} ({where})",
         cause="the wire from our TX to the aircraft's RX, or two programs on one port",
         remedy="check that wire; docs: howto/silent-line",
         **received,

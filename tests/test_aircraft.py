@@ -139,6 +139,18 @@ async def test_bytes_without_a_frame_point_to_the_baud_rate() -> None:
     assert "230400, 115200, 921600" in caught.value.remedy
 
 
+async def test_a_few_frames_among_garbage_point_to_the_baud_rate() -> None:
+    virtual = ConnectableAircraft(seed=1)
+    virtual.set_faults(LineFaults(damage=0.9), to_aircraft=LineFaults(loss=1.0))
+    with pytest.raises(NoAnswer, match="were part of no frame") as caught:
+        async with virtual.connect():
+            pytest.fail("connected")
+    assert caught.value.frames_received > 0
+    assert "baud rate" in caught.value.cause
+    assert "115200" in caught.value.remedy
+    virtual.stop()
+
+
 async def test_frames_without_an_answer_point_to_the_other_wire() -> None:
     virtual = ConnectableAircraft(seed=1)
     virtual.set_faults(LineFaults(), to_aircraft=LineFaults(loss=1.0))
