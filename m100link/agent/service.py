@@ -331,13 +331,16 @@ class _Front:
     def _on_steer(self, steer: Steer) -> None:
         age = self._agent.now - steer.sent_at
         try:
-            if age > MAX_SETPOINT_AGE:
+            # A time ahead of ours would make it young for as long.
+            if abs(age) > MAX_SETPOINT_AGE:
                 raise GuardRefused(
                     f"a setpoint was {age:.2f} s on its way; it was not flown",
                     guard="setpoint_age",
                     measured=age,
                     limit=MAX_SETPOINT_AGE,
-                    cause="the front, or what is before it, is slow",
+                    cause="the front, or what is before it, is slow"
+                    if age > 0
+                    else "the clock of the front is ahead of the agent's",
                 )
             self._agent.steer(self._token(steer.fence), steer.setpoint, steer.lifetime)
         except M100Error as error:

@@ -182,6 +182,16 @@ async def test_a_setpoint_that_was_long_on_its_way_is_not_flown(rig: Rig, servic
     assert front.moves[-1].roll_or_x == 1.0
 
 
+async def test_a_setpoint_from_the_future_is_not_flown(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    fence = await front.airborne()
+    front.send(Steer(fence, rig.agent.now + 100.0, 0.3, NORTH))
+    await anyio.sleep(0.1)
+    assert front.moves == []
+    (refused,) = front.all(SteerRefused)
+    assert "ahead" in refused.fault.cause
+
+
 async def test_a_fence_of_another_front_moves_nothing(rig: Rig, service: Service) -> None:
     fence = await Front(rig, service).airborne()
     other = Front(rig, service)
