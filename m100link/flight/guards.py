@@ -153,7 +153,7 @@ class GuardKeeper:
 
         while is_waiting():  # noqa: ASYNC110 (75 times at most)
             await asyncio.sleep(_TAKE_OFF_POLL_S)
-        self._check_battery("take-off", must_be_known=True)
+        self._check_battery("take-off", on_ground=True)
         if Position in needed and known(self._state, Position) is None:
             guard = "gps" if self.guards.gps else "envelope"
             raise self._unknown("take-off", Position, guard=guard, limit=None)
@@ -260,13 +260,13 @@ class GuardKeeper:
             + (off or _OFF[guard]),
         )
 
-    def _check_battery(self, what: str, *, must_be_known: bool = False) -> None:
+    def _check_battery(self, what: str, *, on_ground: bool = False) -> None:
         floor = self.guards.battery_floor_percent
         if floor is None:
             return
         battery = known(self._state, Battery)
         if battery is None:
-            if not must_be_known and self._may_still_come(Battery):
+            if not on_ground and self._may_still_come(Battery):
                 return
             raise self._unknown(what, Battery, guard="battery_floor_percent", limit=floor)
         if battery.percent < floor:
@@ -275,7 +275,9 @@ class GuardKeeper:
                 guard="battery_floor_percent",
                 measured=battery.percent,
                 limit=floor,
-                remedy="land; landing and going home are never refused",
+                remedy="charge the battery or put in a full one"
+                if on_ground
+                else "land; landing and going home are never refused",
             )
 
     def _check_gps(self, setpoint: Setpoint, position: Position | None) -> None:

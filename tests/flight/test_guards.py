@@ -141,9 +141,11 @@ async def test_battery_below_its_floor_refuses_take_off_and_setpoints_but_never_
             assert (caught.value.guard, caught.value.measured, caught.value.limit) == (
                 ("battery_floor_percent", 19, 20)
             )
+            assert "charge" in caught.value.remedy
             put(flown)
             error = refusal(flown, control, TILT)
             assert error.guard == "battery_floor_percent"
+            assert "land" in error.remedy
             await control.land()
             assert flown.virtual.height == 0.0
 
