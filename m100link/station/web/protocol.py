@@ -152,6 +152,7 @@ class HttpConnection(H11Protocol):
         self._end_patience()
         self.transport.abort()
 
+    # uvicorn narrows the argument as well: what it is given is always a transport with both ways.
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client has come."""
         super().connection_made(transport)
