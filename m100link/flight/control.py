@@ -25,22 +25,13 @@ from m100link.flight.authority import AuthorityState
 from m100link.flight.cancellation import Errand, ProgramTask
 from m100link.flight.guards import GuardKeeper, Guards
 from m100link.flight.guidance import GuidedFlight
-from m100link.flight.handover import (
-    authority_lost,
-    obtain_authority,
-)
-from m100link.flight.lifecycle import (
-    BlockClaim,
-    BlockInput,
-    BlockState,
-    Lifecycle,
-    StopCause,
-)
+from m100link.flight.handover import authority_lost, obtain_authority
+from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
 from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold, SetpointLoop, check_lifetime
 from m100link.flight.signals import SIGNALS
 from m100link.flight.stop_path import StopAction, StopPath
-from m100link.flight.tasks import Commander, TaskProgress, run_task, task_name
+from m100link.flight.tasks import Commander, TaskListener, run_task, task_name
 from m100link.flight.watchdog import TelemetryWatchdog
 from m100link.protocol.commands.control import Move, Task
 from m100link.protocol.setpoint import Setpoint
@@ -438,10 +429,7 @@ class Control:
     # -- tasks -----------------------------------------------------------------------------------
 
     async def take_off(
-        self,
-        *,
-        timeout: float | None = None,
-        progress: Callable[[TaskProgress], None] | None = None,
+        self, *, timeout: float | None = None, progress: TaskListener | None = None
     ) -> None:
         """Start the motors and climb to about 1.2 m.
 
@@ -464,26 +452,18 @@ class Control:
         await self._run(Task.TAKE_OFF, timeout, progress)
 
     async def land(
-        self,
-        *,
-        timeout: float | None = None,
-        progress: Callable[[TaskProgress], None] | None = None,
+        self, *, timeout: float | None = None, progress: TaskListener | None = None
     ) -> None:
         """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors."""
         await self._run(Task.LAND, timeout, progress)
 
     async def go_home(
-        self,
-        *,
-        timeout: float | None = None,
-        progress: Callable[[TaskProgress], None] | None = None,
+        self, *, timeout: float | None = None, progress: TaskListener | None = None
     ) -> None:
         """Fly to the home point and land; 300 s. See :meth:`take_off` for the errors."""
         await self._run(Task.GO_HOME, timeout, progress)
 
-    async def _run(
-        self, task: Task, timeout: float | None, progress: Callable[[TaskProgress], None] | None
-    ) -> None:
+    async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
         self._require_flying(task_name(task))
         if self._running_task is not None:
             raise TaskRefused(

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from m100link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["Commander", "TaskProgress", "run_task"]
+__all__ = ["Commander", "TaskListener", "TaskProgress", "run_task"]
 
 _logger = logging.getLogger("m100link.flight")
 
@@ -83,6 +83,10 @@ class TaskProgress:
     result: TaskResultCode | None
 
 
+TaskListener = Callable[[TaskProgress], None]
+"""Told about four times a second how far a task is."""
+
+
 def task_sequences() -> Iterator[int]:
     """A number for each take-off, landing or go-home, 0 to 255 and round again."""
     return islice(cycle(range(256)), secrets.randbits(8), None)
@@ -104,7 +108,7 @@ async def run_task(
     task: Task,
     *,
     timeout: float | None = None,
-    progress: Callable[[TaskProgress], None] | None = None,
+    progress: TaskListener | None = None,
 ) -> None:
     """Begin a task and wait until it is done.
 
@@ -137,7 +141,7 @@ class _Watch:
         commander: Commander,
         task: Task,
         sequence: int,
-        progress: Callable[[TaskProgress], None] | None,
+        progress: TaskListener | None,
     ) -> None:
         self._commander = commander
         self._state = commander.state
