@@ -105,6 +105,8 @@ class Aircraft:
     async def version(self) -> Version:
         """Ask for the version (document 2.2.1.1). Needs no activation.
 
+        It chooses the firmware profile, unless one is forced or a control block is flying.
+
         Raises:
             AckTimeout, LinkError, BadAck: See each class.
         """
@@ -196,7 +198,7 @@ class Aircraft:
                 before they end the program.
 
         Raises (on entering):
-            UsageError: Another control block of this program is running.
+            UsageError: Another control block of this program is running; the firmware is unknown.
             AuthorityRefused: With cause and remedy.
             NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
         """

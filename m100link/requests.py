@@ -54,6 +54,7 @@ class Requests:
         self._link = link
         self._is_forced = firmware is not None
         self._is_known = self._is_forced
+        self._is_fixed = False  # a control block flies: no answer changes what it sends
         self._proven_cipher: Cipher | None = None  # the key that the aircraft understood once
         self._known_pushes: set[type[Command]] = set()  # that the firmware was found to have
         self.firmware = firmware or FIRMWARE_1_0
@@ -63,6 +64,29 @@ class Requests:
     def knows_layout(self) -> bool:
         """Whether telemetry can be read by ``firmware``: forced, or chosen by a version answer."""
         return self.version is not None or self._is_forced
+
+    @property
+    def knows_firmware(self) -> bool:
+        """Whether ``firmware`` is that of the aircraft, and not only the likeliest."""
+        return self._is_known
+
+    def fix_firmware(self) -> None:
+        """Keep the firmware until :meth:`free_firmware`, whatever a version answer says.
+
+        An aircraft does not change its firmware in flight. Another answer would change the meaning
+        of the setpoints that are on their way, or refuse the neutral and the landing.
+
+        Raises:
+            UsageError: The firmware is unknown.
+        """
+        self._require_known("control authority")
+        self._is_fixed = True
+
+    def free_firmware(self) -> None:
+        """From here on the newest version answer chooses again."""
+        self._is_fixed = False
+        if self.version is not None:
+            self._choose_firmware(self.version)
 
     async def execute(
         self,
@@ -158,19 +182,27 @@ class Requests:
     async def query_version(
         self, *, timeout: float = _VERSION_TIMEOUT, tries: int = _VERSION_TRIES
     ) -> Version:
-        """Ask for the version and let it choose the firmware profile, unless one is forced.
+        """Ask for the version and let it choose the firmware, unless one is forced or fixed.
 
         Raises:
             AckTimeout, LinkError, BadAck: See each class.
         """
         version = await self.execute(GetVersion(), timeout=timeout, tries=tries)
         self.version = version
-        if not self._is_forced:
-            self._choose_firmware(version)
+        self._choose_firmware(version)
         return version
 
     def _choose_firmware(self, version: Version) -> None:
         found = version.profile
+        if self._is_forced or (self._is_known and found is self.firmware):
+            return
+        if self._is_fixed:
+            _logger.error(
+                "the version answer %r is not that of firmware %s, which is flying: kept",
+                version.name,
+                self.firmware,
+            )
+            return
         self._is_known = found is not None
         self._known_pushes.clear()
         # An unknown firmware gets telemetry only; packets that do not fit are refused and counted.
@@ -181,14 +213,18 @@ class Requests:
                 "unknown firmware %r: telemetry only, read as %s", version.name, likeliest
             )
 
-    def _require_firmware(self, command: Command) -> None:
-        if not self._is_known and command.ADDRESS.command_set != 0x00:
+    def _require_known(self, what: str) -> None:
+        if not self._is_known:
             name = self.version.name if self.version else "unknown"
             raise UsageError(
-                f"{command.NAME} is not sent to an unknown firmware ({name})",
+                f"{what} is not asked of an unknown firmware ({name})",
                 cause="the order of movement values and the handshakes differ between firmwares",
                 remedy="if you know that it fits, force it: connect(..., firmware='3.1')",
             )
+
+    def _require_firmware(self, command: Command) -> None:
+        if command.needs_known_firmware:
+            self._require_known(command.NAME)
         if not command.is_known_to(self.firmware):
             raise CommandNotSupported(
                 f"firmware {self.firmware} does not know {command.NAME}; nothing was sent",

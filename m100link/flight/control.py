@@ -104,6 +104,7 @@ class Control:
     async def __aenter__(self) -> Self:
         if self._life.state is not BlockState.NEW:
             raise UsageError("this control block was entered before; ask for a new one")
+        self._requests.fix_firmware()
         self._claim.take(self._close)
         self._life.feed(BlockInput.ENTER)
         self._program.enter()
@@ -186,6 +187,7 @@ class Control:
         self._life.feed(BlockInput.STOPPED)
         self._unsubscribe()
         self._watchdog.stop()
+        self._requests.free_firmware()
         self._claim.give_back()
         SIGNALS.leave(self._on_signal)  # last: a signal that came may end the process here
 

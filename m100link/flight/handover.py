@@ -30,9 +30,15 @@ _EXPLANATION_STEP_S = 0.01
 _FRESH_S = 1.2  # an item that is sent once a second
 
 
-def _requests(commander: Commander) -> int:
+def _needed(commander: Commander) -> int:
+    """How many requests the firmware wants; one that is unknown may be one that wants two."""
+    requests = commander.requests
+    return requests.firmware.authority_requests if requests.knows_firmware else 2
+
+
+def _most(commander: Commander) -> int:
     """How often to ask: firmware that wants two requests answers the first "in progress"."""
-    return _MAX_REQUESTS if commander.requests.firmware.authority_requests > 1 else 1
+    return _MAX_REQUESTS if _needed(commander) > 1 else 1
 
 
 async def _request(commander: Commander, *, obtain: bool, timeout: float = 0.5) -> AuthorityCode:
@@ -61,7 +67,7 @@ async def obtain_authority(commander: Commander) -> None:
     authority = commander.authority
     code = AuthorityCode.NOT_CHANGED
     try:
-        for attempt in range(_requests(commander)):
+        for attempt in range(_most(commander)):
             if attempt:
                 await asyncio.sleep(_PAUSE_S)
             authority.feed(AuthorityInput.OBTAIN)
@@ -139,10 +145,10 @@ async def release_authority(commander: Commander) -> None:
     authority.feed(AuthorityInput.RELEASE)
     try:
         async with asyncio.timeout(_RELEASE_DEADLINE_S):
-            for attempt in range(_requests(commander)):
+            for attempt in range(_most(commander)):
                 if attempt:
                     await asyncio.sleep(_PAUSE_S)
-                is_last = attempt + 1 >= commander.requests.firmware.authority_requests
+                is_last = attempt + 1 >= _needed(commander)
                 code = await _request_release(commander, is_last=is_last)
                 if code not in (AuthorityCode.NOT_CHANGED, AuthorityCode.RELEASING):
                     break

@@ -67,7 +67,7 @@ class StopPath:
         if self._life.plan.neutral:
             try:
                 self._setpoints.neutralise()
-            except M100Error as error:  # the firmware was found to be another one
+            except Exception as error:  # noqa: BLE001 (whatever it is: the stop path must begin)
                 _logger.error("no neutral was sent, and nothing more will be: %s", error)
                 self._setpoints.silence()
         else:

@@ -75,6 +75,11 @@ class Command:
         if hasattr(cls, "ADDRESS"):  # the four kinds have none
             cls._PREFIX = bytes(cls.ADDRESS)
 
+    @property
+    def needs_known_firmware(self) -> bool:
+        """Whether it is kept back from an unknown firmware: set 0x00 is alike in all of them."""
+        return self.ADDRESS.command_set != 0x00
+
     @classmethod
     def is_known_to(cls, profile: FirmwareProfile) -> bool:
         """Whether a firmware has this command."""

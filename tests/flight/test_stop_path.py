@@ -17,17 +17,23 @@ from m100link import (
     LinkClosed,
     LinkLost,
     NoAuthority,
+    Setpoint,
     TaskRefused,
     TelemetryStalled,
+    UsageError,
 )
 from m100link.flight.guards import GuardKeeper
+from m100link.flight.stop_path import StopAction
 from m100link.protocol.codes import VersionCode
 from m100link.protocol.commands.activation import GetVersion, Version
+from m100link.protocol.commands.control import RequestAuthority
 from tests.rig import FIRMWARES, NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
 
 each_firmware = pytest.mark.parametrize("firmware", FIRMWARES)
+
+UNKNOWN_VERSION = Version(VersionCode.ACTIVATED, 0, "SDK-v9.9 BETA M999-09.09.09.09")
 
 
 async def assert_all_is_well(flown: Rig) -> None:
@@ -269,29 +275,65 @@ async def test_a_step_that_fails_does_not_keep_the_release_from_its_turn(
         assert flown.is_released
 
 
+@pytest.mark.parametrize("kind", [UsageError, RuntimeError])
 async def test_a_neutral_that_cannot_be_sent_does_not_keep_the_block_from_its_end(
-    caplog: pytest.LogCaptureFixture,
+    kind: type[Exception], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Asked again in flight, the aircraft names an unknown firmware: nothing is sent to that."""
+    def explode(*_: object) -> None:
+        raise kind("cannot be said in this firmware")
+
     async with rig() as flown:
-        handlers = flown.virtual.autopilot._commands._handlers
-        known = handlers[GetVersion]
         control = flown.aircraft.control()
         await control.__aenter__()
         await control.take_off()
-        control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
-        await asyncio.sleep(1.0)
-        name = "SDK-v9.9 BETA M999-09.09.09.09"
-        handlers[GetVersion] = lambda _: Version(VersionCode.ACTIVATED, 0, name)
-        await flown.aircraft.version()
-        await asyncio.sleep(0.1)
-        await control.__aexit__(None, None, None)
+        control.send(NORTH, lifetime=1.0)
+        await asyncio.sleep(0.519)  # the next frame is due: the neutral goes out at once
+        with monkeypatch.context() as patch:
+            patch.setattr(Setpoint, "to_move", explode)
+            await control.__aexit__(None, None, None)
         assert "no neutral was sent" in caplog.text
         await flown.assert_hovers()
+        assert flown.is_released
+
+
+@each_firmware
+@pytest.mark.parametrize("stop", ["hover", "land"])
+async def test_a_version_answer_in_flight_changes_neither_firmware_nor_the_end_of_the_block(
+    firmware: str, stop: StopAction, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The aircraft names an unknown firmware: neutral, landing and release would all be refused."""
+    async with rig(firmware=firmware) as flown:
+        handlers = flown.virtual.autopilot._commands._handlers
+        known, before = handlers[GetVersion], flown.aircraft.firmware
+        async with flown.aircraft.control(stop=stop) as control:
+            await control.take_off()
+            handlers[GetVersion] = lambda _: UNKNOWN_VERSION
+            assert (await flown.aircraft.version()).name == UNKNOWN_VERSION.name
+            assert "which is flying: kept" in caplog.text
+            assert flown.aircraft.firmware is before
+            await flown.fly(control)
+        flown.assert_stopped_in_order()
+        assert flown.is_released
+        assert flown.is_running is (stop == "hover")
+        with pytest.raises(UsageError, match="unknown firmware"):
+            await flown.aircraft.control().__aenter__()
         handlers[GetVersion] = known
         await flown.aircraft.version()
-        async with flown.aircraft.control():
-            pass
+        assert flown.aircraft.firmware is before
+
+
+@each_firmware
+async def test_authority_can_be_given_back_to_a_firmware_that_became_unknown(firmware: str) -> None:
+    """An earlier program left it, and the answer does not tell how many requests it wants."""
+    async with rig(firmware=firmware) as flown:
+        for _ in range(flown.aircraft.firmware.authority_requests):
+            await flown.aircraft.execute(RequestAuthority(obtain=True))
+        assert not flown.is_released
+        flown.virtual.autopilot._commands._handlers[GetVersion] = lambda _: UNKNOWN_VERSION
+        await flown.aircraft.version()
+        with pytest.raises(UsageError, match="unknown firmware"):
+            await flown.aircraft.execute(RequestAuthority(obtain=True))
+        await flown.aircraft.release_authority()
         assert flown.is_released
 
 

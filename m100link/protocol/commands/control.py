@@ -25,6 +25,11 @@ class RequestAuthority(Request[AuthorityCode]):
 
     obtain: bool
 
+    @property
+    def needs_known_firmware(self) -> bool:
+        """A release is alike in every firmware, and must be possible in an unknown one too."""
+        return self.obtain
+
     def value(self, profile: FirmwareProfile) -> bytes:
         """1 obtains, 0 releases."""
         return bytes((self.obtain,))
