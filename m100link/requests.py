@@ -22,7 +22,7 @@ from m100link.errors import (
 from m100link.protocol.codes import AckCode, SystemCode
 from m100link.protocol.command import Command, Movement, Push, Request
 from m100link.protocol.commands.activation import GetVersion, Version
-from m100link.protocol.firmware import FIRMWARE_1_0, FirmwareProfile, reads_unknown
+from m100link.protocol.firmware import FIRMWARE_1_0, FirmwareProfile, names_hardware, reads_unknown
 from m100link.wire.cipher import Cipher
 
 if TYPE_CHECKING:
@@ -211,6 +211,13 @@ class Requests:
         if found is None:
             _logger.warning(
                 "unknown firmware %r: telemetry only, read as %s", version.name, likeliest
+            )
+        elif not names_hardware(version.name):
+            _logger.warning(
+                "the version %r names no hardware: taken for firmware %s, whose document shows "
+                "such a text; force another with connect(..., firmware=...)",
+                version.name,
+                found,
             )
 
     def _require_known(self, what: str) -> None:

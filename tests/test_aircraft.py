@@ -283,6 +283,20 @@ async def test_a_forced_profile_stays_forced() -> None:
             assert forced.firmware.name == "3.1"
 
 
+@pytest.mark.parametrize(
+    ("name", "is_told"), [("SDK v1.0 M100", True), (FIRMWARE_1_0.version_name, False)]
+)
+async def test_a_version_that_names_no_hardware_is_taken_for_1_0_and_that_is_said(
+    name: str, is_told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    virtual = ConnectableAircraft(firmware=replace(FIRMWARE_1_0, version_name=name), seed=1)
+    async with virtual.connect() as aircraft:
+        assert aircraft.firmware is FIRMWARE_1_0
+        await aircraft.version()
+        assert caplog.text.count("names no hardware: taken for firmware 1.0") == is_told
+    virtual.stop()
+
+
 async def test_an_unknown_firmware_gets_telemetry_and_no_command(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

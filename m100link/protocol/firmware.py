@@ -24,6 +24,7 @@ __all__ = [
     "FirmwareProfile",
     "FlagBit0",
     "Generation",
+    "names_hardware",
     "profile",
     "reads_unknown",
     "recognised",
@@ -49,6 +50,8 @@ class FlagBit0(Enum):
 
 
 _HARDWARE_VERSION = re.compile(r"\S+-\d\d\.\d\d\.\d+\.\d+")
+# "SDK vX.X XXXX": all that the document of 1.0 prints, and nobody has a text of such an aircraft.
+_WITHOUT_HARDWARE = re.compile(r"SDK[ -]v\d+\.\d+( \w+)?")
 
 
 # Equal to itself only: what is worked out of a profile is kept under it, and looked up per frame.
@@ -65,7 +68,8 @@ class FirmwareProfile:
         version_name: Text that the version query answers (errata 16).
         has_serial: The version ack carries a hardware serial (49 bytes instead of 38).
         hardware_versions: Beginnings of the hardware version, in that text, by which an aircraft is
-            recognised; ``""`` means a text without any. None at all: only when forced.
+            recognised; ``""`` means a text of the document's form "SDK vX.X XXXX", without any.
+            None at all: only when forced.
         reads_unknown: As what the telemetry of an unknown firmware is read whose version ack is of
             the same size.
         activation_version: Version word of the activation request; None leaves it to the developer.
@@ -138,6 +142,8 @@ class FirmwareProfile:
             has_serial: Whether it carried a hardware serial.
         """
         hardware = _HARDWARE_VERSION.search(version_name)
+        if hardware is None and not _WITHOUT_HARDWARE.fullmatch(version_name):
+            return False
         begins = f"{hardware[0] if hardware else ''}.".startswith
         return has_serial is self.has_serial and any(
             begins(f"{version}.") for version in self.hardware_versions
@@ -216,6 +222,11 @@ FIRMWARE_1_0_DOCUMENT = replace(
 
 PROFILES = {p.name: p for p in (FIRMWARE_1_0, FIRMWARE_2_3, FIRMWARE_3_1, FIRMWARE_1_0_DOCUMENT)}
 """Every profile by name."""
+
+
+def names_hardware(version_name: str) -> bool:
+    """Whether a version text says which aircraft it is, in which version."""
+    return _HARDWARE_VERSION.search(version_name) is not None
 
 
 def recognised(version_name: str, *, has_serial: bool) -> FirmwareProfile | None:

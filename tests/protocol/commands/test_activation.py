@@ -52,7 +52,14 @@ def test_the_checksum_of_a_real_name_covers_its_nul(name: str, crc: int) -> None
         (NAME_2_3, None, "2.3"),
         (NAME_3_1, SERIAL, "3.1"),
         ("SDK v1.0 M100", None, "1.0"),  # the only form that the document of 1.0 shows
+        ("SDK v1.0", None, "1.0"),
+        ("SDK v1.0 M100", SERIAL, None),
         ("SDK-v1.0 BETA M100-01.00.00.00", None, "1.0"),
+        # Hardware versions of a form that nobody has seen are not the lack of one.
+        ("SDK-v1.0 BETA M100-3.1.10.0", None, None),
+        ("SDK-v1.0 BETA M100 v2", None, None),
+        ("M100", None, None),
+        ("", None, None),
         (NAME_A3, SERIAL, None),
         (NAME_A3, None, None),
         (NAME_2_3, SERIAL, None),  # 49 bytes and 2.3 do not go together
