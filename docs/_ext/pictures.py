@@ -35,7 +35,7 @@ from m100link.protocol import firmware
 from m100link.protocol.commands.activation import GetVersion
 from m100link.protocol.setpoint import ControlMode, Horizontal, Vertical, Yaw
 from m100link.session.endpoint import Endpoint
-from m100link.wire import FrameDecoder, encode_frame
+from m100link.wire import Frame, FrameDecoder, encode_frame
 
 _logger = logging.getLogger(__name__)
 
@@ -232,18 +232,17 @@ class ExchangePicture(PictureDirective):
                 arrives, count = count not in lost, count + 1
                 effect = ""
                 if arrives:
-                    aircraft.receive_data(wire, now)
-                    new = list(aircraft.events())
+                    new = aircraft.receive_data(wire, now)
                     for event in new:
-                        aircraft.acknowledge(event.frame, b"\x00", now=now)  # type: ignore[union-attr]
+                        assert isinstance(event, Frame)
+                        aircraft.acknowledge(event, b"\x00", now=now)
                     effect = "executed" if new else "from memory"
                 yield False, f"session 2, number 7, {now:g} s", arrives, effect
             for wire in aircraft.output():
                 arrives, count = count not in lost, count + 1
                 effect = ""
                 if arrives:
-                    host.receive_data(wire, now)
-                    effect = "answered" if list(host.events()) else "counted"
+                    effect = "answered" if host.receive_data(wire, now) else "counted"
                 yield True, "ack of 7", arrives, effect
                 if arrives:
                     return

@@ -9,14 +9,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
 from m100link.link.transport import open_transport
 from m100link.link.url import ConnectionString, parse_url
 from m100link.session.endpoint import Endpoint
-from m100link.session.events import Acked, Expired, Received, SessionMode
+from m100link.session.events import Acked, Event, Expired, SessionMode
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
@@ -280,8 +280,7 @@ class Link(asyncio.Protocol):
         """Bytes from the line."""
         now = self._loop.time()
         self.last_received_at = now
-        self._endpoint.receive_data(data, now)
-        self._dispatch(now)
+        self._dispatch(iter(self._endpoint.receive_data(data, now)), now)
         if self._endpoint.has_output:  # rarely: most of what arrives is telemetry
             self._flush()
 
@@ -317,29 +316,39 @@ class Link(asyncio.Protocol):
         if self._transport is None:
             raise LinkClosed("the link is not open yet")
 
-    def _dispatch(self, now: float) -> None:
+    def _dispatch(self, events: Iterator[Event], now: float) -> None:
         debug = _logger.isEnabledFor(logging.DEBUG)
-        for event in self._endpoint.events():
-            match event:
-                case Received(frame):
+        try:
+            for event in events:
+                if type(event) is Frame:  # nearly always, and a hundred times a second
                     if debug:
                         _logger.debug(
                             "< session %d seq %d %s",
-                            frame.session,
-                            frame.sequence,
-                            _excerpt(frame.data),
+                            event.session,
+                            event.sequence,
+                            _excerpt(event.data),
                         )
-                    self.on_received(frame, now)
-                case Acked(token, payload, _):
-                    pending = self._pending.get(token)
-                    if pending is not None and not pending.future.done():
-                        pending.future.set_result(payload)
-                case Expired(token, session, sequence, tries):
-                    pending = self._pending.get(token)
-                    if pending is not None and not pending.future.done():
-                        pending.future.set_exception(
-                            self._timeout(pending.name, session, sequence, tries)
-                        )
+                    self.on_received(event, now)
+                else:
+                    self._resolve(event)
+        except BaseException:
+            # Whoever took an event raised. What came behind it was read and is nobody's to lose.
+            self._loop.call_soon(self._dispatch, events, now)
+            raise
+
+    def _resolve(self, event: Event) -> None:
+        """A request came to its end."""
+        match event:
+            case Acked(token, payload, _):
+                pending = self._pending.get(token)
+                if pending is not None and not pending.future.done():
+                    pending.future.set_result(payload)
+            case Expired(token, session, sequence, tries):
+                pending = self._pending.get(token)
+                if pending is not None and not pending.future.done():
+                    pending.future.set_exception(
+                        self._timeout(pending.name, session, sequence, tries)
+                    )
 
     def _timeout(self, name: str, session: int, sequence: int, tries: int) -> AckTimeout:
         cause = "the frame or its ack was lost, or the aircraft ignores the command"
@@ -384,8 +393,7 @@ class Link(asyncio.Protocol):
     def _on_timer(self) -> None:
         self._timer = None
         now = self._loop.time()
-        self._endpoint.handle_timer(now)
-        self._dispatch(now)
+        self._dispatch(iter(self._endpoint.handle_timer(now)), now)
         self._flush()
 
     async def _drain(self) -> None:

@@ -5,7 +5,6 @@ from m100link.session.events import (
     Acked,
     Event,
     Expired,
-    Received,
     SessionMode,
     SessionStatistics,
 )
@@ -17,7 +16,6 @@ __all__ = [
     "Endpoint",
     "Event",
     "Expired",
-    "Received",
     "Receiver",
     "Sender",
     "SessionMode",

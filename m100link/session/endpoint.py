@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from m100link.session.events import Event, SessionMode, SessionStatistics
 from m100link.session.receiver import Receiver
@@ -27,7 +27,6 @@ class Endpoint:
         self.decoder = FrameDecoder()
         self.sender = Sender(first_sequence=first_sequence, statistics=self.statistics)
         self.receiver = Receiver(forget_after=forget_after, statistics=self.statistics)
-        self._events: deque[Event] = deque()
         self._pushed: deque[bytes] = deque()
 
     @property
@@ -39,16 +38,29 @@ class Endpoint:
     def cipher(self, cipher: Cipher | None) -> None:
         self.decoder.cipher = self.sender.cipher = self.receiver.cipher = cipher
 
-    def receive_data(self, data: bytes, now: float) -> None:
-        """Take bytes from the line. Nothing that arrives raises."""
-        for frame in self.decoder.feed(data):
+    def receive_data(self, data: bytes, now: float) -> Sequence[Event]:
+        """Take bytes from the line and return what happened, in order. Nothing that arrives raises.
+
+        Pushes, which are most of what arrives, are their own events and pass without being touched.
+        """
+        frames = self.decoder.feed(data)
+        for frame in frames:
+            if frame.session or frame.is_ack:
+                return self._sort_out(frames, now)
+        self.statistics.commands += len(frames)
+        return frames
+
+    def _sort_out(self, frames: list[Frame], now: float) -> list[Event]:
+        events: list[Event] = []
+        for frame in frames:
             event: Event | None
             if frame.is_ack:
                 event = self.sender.receive_ack(frame, now)
             else:
                 event = self.receiver.receive_command(frame, now)
             if event is not None:
-                self._events.append(event)
+                events.append(event)
+        return events
 
     def push(self, data: bytes, *, encrypted: bool = False) -> None:
         """Queue a frame on session 0; see :meth:`Sender.push` for errors."""
@@ -83,16 +95,13 @@ class Endpoint:
         """When :meth:`handle_timer` should be called at the latest."""
         return self.sender.next_wakeup()
 
-    def handle_timer(self, now: float) -> None:
-        """Repeat or expire what is due."""
+    def handle_timer(self, now: float) -> Sequence[Event]:
+        """Repeat or expire what is due; returns what expired, in order."""
         self.sender.handle_timer(now)
-
-    def events(self) -> Iterator[Event]:
-        """Take the events that happened, in order."""
-        while self._events:
-            yield self._events.popleft()
-        while (expired := self.sender.next_event()) is not None:
-            yield expired
+        expired = []
+        while (event := self.sender.next_event()) is not None:
+            expired.append(event)
+        return expired
 
     @property
     def has_output(self) -> bool:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from m100link.wire.frame import Frame
 
-__all__ = ["Acked", "Event", "Expired", "Received", "SessionMode", "SessionStatistics"]
+__all__ = ["Acked", "Event", "Expired", "SessionMode", "SessionStatistics"]
 
 
 class SessionMode(Enum):
@@ -53,18 +53,12 @@ class Expired(NamedTuple):
     tries: int
 
 
-class Received(NamedTuple):
-    """A command or push to be handled by the layer above.
+Event = Acked | Expired | Frame
+"""Anything the session layer reports.
 
-    Attributes:
-        frame: The frame. When its session is not 0 the sender wants an ack.
-    """
-
-    frame: Frame
-
-
-Event = Acked | Expired | Received
-"""Anything the session layer reports."""
+A frame is a command or push to be handled by the layer above. When its session is not 0 the sender
+wants an ack.
+"""
 
 
 @dataclass(slots=True)

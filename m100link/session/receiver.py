@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from m100link.errors import UsageError
-from m100link.session.events import Received, SessionStatistics
+from m100link.session.events import SessionStatistics
 from m100link.session.sender import ACK_ONCE_SESSION, NO_ACK_SESSION
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame, encode_frame
@@ -56,7 +56,7 @@ class Receiver:
         self._memories: dict[int, _Memory] = {}  # per session; none is a state of its own
         self._output: deque[bytes] = deque()
 
-    def receive_command(self, frame: Frame, now: float) -> Received | None:
+    def receive_command(self, frame: Frame, now: float) -> Frame | None:
         """Take a command frame; None when it repeats one that was delivered before."""
         if frame.session > ACK_ONCE_SESSION:
             memory = self._memories.get(frame.session)
@@ -69,7 +69,7 @@ class Receiver:
                 return None
             self._memories[frame.session] = _Memory(frame.sequence)
         self.statistics.commands += 1
-        return Received(frame)
+        return frame
 
     def _is_repeat(self, memory: _Memory, frame: Frame, now: float) -> bool:
         if memory.sequence != frame.sequence:
@@ -84,7 +84,7 @@ class Receiver:
         """Answer a delivered command. On session 0 nobody waits and nothing is sent.
 
         Args:
-            command: The frame that :class:`~m100link.session.Received` carried.
+            command: The frame that was delivered.
             payload: Data of the ack.
             now: Present time, s.
             encrypted: Encrypt the ack; by default as the command was (errata, encryption of acks).

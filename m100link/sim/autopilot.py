@@ -21,7 +21,7 @@ from m100link.protocol.command import Notification, encode_code
 from m100link.protocol.commands.activation import Activate, Version
 from m100link.protocol.commands.control import Move
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
-from m100link.session import Endpoint, Received, SessionMode
+from m100link.session import Endpoint, SessionMode
 from m100link.sim.commands import Commands, Counters, LastCommand
 from m100link.sim.telemetry import TelemetryPusher
 from m100link.sim.vehicle.dynamics import STEP_S
@@ -103,10 +103,9 @@ class Autopilot:
         self.advance(now)
         if self.vehicle.is_restarting:
             return
-        self.endpoint.receive_data(data, now)
-        for event in self.endpoint.events():
-            if isinstance(event, Received):
-                self._execute(event.frame, now)
+        for event in self.endpoint.receive_data(data, now):
+            if isinstance(event, Frame):
+                self._execute(event, now)
         # Acks go out before the telemetry that is made after them.
         self._collect()
 

@@ -232,6 +232,37 @@ async def test_commands_from_the_other_end_arrive_with_their_time_and_can_be_ans
     await link.close()
 
 
+async def test_a_consumer_that_raises_costs_its_own_frame_only() -> None:
+    """What came in the same read reaches who waits for it, in order, and before the next read."""
+    arrived: list[bytes] = []
+
+    def take(frame: Frame, now: float) -> None:
+        arrived.append(frame.data)
+        if frame.data.startswith(b"bad"):
+            raise ZeroDivisionError(frame.data)
+
+    link = Link(on_received=take, first_sequence=0)
+    _, _, _ = await connected(silent, link=link)
+    answer = asyncio.ensure_future(link.request(b"question"))
+    await settle()
+    told: list[str] = []
+    asyncio.get_running_loop().set_exception_handler(
+        lambda loop, context: told.append(str(context.get("exception")))
+    )
+    pushes = [
+        encode_frame(data, session=0, sequence=number)
+        for number, data in enumerate((b"one", b"bad 1", b"two", b"bad 2", b"three"))
+    ]
+    ack = encode_frame(b"answer", session=2, sequence=0, is_ack=True)
+    with pytest.raises(ZeroDivisionError):
+        link.data_received(b"".join(pushes) + ack)
+    assert arrived == [b"one", b"bad 1"]
+    assert await answer == b"answer"
+    assert arrived == [b"one", b"bad 1", b"two", b"bad 2", b"three"]
+    assert told == ["b'bad 2'"]
+    await link.close()
+
+
 async def test_a_key_encrypts_and_decrypts_in_both_directions() -> None:
     link, peer, _ = await connected()
     link.cipher = peer.link.cipher = Cipher(KEY)

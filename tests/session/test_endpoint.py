@@ -4,17 +4,41 @@ from __future__ import annotations
 
 import random
 from collections import Counter
+from collections.abc import Sequence
 
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, precondition, rule
 
-from m100link.session import Acked, Endpoint, Expired, Received, SessionMode
+from m100link.session import Acked, Endpoint, Event, Expired, SessionMode
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 from tests.support import KEY
 
 
-def transfer(source: Endpoint, target: Endpoint, now: float) -> int:
+class End(Endpoint):
+    """Keeps what happened until a test takes it."""
+
+    def __init__(self, *, first_sequence: int = 0) -> None:
+        super().__init__(first_sequence=first_sequence)
+        self._kept: list[Event] = []
+
+    def receive_data(self, data: bytes, now: float) -> Sequence[Event]:
+        events = super().receive_data(data, now)
+        self._kept += events
+        return events
+
+    def handle_timer(self, now: float) -> Sequence[Event]:
+        events = super().handle_timer(now)
+        self._kept += events
+        return events
+
+    def events(self) -> list[Event]:
+        """Take the events that happened, in order."""
+        kept, self._kept = self._kept, []
+        return kept
+
+
+def transfer(source: End, target: End, now: float) -> int:
     """Carry everything over; how many frames there were."""
     wires = list(source.output())
     for wire in wires:
@@ -22,18 +46,18 @@ def transfer(source: Endpoint, target: Endpoint, now: float) -> int:
     return len(wires)
 
 
-def received(endpoint: Endpoint) -> list[Frame]:
+def received(endpoint: End) -> list[Frame]:
     """The commands among the events."""
-    return [event.frame for event in endpoint.events() if isinstance(event, Received)]
+    return [event for event in endpoint.events() if isinstance(event, Frame)]
 
 
-def waits(*endpoints: Endpoint) -> list[bool]:
+def waits(*endpoints: End) -> list[bool]:
     """Which of them have something to write."""
     return [endpoint.has_output for endpoint in endpoints]
 
 
 def test_whether_there_is_output_is_known_without_taking_it() -> None:
-    host, aircraft = Endpoint(), Endpoint()
+    host, aircraft = End(), End()
     assert waits(host, aircraft) == [False, False]
     host.push(b"push")
     assert waits(host, aircraft) == [True, False]
@@ -48,20 +72,40 @@ def test_whether_there_is_output_is_known_without_taking_it() -> None:
     assert waits(host, aircraft) == [False, False]
 
 
+def test_what_one_read_brings_is_reported_in_the_order_in_which_it_arrived() -> None:
+    host, aircraft = End(), Endpoint()
+    tokens = [host.request(data, now=0) for data in (b"first", b"second")]
+    wires = []
+    for frame in aircraft.receive_data(b"".join(host.output()), 0):
+        assert isinstance(frame, Frame)
+        aircraft.push(b"before " + frame.data)
+        aircraft.acknowledge(frame, b"ack", now=0)
+        acks_first = list(aircraft.output())
+        wires += acks_first[::-1]
+    events = host.receive_data(b"".join(wires), 0.1)
+    assert [event.data if isinstance(event, Frame) else event.token for event in events] == [
+        b"before first",
+        tokens[0],
+        b"before second",
+        tokens[1],
+    ]
+    assert host.statistics.commands == 2
+
+
 def test_a_request_is_delivered_answered_and_reported() -> None:
-    host, aircraft = Endpoint(first_sequence=9), Endpoint()
+    host, aircraft = End(first_sequence=9), End()
     token = host.request(b"question", now=0)
     transfer(host, aircraft, 0)
     (frame,) = received(aircraft)
     assert (frame.session, frame.sequence, frame.data) == (2, 9, b"question")
     aircraft.acknowledge(frame, b"answer", now=0)
     transfer(aircraft, host, 0)
-    assert list(host.events()) == [Acked(token, b"answer", False)]
+    assert host.events() == [Acked(token, b"answer", False)]
     assert host.next_wakeup() is None
 
 
 def test_both_ends_may_ask_at_once_with_the_same_session_and_number() -> None:
-    one, two = Endpoint(), Endpoint()
+    one, two = End(), End()
     for end, data in ((one, b"from one"), (two, b"from two")):
         end.request(data, now=0)
     transfer(one, two, 0)
@@ -72,12 +116,12 @@ def test_both_ends_may_ask_at_once_with_the_same_session_and_number() -> None:
         end.acknowledge(frame, b"ack of " + frame.data, now=0)
     transfer(one, two, 0)
     transfer(two, one, 0)
-    assert list(one.events()) == [Acked(1, b"ack of from one", False)]
-    assert list(two.events()) == [Acked(1, b"ack of from two", False)]
+    assert one.events() == [Acked(1, b"ack of from one", False)]
+    assert two.events() == [Acked(1, b"ack of from two", False)]
 
 
 def test_acks_are_written_first_and_pushes_last() -> None:
-    host, aircraft = Endpoint(), Endpoint()
+    host, aircraft = End(), End()
     aircraft.request(b"command", now=0)
     transfer(aircraft, host, 0)
     (frame,) = received(host)
@@ -89,7 +133,7 @@ def test_acks_are_written_first_and_pushes_last() -> None:
 
 
 def test_a_key_serves_both_directions() -> None:
-    host, aircraft = Endpoint(), Endpoint()
+    host, aircraft = End(), End()
     for end in (host, aircraft):
         end.cipher = Cipher(KEY)
         assert end.cipher is end.decoder.cipher
@@ -104,28 +148,28 @@ def test_a_key_serves_both_directions() -> None:
 
 
 def test_a_plain_ack_of_an_encrypted_request_is_taken() -> None:
-    host, aircraft = Endpoint(), Endpoint()
+    host, aircraft = End(), End()
     host.cipher = Cipher(KEY)
     host.request(b"secret", now=0, encrypted=True)
     list(host.output())
     refusal = encode_frame(b"\x00\xff", session=2, sequence=0, is_ack=True)
     host.receive_data(refusal, 0)
-    assert list(host.events()) == [Acked(1, b"\x00\xff", False)]
+    assert host.events() == [Acked(1, b"\x00\xff", False)]
     assert aircraft.cipher is None
 
 
 def test_expiry_is_an_event_of_the_endpoint() -> None:
-    host = Endpoint()
+    host = End()
     token = host.request(b"x", now=0, timeout=1, tries=1)
     host.handle_timer(1)
-    assert list(host.events()) == [Expired(token, 2, 0, 1)]
+    assert host.events() == [Expired(token, 2, 0, 1)]
 
 
 def test_an_abandoned_request_reports_nothing() -> None:
-    host = Endpoint()
+    host = End()
     host.abandon(host.request(b"x", now=0, timeout=1, tries=1))
     host.handle_timer(1)
-    assert list(host.events()) == []
+    assert host.events() == []
 
 
 # -- sender against receiver -----------------------------------------------------------------------
@@ -168,8 +212,8 @@ class SenderAgainstReceiver(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.now = 0.0
-        self.host: Endpoint | None = None
-        self.aircraft = Endpoint()
+        self.host: End | None = None
+        self.aircraft = End()
         self.aircraft.cipher = Cipher(KEY)
         self.lines = {HOST: Channel(), AIRCRAFT: Channel()}
         self.unanswered: list[Frame] = []
@@ -178,7 +222,7 @@ class SenderAgainstReceiver(RuleBasedStateMachine):
         self.outcome: dict[int, Acked | Expired] = {}
         self.abandoned: set[int] = set()
 
-    def _host(self) -> Endpoint:
+    def _host(self) -> End:
         assert self.host is not None
         return self.host
 
@@ -195,9 +239,9 @@ class SenderAgainstReceiver(RuleBasedStateMachine):
             if isinstance(event, Acked):
                 assert event.payload == b"ack of " + self.asked[event.token]
         for event in self.aircraft.events():
-            assert isinstance(event, Received)
-            self.executed[event.frame.data] += 1
-            self.unanswered.append(event.frame)
+            assert isinstance(event, Frame)
+            self.executed[event.data] += 1
+            self.unanswered.append(event)
 
     @rule(
         target=tokens,
@@ -209,7 +253,7 @@ class SenderAgainstReceiver(RuleBasedStateMachine):
     def ask(self, first: int, encrypted: bool, timeout: float, tries: int) -> int:
         """Begin a request; its data say which one it is."""
         if self.host is None:
-            self.host = Endpoint(first_sequence=first)
+            self.host = End(first_sequence=first)
             self.host.cipher = Cipher(KEY)
         data = b"command %d" % len(self.asked)
         token = self.host.request(
@@ -322,13 +366,13 @@ TestSenderAgainstReceiver = SenderAgainstReceiver.TestCase
 def test_over_a_line_that_only_loses_and_damages_every_command_runs_once_and_is_answered() -> None:
     seed = 20151121
     dice = random.Random(seed)
-    host, aircraft = Endpoint(first_sequence=0xFFF0), Endpoint()
+    host, aircraft = End(first_sequence=0xFFF0), End()
     executed: Counter[bytes] = Counter()
     answers: dict[int, bytes] = {}
     asked: dict[int, bytes] = {}
     now = 0.0
 
-    def line(wires: list[bytes], target: Endpoint) -> None:
+    def line(wires: list[bytes], target: End) -> None:
         for wire in wires:
             fate = dice.random()
             if fate < 0.2:
