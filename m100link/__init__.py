@@ -8,98 +8,123 @@
             await control.take_off()
             ...
             await control.land()
+
+
+Importing :mod:`m100link` loads nothing else: each name is loaded when it is first asked for
+(:pep:`562`), so that a program which decodes frames does not pay for asyncio, AES and serial ports.
 """
 
-import logging
+from __future__ import annotations
 
-from m100link import errors
-from m100link.activation import ActivationProgress
-from m100link.aircraft import Aircraft, connect
-from m100link.errors import (
-    AckTimeout,
-    ActivationRefused,
-    AuthorityError,
-    AuthorityLost,
-    AuthorityRefused,
-    BadAck,
-    BadKey,
-    BadSetpoint,
-    BadURL,
-    CommandNotSupported,
-    CommandRefused,
-    GuardRefused,
-    KeyRejected,
-    LayoutMismatch,
-    LevelTooLow,
-    LinkClosed,
-    LinkError,
-    LinkLost,
-    LossReason,
-    M100Error,
-    NoAircraft,
-    NoAnswer,
-    NoAuthority,
-    NotActivated,
-    NotObserved,
-    NoValidFrame,
-    PayloadTooLarge,
-    PortBusy,
-    PortFailed,
-    PortNotFound,
-    PortPermissionDenied,
-    SilentLine,
-    TaskError,
-    TaskFailed,
-    TaskRefused,
-    TelemetryError,
-    TelemetryOverflow,
-    TelemetryStalled,
-    UsageError,
-)
-from m100link.flight.authority import Authority, AuthorityState
-from m100link.flight.control import Control, Hold
-from m100link.flight.guards import Envelope, Guards
-from m100link.flight.guidance import Arrival, GuidanceProgress
-from m100link.flight.pacing import Tick, Ticker
-from m100link.flight.tasks import TaskProgress
-from m100link.link import LinkStatistics
-from m100link.protocol import (
-    PROFILES,
-    ActivationCode,
-    AuthorityCode,
-    ControlMode,
-    Credentials,
-    FirmwareProfile,
-    ReferenceFrame,
-    Setpoint,
-    Task,
-    TaskResultCode,
-    TaskStartCode,
-    Version,
-    records,
-)
-from m100link.protocol.records import *  # noqa: F403 (all of records.__all__, nothing else)
-from m100link.session import SessionMode
-from m100link.telemetry.device_clock import DeviceClock, HostTime
-from m100link.telemetry.sample import Sample
-from m100link.telemetry.state import AircraftState, ItemStatistics
-from m100link.telemetry.subscription import Latest, Lossless, Newest, Policy, Subscription
-from m100link.wire import Key
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    # For type checkers and editors, which read one file and run nothing: mypy, pyright and jedi see
+    # plain imports. A stub beside this file would be a second list to keep, and would hide it.
+    from m100link import errors
+    from m100link.activation import ActivationProgress
+    from m100link.aircraft import Aircraft, connect
+    from m100link.errors import (
+        AckTimeout,
+        ActivationRefused,
+        AuthorityError,
+        AuthorityLost,
+        AuthorityRefused,
+        BadAck,
+        BadKey,
+        BadSetpoint,
+        BadURL,
+        CommandNotSupported,
+        CommandRefused,
+        GuardRefused,
+        KeyRejected,
+        LayoutMismatch,
+        LevelTooLow,
+        LinkClosed,
+        LinkError,
+        LinkLost,
+        LossReason,
+        M100Error,
+        NoAircraft,
+        NoAnswer,
+        NoAuthority,
+        NotActivated,
+        NotObserved,
+        NoValidFrame,
+        PayloadTooLarge,
+        PortBusy,
+        PortFailed,
+        PortNotFound,
+        PortPermissionDenied,
+        SilentLine,
+        TaskError,
+        TaskFailed,
+        TaskRefused,
+        TelemetryError,
+        TelemetryOverflow,
+        TelemetryStalled,
+        UsageError,
+    )
+    from m100link.flight.authority import Authority, AuthorityState
+    from m100link.flight.control import Control, Hold
+    from m100link.flight.guards import Envelope, Guards
+    from m100link.flight.guidance import Arrival, GuidanceProgress
+    from m100link.flight.pacing import Tick, Ticker
+    from m100link.flight.tasks import TaskProgress
+    from m100link.link import LinkStatistics
+    from m100link.protocol import (
+        PROFILES,
+        ActivationCode,
+        AuthorityCode,
+        ControlMode,
+        Credentials,
+        FirmwareProfile,
+        ReferenceFrame,
+        Setpoint,
+        Task,
+        TaskResultCode,
+        TaskStartCode,
+        Version,
+    )
+    from m100link.protocol.records import (
+        Acceleration,
+        AngularVelocity,
+        Attitude,
+        Battery,
+        ControlDevice,
+        Device,
+        FlightPhase,
+        FlightStatus,
+        Gimbal,
+        Magnetometer,
+        Position,
+        RcMode,
+        RemoteControl,
+        Time,
+        Velocity,
+    )
+    from m100link.session import SessionMode
+    from m100link.telemetry.device_clock import DeviceClock, HostTime
+    from m100link.telemetry.sample import Sample
+    from m100link.telemetry.state import AircraftState, ItemStatistics
+    from m100link.telemetry.subscription import Latest, Lossless, Newest, Policy, Subscription
+    from m100link.wire import Key
 
 __version__ = "0.1.0"
 
-# A library leaves it to the program whether and how its log is shown.
-logging.getLogger("m100link").addHandler(logging.NullHandler())
-
 __all__ = [
     "PROFILES",
+    "Acceleration",
     "AckTimeout",
     "ActivationCode",
     "ActivationProgress",
     "ActivationRefused",
     "Aircraft",
     "AircraftState",
+    "AngularVelocity",
     "Arrival",
+    "Attitude",
     "Authority",
     "AuthorityCode",
     "AuthorityError",
@@ -110,14 +135,20 @@ __all__ = [
     "BadKey",
     "BadSetpoint",
     "BadURL",
+    "Battery",
     "CommandNotSupported",
     "CommandRefused",
     "Control",
+    "ControlDevice",
     "ControlMode",
     "Credentials",
+    "Device",
     "DeviceClock",
     "Envelope",
     "FirmwareProfile",
+    "FlightPhase",
+    "FlightStatus",
+    "Gimbal",
     "GuardRefused",
     "Guards",
     "GuidanceProgress",
@@ -136,6 +167,7 @@ __all__ = [
     "LossReason",
     "Lossless",
     "M100Error",
+    "Magnetometer",
     "Newest",
     "NoAircraft",
     "NoAnswer",
@@ -149,7 +181,10 @@ __all__ = [
     "PortFailed",
     "PortNotFound",
     "PortPermissionDenied",
+    "Position",
+    "RcMode",
     "ReferenceFrame",
+    "RemoteControl",
     "Sample",
     "SessionMode",
     "Setpoint",
@@ -167,11 +202,54 @@ __all__ = [
     "TelemetryStalled",
     "Tick",
     "Ticker",
+    "Time",
     "UsageError",
+    "Velocity",
     "Version",
     "__version__",
     "connect",
     "errors",
 ]
 
-__all__ += records.__all__
+# Where the names are, in the order of the layers: to look into one loads what it loads anyway.
+_ROOMS = (
+    "errors",
+    "wire",
+    "session",
+    "protocol",
+    "link",
+    "telemetry.device_clock",
+    "telemetry.sample",
+    "telemetry.state",
+    "telemetry.subscription",
+    "requests",
+    "notifications",
+    "activation",
+    "geodesy",
+    "flight.authority",
+    "flight.pacing",
+    "flight.tasks",
+    "flight.guards",
+    "flight.guidance",
+    "flight.control",
+    "aircraft",
+)
+
+
+if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name
+
+    def __getattr__(name: str) -> object:
+        """Load a room by its name, or a public name from the room that has it, and keep it."""
+        if any(room.partition(".")[0] == name for room in _ROOMS):
+            return import_module(f"{__name__}.{name}")
+        if name in __all__:
+            for room in _ROOMS:
+                module = import_module(f"{__name__}.{room}")
+                if name in module.__all__:
+                    value = globals()[name] = getattr(module, name)
+                    return value
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

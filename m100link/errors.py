@@ -44,9 +44,8 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
 
 from __future__ import annotations
 
-from copy import copy
 from enum import StrEnum
-from typing import Self
+from typing import Self, TypeVar
 
 __all__ = [
     "AckTimeout",
@@ -90,6 +89,8 @@ __all__ = [
     "UsageError",
 ]
 
+E = TypeVar("E", bound="M100Error")
+
 
 class M100Error(Exception):
     """Base of every error of this package.
@@ -116,7 +117,7 @@ class M100Error(Exception):
 
     def again(self) -> Self:
         """The same error, to be raised in another place: one exception object has one traceback."""
-        fresh = copy(self)
+        fresh = _rebuild(type(self), self.args, self.__dict__)
         fresh.__cause__ = self.__cause__
         return fresh
 
@@ -125,9 +126,7 @@ class M100Error(Exception):
         return (_rebuild, (type(self), self.args, self.__dict__))
 
 
-def _rebuild(
-    cls: type[M100Error], args: tuple[object, ...], attributes: dict[str, object]
-) -> M100Error:
+def _rebuild(cls: type[E], args: tuple[object, ...], attributes: dict[str, object]) -> E:
     error = cls.__new__(cls)
     error.args = args
     error.__dict__.update(attributes)

@@ -1,5 +1,7 @@
 """The line itself: transports, and futures that acks resolve."""
 
+import logging
+
 from m100link.link.link import Link, LinkStatistics, open_link
 from m100link.link.memory import MemoryTransport, connect_in_memory
 from m100link.link.url import DEFAULT_BAUD_RATE, parse_url
@@ -13,3 +15,7 @@ __all__ = [
     "open_link",
     "parse_url",
 ]
+
+# A library leaves it to the program whether and how its log is shown. What logs is reached by doors
+# that stand on the link; what stands below it need not load logging.
+logging.getLogger("m100link").addHandler(logging.NullHandler())

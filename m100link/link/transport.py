@@ -13,7 +13,6 @@ import importlib.util
 import logging
 import os
 from collections.abc import Awaitable, Callable
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import serial
@@ -87,6 +86,9 @@ async def open_transport(
         return await _open_serial(address, protocol)
     if address.scheme == "tcp":
         return await _open_tcp(address, protocol)
+    # Loading it takes a fifth of what the whole package takes, and few connections get here.
+    from importlib.metadata import entry_points
+
     for entry_point in entry_points(group="m100link.transports", name=address.scheme):
         opener: Opener = entry_point.load()
         return await opener(address, protocol)

@@ -139,7 +139,7 @@ def plug_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Peer]]:
     def entry_points(*, group: str, name: str) -> list[EntryPoint]:
         return [EntryPoint()] if (group, name) == ("m100link.transports", "loop") else []
 
-    monkeypatch.setattr(transport, "entry_points", entry_points)
+    monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
     yield peers
     assert importlib.metadata is not None
 

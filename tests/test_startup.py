@@ -1,0 +1,133 @@
+"""What an import brings with it. Modules are counted, not seconds: those are the machine's."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib
+import pickle
+import pydoc
+import subprocess
+import sys
+
+import pytest
+
+import m100link
+from tests.test_house import MODULES, is_for_annotations, tree
+
+COSTLY = {"asyncio", "anyio", "logging", "dataclasses", "inspect", "ssl", "subprocess", "pathlib"}
+COSTLY |= {"serial", "cryptography", "importlib.metadata", "urllib", "rich", "cyclopts"}
+
+
+@functools.cache
+def loaded_by(statement: str) -> frozenset[str]:
+    """The modules that a statement loads into an interpreter that has nothing else to do."""
+    program = (
+        "import sys; before = set(sys.modules)\n"
+        f"{statement}\n"
+        "print(*sorted(set(sys.modules) - before), sep='\\n')"
+    )
+    return frozenset(run(program).stdout.split())
+
+
+def run(program: str) -> subprocess.CompletedProcess[str]:
+    # Without site, which loads what the environment likes; the paths are those of this process.
+    found = f"import sys; sys.path[:] = {sys.path!r}\n{program}"
+    return subprocess.run(
+        [sys.executable, "-S", "-c", found], capture_output=True, text=True, check=True
+    )
+
+
+def own(statement: str) -> set[str]:
+    return {name for name in loaded_by(statement) if name.startswith("m100link")}
+
+
+def test_the_package_alone_loads_nothing_of_itself() -> None:
+    assert own("import m100link") == {"m100link"}
+    assert not COSTLY & loaded_by("import m100link")
+
+
+@pytest.mark.parametrize(
+    ("statement", "rooms", "allowed"),
+    [
+        ("import m100link.errors", {"errors"}, set()),
+        ("from m100link import BadURL", {"errors"}, set()),
+        ("import m100link.wire", {"errors", "wire"}, set()),
+        (
+            "import m100link.protocol",
+            {"errors", "wire", "session", "protocol"},
+            {"dataclasses", "inspect"},
+        ),
+        (
+            "from m100link import Setpoint",
+            {"errors", "wire", "session", "protocol"},
+            {"dataclasses", "inspect"},
+        ),
+    ],
+)
+def test_a_lower_room_loads_neither_those_above_nor_what_only_they_need(
+    statement: str, rooms: set[str], allowed: set[str]
+) -> None:
+    assert {name.split(".")[1] for name in own(statement) if "." in name} == rooms
+    assert loaded_by(statement) & COSTLY <= allowed
+
+
+def test_frames_need_few_modules_at_all() -> None:
+    assert len(loaded_by("import m100link.wire")) < 65
+
+
+def test_connecting_waits_with_what_only_some_connections_need() -> None:
+    loaded = loaded_by("from m100link import connect")
+    assert "asyncio" in loaded
+    # Keys, plug-in transports, the virtual aircraft and the command line.
+    assert not loaded & {"cryptography", "importlib.metadata", "m100link.sim", "rich", "cyclopts"}
+
+
+def test_a_key_loads_the_cipher_when_it_is_used() -> None:
+    statement = "from m100link.wire import Cipher, Key; key = Key(bytes(32))"
+    assert "cryptography" not in loaded_by(statement)
+    assert "cryptography" in loaded_by(f"{statement}; Cipher(key).encrypt(b'x')")
+
+
+def test_every_public_name_is_what_type_checkers_take_it_for() -> None:
+    [block] = [node for node in tree(MODULES["m100link"]).body if is_for_annotations(node)]
+    seen = {"__version__"}
+    for node in ast.walk(block):
+        if isinstance(node, ast.ImportFrom):
+            assert node.module is not None
+            for alias in node.names:
+                home = importlib.import_module(node.module)
+                assert getattr(m100link, alias.name) is getattr(home, alias.name)
+                seen.add(alias.name)
+    assert seen == set(m100link.__all__)
+
+
+def test_names_are_found_by_all_who_look_for_them() -> None:
+    assert set(m100link.__all__) <= set(dir(m100link))
+    namespace: dict[str, object] = {}
+    exec("from m100link import *", namespace)
+    assert namespace.keys() >= set(m100link.__all__)
+    text = pydoc.plain(pydoc.render_doc(m100link))
+    assert "class Setpoint" in text
+    assert "connect(" in text
+    for cls in (m100link.Setpoint, m100link.AuthorityLost, m100link.Attitude):
+        assert pickle.loads(pickle.dumps(cls)) is cls
+
+
+def test_rooms_are_attributes_without_an_import_of_their_own() -> None:
+    program = "import m100link; m100link.geodesy.LocalFrame; m100link.protocol.Arm"
+    assert "m100link.geodesy" in loaded_by(program)
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error_with_its_name() -> None:
+    with pytest.raises(AttributeError, match="'m100link' has no attribute 'Contrl'"):
+        _ = m100link.Contrl  # type: ignore[attr-defined] # what is tested
+    with pytest.raises(ImportError, match="cannot import name 'Contrl'"):
+        exec("from m100link import Contrl")
+
+
+@pytest.mark.parametrize("door", ["aircraft", "agent.service", "sim", "station.front", "testing"])
+def test_whoever_comes_in_by_a_door_decides_about_the_log(door: str) -> None:
+    statement = f"import m100link.{door}, logging; logging.getLogger('m100link.x').warning('loud')"
+    assert "m100link.link" in loaded_by(statement)
+    assert run(statement).stderr == ""
