@@ -161,10 +161,11 @@ def mutation(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def bench(session: nox.Session) -> None:
-    """The benchmarks, beside their rivals on the same machine."""
+    """The benchmarks, beside their rivals on the same machine; `-- frames` for one program."""
     session.install("-e", PACKAGE, *group("bench"))
-    for name in ("run", "consumer", "ticks", "virtual_aircraft", "station"):
+    for name in ("ticks", "virtual_aircraft", "station"):
         session.run("python", "-m", f"benchmarks.{name}")
+    session.run("python", "-m", "benchmarks", *session.posargs)
 
 
 @nox.session(default=False)

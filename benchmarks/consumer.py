@@ -1,114 +1,155 @@
-"""From bytes on the line to a consumer's hand: cost per telemetry frame, memory per kept sample.
+"""From bytes on the line to a consumer's hand: the whole road of a telemetry package.
 
-    python -m benchmarks.consumer [--rounds 11] [--json]
+    python -m benchmarks.consumer [ROW …] [--rounds 15] [--json] [--beside TREE]
 
-The whole road of a package is timed, without the system calls: ``data_received`` of the link,
-sessions, typed sample, merged state, clock model, subscription, and the consumer taking it. Beside
-it in the same rounds: pymavlink parsing messages of like size and keeping the newest, which is what
-a program on it does. Memory is what a thousand kept values add, by tracemalloc.
+Timed without the system calls: ``data_received`` of the link, sessions, typed sample, merged state,
+clock model, authority, subscription, and the consumer taking it. Beside it in the same rounds:
+pymavlink parsing messages of like size, which a program on it does before it does anything. With
+``async for`` a task takes the packages, and a pass of the event loop per package is part of it.
+Memory is what a thousand kept values add, by tracemalloc.
 """
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import gc
-import importlib
-import importlib.util
-import json
+import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from typing import Any
 
 import m100link
-from benchmarks import run as base
+from benchmarks import peers
+from benchmarks.frames import FIRMWARE, telemetry_frames, telemetry_value
+from benchmarks.program import main
+from benchmarks.rows import (
+    Absent,
+    Costs,
+    Program,
+    Row,
+    Setting,
+    Side,
+    at_least,
+    at_most,
+    ratio,
+    timed,
+)
 from m100link.link import Link
-from m100link.wire import encode_frame
 
+COUNT = 3000
 KEPT = 1000
+MANY = 100
+HAND, LOOP = "bytes to the consumer's hand", "the same through async for"
+HAND_OF_MANY = f"the same for {MANY} consumers"
+SAMPLE, MESSAGE = "a kept sample, bytes", "a kept pymavlink message, bytes"
 
 
 async def make_aircraft() -> tuple[m100link.Aircraft, Link]:
+    """An aircraft on a link without a line."""
     link = Link()
-    aircraft = m100link.Aircraft(link, firmware=base.FIRMWARE)
-    return aircraft, link
+    return m100link.Aircraft(link, firmware=FIRMWARE), link
 
 
-def our_bench(readers: int) -> base.Bench:
+def taking(name: str, count: int, consumers: int) -> Side:
+    """Packages that consumers take as soon as they are there."""
     aircraft, link = asyncio.run(make_aircraft())
-    frames = [
-        encode_frame(b"\x02\x00" + base.telemetry_value(tick), session=0, sequence=tick & 0xFFFF)
-        for tick in range(base.COUNT)
-    ]
-    consumers = [aircraft.telemetry() for _ in range(readers)]
+    frames = telemetry_frames(count)
+    takers = [aircraft.telemetry() for _ in range(consumers)]
 
     def deliver() -> int:
         taken = 0
+        receive = link.data_received
         for frame in frames:
-            link.data_received(frame)
-            for consumer in consumers:
-                taken += consumer.get_nowait() is not None
-        return taken // readers
+            receive(frame)
+            for taker in takers:
+                taken += taker.get_nowait() is not None
+        return taken // consumers
 
-    return base.Bench(f"m100link, {readers} consumer(s)", base.COUNT, deliver)
+    return timed(name, count, deliver)
 
 
-def memory_of(make: Callable[[int], Any]) -> float:
+def iterating(name: str, count: int) -> Side:
+    """Packages that a task takes by ``async for``, one for each pass of the event loop."""
+    frames = telemetry_frames(count)
+
+    async def deliver() -> float:
+        loop = asyncio.get_running_loop()
+        aircraft, link = await make_aircraft()
+        waiting = iter(frames)
+
+        def receive() -> None:
+            frame = next(waiting, None)
+            if frame is not None:
+                link.data_received(frame)
+                loop.call_soon(receive)
+
+        left = count
+        async with aircraft.telemetry() as samples:
+            began = time.thread_time()
+            loop.call_soon(receive)
+            async for _ in samples:
+                left -= 1
+                if not left:
+                    break
+            return (time.thread_time() - began) / count
+
+    return Side(name, lambda: asyncio.run(deliver()))
+
+
+def memory(name: str, make: Callable[[int], Any], more: int = 0) -> Side:
     """Bytes per kept value."""
-    gc.collect()
-    tracemalloc.start()
-    kept = [make(index) for index in range(KEPT)]
-    size, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert len(kept) == KEPT
-    return size / KEPT
+
+    def run() -> float:
+        tracemalloc.start()
+        kept = [make(index) for index in range(KEPT)]
+        size, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        gc.collect()
+        return size / len(kept) + more
+
+    return Side(name, run, is_time=False)
 
 
-def our_memory() -> float:
-    values = [base.telemetry_value(tick) for tick in range(KEPT)]
-    return memory_of(lambda index: m100link.Sample(bytes(values[index]), base.FIRMWARE, 0.0)) + len(
-        values[0]
-    )
+def ours(setting: Setting, stack: ExitStack) -> Iterable[Side]:
+    """The whole road, and what is kept of it."""
+    count = setting.count(COUNT)
+    yield taking(HAND, count, 1)
+    yield taking(HAND_OF_MANY, setting.count(COUNT // 10), MANY)
+    yield iterating(LOOP, count)
+    value = telemetry_value(1)
+    yield memory(SAMPLE, lambda _: m100link.Sample(bytes(value), FIRMWARE, 0.0), len(value))
 
 
-def pymavlink_memory() -> float | None:
-    if importlib.util.find_spec("pymavlink") is None:
-        return None
-    mavlink: Any = importlib.import_module("pymavlink.dialects.v20.common")
-    sender = mavlink.MAVLink(None)
-    wave = [0.5 + n / 7 for n in range(13)]
-    wire = bytes(mavlink.MAVLink_highres_imu_message(10**12, *wave, 0x1FFF, 1).pack(sender))
-
-    def parse(_: int) -> Any:
-        return mavlink.MAVLink(None).parse_buffer(bytes(wire))
-
-    return memory_of(parse)
+def others(setting: Setting, stack: ExitStack) -> Iterable[Side | Absent]:
+    """pymavlink's bare parsing, and what it keeps."""
+    yield peers.parsing(peers.MIX, peers.mix, setting.count(COUNT))
+    mavlink = peers.dialect()
+    if mavlink is None:
+        yield Absent(MESSAGE, peers.MISSING)
+    else:
+        wire = peers.imu(mavlink, 1)[0]
+        yield memory(MESSAGE, lambda _: mavlink.MAVLink(None).parse_buffer(bytes(wire)))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=11)
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    benches = [our_bench(1), our_bench(10), *base.pymavlink_benches()]
-    times = base.measure(benches, options.rounds)
-    result: dict[str, Any] = {
-        "ns_per_frame": {name: sorted(t)[len(t) // 2] * 1e9 for name, t in times.items()},
-        "pymavlink_mix_over_ours": base.paired_ratio(
-            times, base.MAVLINK_MIX, "m100link, 1 consumer(s)"
+def per_consumer(costs: Costs) -> float:
+    """What one consumer more adds to a package, µs."""
+    return (costs[HAND_OF_MANY] - costs[HAND]) / (MANY - 1) * 1e6
+
+
+PROGRAM = Program(
+    name="consumer",
+    rows=(
+        Row(
+            "bytes → consumer, pymavlink's parsing ÷ ours", ratio(peers.MIX, HAND), at_least(3, 3.5)
         ),
-        "bytes_per_kept_sample": our_memory(),
-        "bytes_per_kept_pymavlink_message": pymavlink_memory(),
-    }
-    if options.json:
-        print(json.dumps(result))
-        return
-    for name, rounds in times.items():
-        print(f"{name:48} {sorted(rounds)[len(rounds) // 2] * 1e9:9.0f} ns")
-    print(f"pymavlink mix / m100link, 1 consumer: {result['pymavlink_mix_over_ours'] or 0:.2f}")
-    print(f"a kept sample: {result['bytes_per_kept_sample']:.0f} bytes")
-    print(f"a kept pymavlink message: {result['bytes_per_kept_pymavlink_message'] or 0:.0f} bytes")
-
+        Row("the same through async for ÷ the row above", ratio(LOOP, HAND), at_most(2.7, 2.2)),
+        Row("consumers 1 → 100, per package and consumer", per_consumer, at_most(0.35), "µs"),
+        Row("a kept pymavlink message ÷ a kept sample, memory", ratio(MESSAGE, SAMPLE)),
+    ),
+    ours=ours,
+    others=others,
+)
 
 if __name__ == "__main__":
-    main()
+    main(PROGRAM)
