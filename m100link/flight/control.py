@@ -2,37 +2,29 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager, nullcontext
 from functools import partial
 from types import TracebackType
-from typing import Literal, Self
+from typing import Self
 
 from m100link.errors import (
     GuardRefused,
-    LinkClosed,
     LinkError,
-    LinkLost,
-    LossReason,
-    M100Error,
     NoAuthority,
     TaskRefused,
     UsageError,
 )
 from m100link.flight.authority import AuthorityState
-from m100link.flight.cancellation import Errand, ProgramTask
+from m100link.flight.block import ControlBlock, PauseAction
 from m100link.flight.guards import GuardKeeper, Guards
 from m100link.flight.guidance import GuidedFlight
-from m100link.flight.handover import authority_lost, obtain_authority
-from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
+from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
 from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold, SetpointLoop, check_lifetime
-from m100link.flight.signals import SIGNALS
-from m100link.flight.stop_path import StopAction, StopPath
+from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, TaskListener, run_task, task_name
-from m100link.flight.watchdog import TelemetryWatchdog
 from m100link.protocol.commands.control import Move, Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.state import AircraftState
@@ -40,9 +32,6 @@ from m100link.telemetry.state import AircraftState
 __all__ = ["Control", "Hold", "PauseAction"]
 
 _logger = logging.getLogger("m100link.flight")
-
-PauseAction = Literal["raise", "wait"]
-"""What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""
 
 SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 """Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""
@@ -77,23 +66,19 @@ class Control:
         self._commander = commander
         self._requests = commander.requests
         self._authority = commander.authority
-        self._claim = claim
-        self._on_pause: PauseAction = on_pause
         self._guards = GuardKeeper(guards or Guards(), commander.state)
-        self._handles_signals = handle_signals
-        self._life = Lifecycle()
-        self._program = ProgramTask()
         self._running_task: Task | None = None  # flown by the autopilot: it ignores setpoints
         self._prepared: tuple[Setpoint, Move] | None = None  # the newest setpoint, for the wire
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
         self._setpoints = SetpointLoop(self._transmit, self._admits)
-        self._stop_path = StopPath(commander, self._life, self._setpoints, stop)
-        self._on_signal = partial(self._stop, StopCause.SIGNALLED)
-        self._stopping = Errand(self._stop_path.run, self._on_stopped)
-        self._watchdog = TelemetryWatchdog(
-            commander.state,
-            self._guards.guards.stale_telemetry_s,
-            on_stall=partial(self._stop, StopCause.TELEMETRY_STALLED),
+        self._block = ControlBlock(
+            commander,
+            claim,
+            self._setpoints,
+            self._guards,
+            stop=stop,
+            on_pause=on_pause,
+            handle_signals=handle_signals,
         )
         guided = GuidedFlight(self, self._guards)
         self.fly_to, self.climb_to = guided.fly_to, guided.climb_to
@@ -102,27 +87,7 @@ class Control:
     # -- the block -------------------------------------------------------------------------------
 
     async def __aenter__(self) -> Self:
-        if self._life.state is not BlockState.NEW:
-            raise UsageError("this control block was entered before; ask for a new one")
-        self._requests.fix_firmware()
-        self._claim.take(self._close)
-        self._life.feed(BlockInput.ENTER)
-        self._program.enter()
-        self._unsubscribe = self._authority.subscribe(self._on_authority_changed)
-        if self._handles_signals:
-            SIGNALS.join(self._on_signal)
-        try:
-            await obtain_authority(self._commander)
-            self._life.feed(BlockInput.OBTAINED)
-            self._guards.start()
-            self._watchdog.start()
-        except BaseException as error:
-            self._stop(StopCause.NOT_ENTERED)
-            await self._leave(error)
-            raise
-        if not self._life.is_open:  # lost, closed or signalled between the request and here
-            await self._leave(None)
-            raise asyncio.CancelledError
+        await self._block.enter()
         return self
 
     async def __aexit__(
@@ -131,65 +96,7 @@ class Control:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> bool:
-        self._stop(StopCause.LEFT)
-        return await self._leave(exc)
-
-    async def _leave(self, error: BaseException | None) -> bool:
-        """Wait for the end of the stop path. Returns whether ``error`` was its cancellation alone.
-
-        Raises:
-            M100Error: What ended the block, unless an error of the program is under way.
-        """
-        self._program.leave()
-        try:
-            await self._stopping.ended()
-        finally:
-            is_ours = self._program.take_back(error)
-        failure = self._life.failure
-        if failure is not None and (error is None or is_ours):
-            raise failure.again() from failure.__cause__
-        # After a signal the program does not go on behind the block as if it had flown.
-        return is_ours and self._life.cause is not StopCause.SIGNALLED
-
-    def _stop(self, cause: StopCause, failure: M100Error | None = None) -> None:
-        """Something ends the block: the stop path begins at once, in a task of its own.
-
-        It does not wait for the program, which may clean up slowly, swallow its cancellation, or be
-        gone. After the first cause only a lost line changes anything.
-        """
-        is_first = self._life.state is not BlockState.STOPPING
-        if not self._life.feed(cause, failure):
-            return
-        self._stop_path.let_go()
-        if is_first:
-            self._stopping.begin()
-            if cause not in (StopCause.LEFT, StopCause.NOT_ENTERED):
-                self._program.cancel()
-
-    async def _close(self) -> None:
-        """The connection is about to be closed."""
-        error = LinkClosed("the aircraft was disconnected while this block was flying it")
-        self._stop(StopCause.CLOSED, error)
-        await self._stopping.ended()
-
-    def _on_authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
-        reason = self._authority.reason
-        if reason is LossReason.LINK:
-            lost = self._commander.link.failure or LinkLost("the line is gone")
-            self._stop(StopCause.LINK_LOST, lost.again())
-        elif after is AuthorityState.PAUSED and self._on_pause == "wait":
-            if self._life.feed(BlockInput.PAUSE):
-                self._setpoints.silence()
-        elif after in (AuthorityState.PAUSED, AuthorityState.LOST):
-            self._stop(StopCause.AUTHORITY_LOST, authority_lost(reason))
-
-    def _on_stopped(self) -> None:
-        self._life.feed(BlockInput.STOPPED)
-        self._unsubscribe()
-        self._watchdog.stop()
-        self._requests.free_firmware()
-        self._claim.give_back()
-        SIGNALS.leave(self._on_signal)  # last: a signal that came may end the process here
+        return await self._block.leave(exc)
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -201,7 +108,7 @@ class Control:
     @property
     def is_paused(self) -> bool:
         """With ``on_pause="wait"``: the pilot took the aircraft and :meth:`resume` is needed."""
-        return self._life.state is BlockState.PAUSED
+        return self._block.state is BlockState.PAUSED
 
     @property
     def state(self) -> AircraftState:
@@ -245,7 +152,7 @@ class Control:
             UsageError: The lifetime does not end, or is longer than allowed.
             BadSetpoint: The firmware cannot express it.
         """
-        self._require_flying("a setpoint")
+        self._block.require_flying("a setpoint")
         if self._running_task is not None:
             raise NoAuthority(
                 f"a setpoint was sent during {task_name(self._running_task)}; nothing was sent",
@@ -270,7 +177,7 @@ class Control:
         Raises:
             NoAuthority: Authority is not held.
         """
-        self._require_flying("a raw movement command")
+        self._block.require_flying("a raw movement command")
         return self._requests.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
@@ -279,16 +186,16 @@ class Control:
         try:
             return self._requests.push(self._prepared[1])
         except LinkError as error:
-            self._stop(StopCause.LINK_LOST, error.again())
+            self._block.end(StopCause.LINK_LOST, error.again())
             return False
 
     def _admits(self, setpoint: Setpoint) -> bool:
         """The gate in front of the wire, for each frame that :meth:`send` did not check itself."""
         if self._authority.state is not AuthorityState.HELD:
             return False
-        if self._life.state is BlockState.FLYING:
-            return self._watchdog.is_quiet() and self._guards_admit(setpoint)
-        return self._life.state is BlockState.STOPPING  # the neutral
+        if self._block.state is BlockState.STOPPING:
+            return True  # the neutral
+        return self._block.admits() and self._guards_admit(setpoint)
 
     def _guards_admit(self, setpoint: Setpoint) -> bool:
         """Ask again: a setpoint may live longer than what it was checked against."""
@@ -401,32 +308,7 @@ class Control:
         Raises:
             NoAuthority: The pilot has not given the aircraft back.
         """
-        if not self.has_authority:
-            raise NoAuthority(
-                "the pilot has not given the aircraft back",
-                remedy="await control.wait_resumable() first",
-            )
-        self._life.feed(BlockInput.RESUME)
-
-    def _require_flying(self, what: str) -> None:
-        """Raise unless the block may send: what ended it, or how to come to where it may.
-
-        Telemetry comes first: guards would complain of values that are only old.
-        """
-        life = self._life
-        is_flying = life.state is BlockState.FLYING and self._watchdog.is_quiet()
-        if is_flying and self._authority.state is AuthorityState.HELD:
-            return
-        if life.failure is not None:
-            raise life.failure.again()
-        state, remedy = self._authority.state.value, "use it inside `async with aircraft.control()`"
-        if life.state in (BlockState.STOPPING, BlockState.OVER):
-            state = "over with this block"
-        elif life.state is BlockState.PAUSED:
-            state, remedy = "paused by the pilot", "wait_resumable() and resume()"
-        raise NoAuthority(
-            f"{what} was asked for while authority is {state}; nothing was sent", remedy=remedy
-        )
+        self._block.resume()
 
     # -- tasks -----------------------------------------------------------------------------------
 
@@ -449,7 +331,7 @@ class Control:
             NotObserved: Neither success nor failure showed in time.
             AckTimeout: Nobody knows whether it began.
         """
-        self._require_flying(task_name(Task.TAKE_OFF))
+        self._block.require_flying(task_name(Task.TAKE_OFF))
         await self._guards.admit_take_off()
         await self._run(Task.TAKE_OFF, timeout, progress)
 
@@ -466,7 +348,7 @@ class Control:
         await self._run(Task.GO_HOME, timeout, progress)
 
     async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
-        self._require_flying(task_name(task))
+        self._block.require_flying(task_name(task))
         if self._running_task is not None:
             raise TaskRefused(
                 f"{task_name(task)} was asked for during {task_name(self._running_task)}",
@@ -474,7 +356,7 @@ class Control:
             )
         self._running_task = task
         self._setpoints.silence()
-        watch = self._stop_path.taking_off() if task is Task.TAKE_OFF else nullcontext()
+        watch = self._block.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
             with watch:
                 await run_task(self._commander, task, timeout=timeout, progress=progress)

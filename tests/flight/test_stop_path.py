@@ -146,7 +146,7 @@ async def test_a_program_that_swallows_its_cancellation_cannot_keep_authority() 
                 except asyncio.CancelledError:
                     await asyncio.sleep(60.0)
                 assert flown.is_released
-                assert control._life.state.name == "OVER"
+                assert control._block.state.name == "OVER"
                 with pytest.raises(AuthorityLost):
                     control.send(NORTH)
 

@@ -1,0 +1,222 @@
+"""The life of a control block: entered, ended by whatever comes first, left by one path."""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+from typing import Literal
+
+from m100link.errors import (
+    LinkClosed,
+    LinkLost,
+    LossReason,
+    M100Error,
+    NoAuthority,
+    UsageError,
+)
+from m100link.flight.authority import AuthorityState
+from m100link.flight.cancellation import Errand, ProgramTask
+from m100link.flight.guards import GuardKeeper
+from m100link.flight.handover import authority_lost, obtain_authority
+from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
+from m100link.flight.setpoints import SetpointLoop
+from m100link.flight.signals import SIGNALS
+from m100link.flight.stop_path import StopAction, StopPath
+from m100link.flight.tasks import Commander
+from m100link.flight.watchdog import TelemetryWatchdog
+
+__all__ = ["ControlBlock", "PauseAction"]
+
+PauseAction = Literal["raise", "wait"]
+"""What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""
+
+
+class ControlBlock:
+    """One control block: watches what may end it, and then runs the stop path.
+
+    Args:
+        commander: The aircraft.
+        claim: Kept while the block lives: one at a time.
+        setpoints: What the block sends.
+        guards: Their clock starts when authority was obtained.
+        stop: What the stop path does after the neutral setpoint.
+        on_pause: What happens when the pilot takes the aircraft.
+        handle_signals: Let Ctrl-C, SIGTERM and SIGHUP take the stop path first.
+    """
+
+    def __init__(
+        self,
+        commander: Commander,
+        claim: BlockClaim,
+        setpoints: SetpointLoop,
+        guards: GuardKeeper,
+        *,
+        stop: StopAction,
+        on_pause: PauseAction,
+        handle_signals: bool,
+    ) -> None:
+        self._commander = commander
+        self._authority = commander.authority
+        self._claim = claim
+        self._setpoints = setpoints
+        self._guards = guards
+        self._on_pause: PauseAction = on_pause
+        self._handles_signals = handle_signals
+        self._life = Lifecycle()
+        self._program = ProgramTask()
+        self._stop_path = StopPath(commander, self._life, setpoints, stop)
+        self.taking_off = self._stop_path.taking_off
+        self._stopping = Errand(self._stop_path.run, self._on_stopped)
+        self._on_signal = partial(self.end, StopCause.SIGNALLED)
+        self._watchdog = TelemetryWatchdog(
+            commander.state,
+            guards.guards.stale_telemetry_s,
+            on_stall=partial(self.end, StopCause.TELEMETRY_STALLED),
+        )
+
+    @property
+    def state(self) -> BlockState:
+        """Where it is in its life."""
+        return self._life.state
+
+    # -- in and out ------------------------------------------------------------------------------
+
+    async def enter(self) -> None:
+        """Obtain authority; what ends the block is raised in the task that entered it.
+
+        Raises:
+            UsageError: It was entered before, another block of this program is running, or the
+                firmware is unknown.
+            AuthorityRefused, NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See
+                each class.
+        """
+        if self._life.state is not BlockState.NEW:
+            raise UsageError("this control block was entered before; ask for a new one")
+        self._commander.requests.fix_firmware()
+        self._claim.take(self._close)
+        self._life.feed(BlockInput.ENTER)
+        self._program.enter()
+        self._unsubscribe = self._authority.subscribe(self._on_authority_changed)
+        if self._handles_signals:
+            SIGNALS.join(self._on_signal)
+        try:
+            await obtain_authority(self._commander)
+            self._life.feed(BlockInput.OBTAINED)
+            self._guards.start()
+            self._watchdog.start()
+        except BaseException as error:
+            self.end(StopCause.NOT_ENTERED)
+            await self._leave(error)
+            raise
+        if not self._life.is_open:  # lost, closed or signalled between the request and here
+            await self._leave(None)
+            raise asyncio.CancelledError
+
+    async def leave(self, error: BaseException | None) -> bool:
+        """End it, if nothing did before, and wait for the end of the stop path.
+
+        Args:
+            error: With which the program leaves.
+
+        Returns:
+            Whether ``error`` was the cancellation by this block alone.
+
+        Raises:
+            M100Error: What ended the block, unless an error of the program is under way.
+        """
+        self.end(StopCause.LEFT)
+        return await self._leave(error)
+
+    async def _leave(self, error: BaseException | None) -> bool:
+        self._program.leave()
+        try:
+            await self._stopping.ended()
+        finally:
+            is_ours = self._program.take_back(error)
+        failure = self._life.failure
+        if failure is not None and (error is None or is_ours):
+            raise failure.again() from failure.__cause__
+        # After a signal the program does not go on behind the block as if it had flown.
+        return is_ours and self._life.cause is not StopCause.SIGNALLED
+
+    def end(self, cause: StopCause, failure: M100Error | None = None) -> None:
+        """Something ends the block: the stop path begins at once, in a task of its own.
+
+        It does not wait for the program, which may clean up slowly, swallow its cancellation, or be
+        gone. After the first cause only a lost line changes anything.
+        """
+        is_first = self._life.state is not BlockState.STOPPING
+        if not self._life.feed(cause, failure):
+            return
+        self._stop_path.let_go()
+        if is_first:
+            self._stopping.begin()
+            if cause not in (StopCause.LEFT, StopCause.NOT_ENTERED):
+                self._program.cancel()
+
+    async def _close(self) -> None:
+        """The connection is about to be closed."""
+        error = LinkClosed("the aircraft was disconnected while this block was flying it")
+        self.end(StopCause.CLOSED, error)
+        await self._stopping.ended()
+
+    def _on_authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
+        reason = self._authority.reason
+        if reason is LossReason.LINK:
+            lost = self._commander.link.failure or LinkLost("the line is gone")
+            self.end(StopCause.LINK_LOST, lost.again())
+        elif after is AuthorityState.PAUSED and self._on_pause == "wait":
+            if self._life.feed(BlockInput.PAUSE):
+                self._setpoints.silence()
+        elif after in (AuthorityState.PAUSED, AuthorityState.LOST):
+            self.end(StopCause.AUTHORITY_LOST, authority_lost(reason))
+
+    def _on_stopped(self) -> None:
+        self._life.feed(BlockInput.STOPPED)
+        self._unsubscribe()
+        self._watchdog.stop()
+        self._commander.requests.free_firmware()
+        self._claim.give_back()
+        SIGNALS.leave(self._on_signal)  # last: a signal that came may end the process here
+
+    # -- what may be sent ------------------------------------------------------------------------
+
+    def admits(self) -> bool:
+        """Whether the program's setpoints may go out: it is flying, and telemetry arrives."""
+        return self._life.state is BlockState.FLYING and self._watchdog.is_quiet()
+
+    def require_flying(self, what: str) -> None:
+        """Raise unless the block may send: what ended it, or how to come to where it may.
+
+        Telemetry comes first: guards would complain of values that are only old.
+
+        Raises:
+            NoAuthority: Authority is not held, or is paused.
+            M100Error: What ended the block.
+        """
+        if self.admits() and self._authority.state is AuthorityState.HELD:
+            return
+        life = self._life
+        if life.failure is not None:
+            raise life.failure.again()
+        state, remedy = self._authority.state.value, "use it inside `async with aircraft.control()`"
+        if life.state in (BlockState.STOPPING, BlockState.OVER):
+            state = "over with this block"
+        elif life.state is BlockState.PAUSED:
+            state, remedy = "paused by the pilot", "wait_resumable() and resume()"
+        raise NoAuthority(
+            f"{what} was asked for while authority is {state}; nothing was sent", remedy=remedy
+        )
+
+    def resume(self) -> None:
+        """The program goes on after the pilot gave the aircraft back.
+
+        Raises:
+            NoAuthority: The pilot has not.
+        """
+        if self._authority.state is not AuthorityState.HELD:
+            raise NoAuthority(
+                "the pilot has not given the aircraft back",
+                remedy="await control.wait_resumable() first",
+            )
+        self._life.feed(BlockInput.RESUME)
