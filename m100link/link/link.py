@@ -264,7 +264,7 @@ class Link(asyncio.Protocol):
             _logger.warning("%s: the port did not report its end within a second", self.name)
 
     async def wait_connected(self) -> None:
-        """Wait until the transport is attached (pyserial-asyncio returns before it is)."""
+        """Wait until the transport is attached (an opener may return before it is)."""
         await self._connected
 
     # -- what the transport calls ----------------------------------------------------------------

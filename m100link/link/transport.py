@@ -1,7 +1,9 @@
 """Opening the line: serial ports (ptys included), TCP, and transports that plug themselves in.
 
-The only importer of pyserial and pyserial-asyncio. Their known faults end here: each override in
-:class:`_SerialTransport` names the one it is for.
+The only importer of pyserial and pyserial-asyncio. They open and configure the port. The bytes go
+through :class:`~m100link.link.serial_transport.SerialTransport`, and through pyserial-asyncio's own
+transport only where an event loop cannot watch a port: there, each override in
+:class:`_PolledTransport` names the fault that it is for.
 """
 
 from __future__ import annotations
@@ -9,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import functools
-import importlib.util
 import logging
 import os
 from collections.abc import Awaitable, Callable
@@ -26,29 +27,23 @@ from m100link.errors import (
     PortNotFound,
     PortPermissionDenied,
 )
+from m100link.link.serial_transport import HIGH_WATER, PORT_GONE, SerialTransport
 from m100link.link.url import EXAMPLES, ConnectionString
 
 __all__ = ["Opener", "open_transport", "port_owners", "serial_ports"]
 
 _logger = logging.getLogger("m100link.link")
 
-_PORT_GONE: tuple[type[Exception], ...] = (OSError,)  # serial.SerialException is one
-if importlib.util.find_spec("termios") is not None:  # not on Windows
-    import termios
-
-    _PORT_GONE += (termios.error,)  # which is none, although it carries an errno
-
 Opener = Callable[[ConnectionString, asyncio.Protocol], Awaitable[asyncio.Transport]]
 """What a plug-in transport provides, by an entry point in the group ``m100link.transports``."""
 
 CONNECT_TIMEOUT = 5.0
 
-# Two hundred milliseconds of a 115200-baud line. More would only make setpoints old.
-_WRITE_HIGH_WATER = 2048
+_CAN_WATCH_PORTS = os.name == "posix"
 
 
-class _SerialTransport(serial_asyncio.SerialTransport):
-    """pyserial-asyncio 0.6 without the faults that its users suffer from."""
+class _PolledTransport(serial_asyncio.SerialTransport):
+    """pyserial-asyncio 0.6 without the faults that its users suffer from; it polls on Windows."""
 
     def abort(self) -> None:
         # A second abort, or one after the port was lost, raises AttributeError there.
@@ -68,7 +63,7 @@ class _SerialTransport(serial_asyncio.SerialTransport):
             return
         try:
             self._serial.reset_output_buffer()
-        except _PORT_GONE as error:
+        except PORT_GONE as error:
             _logger.debug("the port was gone before its output could be dropped: %s", error)
         super()._call_connection_lost(exc)
 
@@ -101,17 +96,30 @@ async def open_transport(
 async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:
     loop = asyncio.get_running_loop()
     device = _expanded(address.target)
+    # An inter-byte time-out, if only of 0, makes an empty read mean that the device is gone.
     open_port = functools.partial(
-        serial.Serial, device, baudrate=address.number or 0, exclusive=True, timeout=0
+        serial.Serial,
+        device,
+        baudrate=address.number or 0,
+        exclusive=True,
+        timeout=0,
+        inter_byte_timeout=0,
     )
     try:
         # Opening can take a second on some adapters: not on the event loop.
         port = await _kept_or_closed(loop.run_in_executor(None, open_port))
     except (serial.SerialException, OSError, ValueError) as error:
         raise _translate(device, address, error) from error
-    transport = _SerialTransport(loop, protocol, port)
-    transport.set_write_buffer_limits(high=_WRITE_HIGH_WATER)
-    return transport
+    if not _CAN_WATCH_PORTS:
+        polled = _PolledTransport(loop, protocol, port)
+        polled.set_write_buffer_limits(high=HIGH_WATER)
+        return polled
+    try:
+        return SerialTransport(loop, protocol, port)
+    except BaseException:
+        loop.remove_reader(port.fileno())
+        port.close()
+        raise
 
 
 async def _kept_or_closed(opening: asyncio.Future[serial.Serial]) -> serial.Serial:

@@ -18,7 +18,7 @@ import pytest
 import serial
 
 from m100link.errors import LinkClosed, LinkError, LinkLost, PortBusy
-from m100link.link import Link, open_link
+from m100link.link import Link, open_link, transport
 from m100link.link.link import CLOSE_TIMEOUT
 from m100link.wire import FrameDecoder, encode_frame
 from tests.waiting import PATIENCE, until
@@ -115,6 +115,34 @@ async def test_requests_are_answered_over_a_pty(terminal: Terminal) -> None:
     assert answers == [b"ack of %d" % n for n in range(50)]
     stop()
     await link.close()
+
+
+@pytest.mark.parametrize("writing", [False, True], ids=["idle", "writing"])
+async def test_where_no_loop_can_watch_a_port_the_transport_of_pyserial_does(
+    terminal: Terminal,
+    complaints: list[dict[str, Any]],
+    monkeypatch: pytest.MonkeyPatch,
+    writing: bool,
+) -> None:
+    """On Windows; elsewhere only here."""
+    monkeypatch.setattr(transport, "_CAN_WATCH_PORTS", False)
+    watch(complaints)
+    for _ in range(2):
+        link = await open_link(terminal.path)
+        stop = terminal.answer_everything()
+        assert await link.request(b"x") == b"ack of x"
+        stop()
+        await link.close()
+    lost = asyncio.get_running_loop().create_future()
+    link = await open_link(terminal.path, on_lost=lost.set_result)
+    terminal.unplug()
+    if writing:
+        for _ in range(20):
+            link.push(bytes(100))
+    assert isinstance(await asyncio.wait_for(lost, PATIENCE), LinkLost)
+    await link.close()
+    gc.collect()
+    assert complaints == []
 
 
 async def test_closing_is_quick_may_be_repeated_and_frees_the_port(terminal: Terminal) -> None:

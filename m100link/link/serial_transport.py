@@ -1,0 +1,302 @@
+"""The transport of an open serial port: one ``os.read`` or ``os.write`` per turn of the loop.
+
+pyserial opens and configures the port. The asyncio transport on top of it registers and removes a
+writer for each frame, asks ``select`` again what the loop knows already, and forgets what it was
+writing when Ctrl-C comes between two of its lines. Here a frame is written at once, the loop
+watches for room only while the line takes no more, and each step can be cut off by a
+``KeyboardInterrupt``: what was read is delivered and what was accepted is sent all the same.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import importlib.util
+import logging
+import os
+from collections import deque
+from enum import Enum
+from typing import Any, Protocol
+
+__all__ = ["HIGH_WATER", "PORT_GONE", "PortState", "SerialPort", "SerialTransport"]
+
+_logger = logging.getLogger("m100link.link")
+
+HIGH_WATER = 2048  # 200 ms of a line at 115200 baud: more would only make setpoints old
+_LOW_WATER = 512
+_MOST_UNSENT = 65_536  # for a line that takes nothing, from a protocol that does not pause
+_READ_SIZE = 4096  # what the terminal layer of the system holds
+
+PORT_GONE: tuple[type[Exception], ...] = (OSError,)  # serial.SerialException is one
+if importlib.util.find_spec("termios") is not None:  # not on Windows
+    import termios
+
+    PORT_GONE += (termios.error,)  # which is none, although it carries an errno
+
+
+class SerialPort(Protocol):
+    """What a transport wants of a port; ``serial.Serial`` is one."""
+
+    def fileno(self) -> int:
+        """The open file, of which an empty read means that the device is gone (VMIN is 1)."""
+
+    def reset_output_buffer(self) -> object:
+        """Drop what the system still holds for the line."""
+
+    def close(self) -> object:
+        """Give the port back; a second time nothing happens."""
+
+
+class PortState(Enum):
+    """Where a transport is between its first byte and its end."""
+
+    OPEN = "open"
+    """Bytes go both ways."""
+    CLOSING = "closing"
+    """``close()`` came: what was accepted still leaves, nothing is accepted or read."""
+    ENDING = "ending"
+    """Nothing is sent or read; the protocol hears of the end in the next turn of the loop."""
+    CLOSED = "closed"
+    """The port is given back."""
+
+
+class _Unsent:
+    """Accepted bytes, and how many of them the system has taken.
+
+    Attributes:
+        data: The bytes.
+        taken: What ``os.write`` of ``data`` returned; nothing before it did.
+    """
+
+    __slots__ = ("data", "taken")
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.taken: list[int] = []
+
+    def rest(self) -> bytes:
+        """What the system has not taken."""
+        return self.data[self.taken[0] :] if self.taken else self.data
+
+
+_NOTHING = _Unsent(b"")
+
+
+class SerialTransport(asyncio.Transport):
+    """Carries bytes between a protocol and a serial port that the event loop can watch.
+
+    The protocol's ``connection_made`` is called at once. From 2048 unsent bytes on it is told to
+    pause writing, from 512 on to resume. A protocol that writes on regardless is buffered up to
+    65,536 bytes; a piece that does not fit is dropped whole and counted.
+
+    Args:
+        loop: The running event loop.
+        protocol: Who gets the bytes.
+        port: An open port, which belongs to the transport from here on.
+
+    Attributes:
+        state: Where it is between its first byte and its end.
+        dropped: Pieces that did not fit.
+    """
+
+    # A KeyboardInterrupt may come between any two lines. So each step first writes down what makes
+    # it be done again, and can be done twice; the tests cut every line off.
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, protocol: asyncio.Protocol, port: SerialPort
+    ) -> None:
+        super().__init__({"serial": port})
+        self._loop = loop
+        self._protocol = protocol
+        self._port = port
+        self._fd = port.fileno()
+        self.state = PortState.OPEN
+        # False while the protocol wants no bytes.
+        self._is_reading = True
+        # What was read and is not delivered: empty between turns, unless something cut one off.
+        self._arrived: deque[bytes] = deque()
+        # What was accepted and is not with the system: nothing, unless the line takes no more.
+        self._unsent = _NOTHING
+        # Whether the protocol was told to pause, and not yet to resume.
+        self._is_protocol_paused = False
+        # Whether it has heard of the end.
+        self._is_protocol_told = False
+        self.dropped = 0
+        os.set_blocking(self._fd, False)
+        protocol.connection_made(self)
+        if self.is_reading():
+            loop.add_reader(self._fd, self._on_readable)
+
+    # -- reading ---------------------------------------------------------------------------------
+
+    def _on_readable(self) -> None:
+        if self.state is not PortState.OPEN:
+            return  # its end is on its way
+        try:
+            if not self._arrived:  # a turn that was cut off comes first
+                self._read()
+            self._deliver()
+        except BaseException:
+            if self._arrived:
+                self._loop.call_soon(self._deliver)
+            raise
+
+    def _read(self) -> None:
+        try:
+            # One instruction from the system into the deque: a KeyboardInterrupt comes between two,
+            # and bytes on their way into a variable would be lost.
+            self._arrived.extend(map(os.read, (self._fd,), (_READ_SIZE,)))
+        except (BlockingIOError, InterruptedError):
+            return  # another program emptied the port, or a signal came
+        except OSError as error:
+            self._end(error)
+
+    def _deliver(self) -> None:
+        while self._arrived and self.is_reading():
+            if not self._arrived[0]:
+                self._end(OSError(errno.EIO, "the device hung up"))
+                return
+            self._protocol.data_received(self._arrived.popleft())
+
+    def is_reading(self) -> bool:
+        """Whether the protocol gets bytes."""
+        return self._is_reading and self.state is PortState.OPEN
+
+    def pause_reading(self) -> None:
+        """Deliver nothing until :meth:`resume_reading`."""
+        self._is_reading = False
+        if self.state is PortState.OPEN:
+            self._loop.remove_reader(self._fd)
+
+    def resume_reading(self) -> None:
+        """Deliver again."""
+        self._is_reading = True
+        if self.state is PortState.OPEN:
+            self._loop.add_reader(self._fd, self._on_readable)
+            if self._arrived:
+                self._loop.call_soon(self._deliver)
+
+    # -- writing ---------------------------------------------------------------------------------
+
+    def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
+        """Send, at once if the line takes it; nothing happens once it is closed."""
+        if self.state is not PortState.OPEN or not data:
+            return
+        waiting = self._unsent.rest()
+        if len(waiting) + len(data) > _MOST_UNSENT:
+            self.dropped += 1
+            return
+        try:
+            self._unsent = _Unsent(waiting + bytes(data))
+            if not waiting:
+                self._send()
+            if self._unsent is not _NOTHING:
+                self._wait_for_room()
+        except BaseException:
+            if self._unsent is not _NOTHING:
+                self._loop.add_writer(self._fd, self._on_writable)
+            raise
+
+    def _send(self) -> None:
+        """Give the system what it takes."""
+        try:
+            # As in _read: how much was taken is known by the next instruction.
+            unsent = self._unsent
+            unsent.taken.extend(map(os.write, (self._fd,), (unsent.data,)))
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError as error:
+            self._end(error)
+            return
+        self._settle()
+
+    def _settle(self) -> None:
+        """Forget what the system has taken."""
+        rest = self._unsent.rest()
+        self._unsent = _Unsent(rest) if rest else _NOTHING
+
+    def _wait_for_room(self) -> None:
+        if self.state is PortState.ENDING:
+            return
+        self._loop.add_writer(self._fd, self._on_writable)
+        if len(self._unsent.data) > HIGH_WATER and not self._is_protocol_paused:
+            self._is_protocol_paused = True
+            self._protocol.pause_writing()
+
+    def _on_writable(self) -> None:
+        if self.state in (PortState.ENDING, PortState.CLOSED):
+            return
+        self._settle()  # a turn that was cut off did not
+        if self._unsent is not _NOTHING:
+            self._send()
+        if self._is_protocol_paused and len(self._unsent.data) <= _LOW_WATER:
+            self._resume_protocol()
+        if self._unsent is _NOTHING:
+            # Last, because until here whatever cuts this off is made up for by the next call.
+            if self.state is PortState.CLOSING:
+                self._end(None)
+            else:
+                self._loop.remove_writer(self._fd)
+
+    def _resume_protocol(self) -> None:
+        try:
+            self._is_protocol_paused = False
+            self._protocol.resume_writing()
+        except KeyboardInterrupt:
+            self._is_protocol_paused = True  # it may not have heard, and may hear twice
+            raise
+
+    def get_write_buffer_size(self) -> int:
+        """Bytes that were accepted and are not with the system."""
+        return len(self._unsent.rest())
+
+    def can_write_eof(self) -> bool:
+        """Never: a serial line has no end."""
+        return False
+
+    # -- the end ---------------------------------------------------------------------------------
+
+    def is_closing(self) -> bool:
+        """Whether it is closed or about to be."""
+        return self.state is not PortState.OPEN
+
+    def close(self) -> None:
+        """Read no more, send what was accepted, then give the port back."""
+        if self.state in (PortState.ENDING, PortState.CLOSED):
+            return
+        self.state = PortState.CLOSING
+        self._loop.remove_reader(self._fd)
+        if self._unsent is _NOTHING:
+            self._end(None)
+        else:
+            self._loop.add_writer(self._fd, self._on_writable)
+
+    def abort(self) -> None:
+        """Give the port back in the next turn of the loop; what is unsent is lost."""
+        self._end(None)
+
+    def _end(self, error: OSError | None) -> None:
+        if self.state in (PortState.ENDING, PortState.CLOSED):
+            return
+        for _ in range(2):  # a KeyboardInterrupt can take one
+            self._loop.call_soon(self._finish, error)
+        self.state = PortState.ENDING
+
+    def _finish(self, error: OSError | None) -> None:
+        if self._is_protocol_told:
+            return
+        if self.state is not PortState.CLOSED:
+            self._loop.remove_reader(self._fd)
+            self._loop.remove_writer(self._fd)
+            self.state = PortState.CLOSED  # the number of the file may soon be another's
+        self._give_back()
+        self._protocol.connection_lost(error)
+        self._is_protocol_told = True
+
+    def _give_back(self) -> None:
+        """Close the port, without the wait for a line that takes nothing."""
+        for step in (self._port.reset_output_buffer, self._port.close):
+            try:
+                step()
+            except PORT_GONE as error:
+                _logger.debug("the port was gone before %s: %s", step.__name__, error)
