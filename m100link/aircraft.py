@@ -294,12 +294,7 @@ class Aircraft:
         sample = self._telemetry.take(frame.data[2:], self.firmware, now)
         if sample is None:
             return
-        remote_control = sample.remote_control
-        if remote_control is not None:
-            self.authority.observe_remote_control(remote_control)
-        control_device = sample.control_device
-        if control_device is not None:
-            self.authority.observe_control_device(control_device)
+        self.authority.observe(sample)
         self._telemetry.publish(sample)
 
     def _on_authority_changed(self, notification: AuthorityChanged, now: float) -> None:

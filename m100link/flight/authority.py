@@ -11,9 +11,16 @@ import logging
 import time
 from collections.abc import Callable
 from enum import Enum
+from operator import itemgetter
+from typing import TYPE_CHECKING
 
 from m100link.errors import LossReason
+from m100link.protocol.packet import field_span
 from m100link.protocol.records import ControlDevice, Device, RcMode, RemoteControl
+
+if TYPE_CHECKING:
+    from m100link.protocol.firmware import FirmwareProfile
+    from m100link.protocol.packet import TelemetryPacket
 
 __all__ = ["TRANSITIONS", "Authority", "AuthorityInput", "AuthorityState"]
 
@@ -126,6 +133,9 @@ _DEVICE_INPUTS: dict[Device | None, AuthorityInput] = {
 }
 
 
+_WATCHED = ((RemoteControl, "mode"), (ControlDevice, "control"))
+"""The fields that tell who controls, all that the observations below read of a package."""
+
 _SETTLING_S = 0.3  # an item of 10 Hz or more, made after the grant, has arrived by then
 
 
@@ -149,6 +159,11 @@ class Authority:
         self._waiters: list[tuple[AuthorityState, asyncio.Future[None]]] = []
         self._was_in_f: bool | None = None  # the mode switch, when it was seen last
         self._was_ours = False  # CTRL_DEVICE has shown us since the last request
+        # How to take the watched bytes out of a package, by its flags, under this firmware.
+        self._firmware: FirmwareProfile | None = None
+        self._takers: dict[int, Callable[[bytes], object]] = {}
+        # What they were, by the flags, in the last package that changed nothing.
+        self._known: dict[int, object] = {}
 
     def subscribe(
         self, listener: Callable[[AuthorityState, AuthorityState], None]
@@ -171,11 +186,13 @@ class Authority:
         before = self.state
         if what is _I.OBTAIN:
             self._was_ours = False
+            self._forget()
         after = TRANSITIONS[before].get(what)
         if after is None:
             if before in _GONE and self.reason is LossReason.UNKNOWN:
-                self.reason = _REASONS.get(what, self.reason)
+                self._explain(_REASONS.get(what, self.reason))
             return False
+        self._forget()
         self.state = after
         if before is not _S.CONTESTED or after is not _S.PAUSED:  # there it is known already
             self.reason = self._reason_of(what) if after in _GONE else LossReason.NONE
@@ -191,6 +208,12 @@ class Authority:
             listener(before, after)
         return True
 
+    def _explain(self, reason: LossReason) -> None:
+        """What was not known yet about a loss, if it is news."""
+        if reason is not self.reason:
+            self.reason = reason
+            self._forget()
+
     def _reason_of(self, what: AuthorityInput) -> LossReason:
         if what is _I.DEVICE_RC and self._was_in_f:
             return LossReason.UNKNOWN  # not the switch: API control off, or something else
@@ -201,6 +224,45 @@ class Authority:
         """Whether what the items say now was made after authority was granted."""
         return self.state is _S.HELD and self._clock() - self._held_since >= _SETTLING_S
 
+    def observe(self, package: TelemetryPacket) -> None:
+        """Cross-check with a package: the mode switch, then CTRL_DEVICE, where it carries them.
+
+        Most packages say what the one before said. What an observation does follows from the
+        watched bytes, what is remembered here, and whether authority had time to settle: where it
+        changed nothing, the same bytes change nothing again until something else does.
+        """
+        flags = package.flags
+        if package.profile is not self._firmware:
+            self._watch(package.profile)
+        take = self._takers.get(flags) or self._taker(flags, package.profile)
+        told = take(package.value)
+        known = self._known
+        if known.get(flags) == told:
+            return
+        rc, device = package.remote_control, package.control_device
+        if rc is not None:
+            self.observe_remote_control(rc)
+        if device is not None:
+            self.observe_control_device(device)
+        if self.state is not _S.HELD or self._is_settled:
+            known[flags] = told  # in what is forgotten already, if something changed
+
+    def _watch(self, firmware: FirmwareProfile) -> None:
+        """From here on packages are those of that firmware."""
+        self._firmware = firmware
+        self._takers.clear()
+        self._forget()
+
+    def _taker(self, flags: int, firmware: FirmwareProfile) -> Callable[[bytes], object]:
+        spans = [field_span(record, name, flags, firmware) for record, name in _WATCHED]
+        take = itemgetter(*[span for span in spans if span is not None] or [slice(0, 0)])
+        self._takers[flags] = take
+        return take
+
+    def _forget(self) -> None:
+        """Something changed by which an observation can differ from the last of the same bytes."""
+        self._known = {}
+
     def observe_remote_control(self, rc: RemoteControl) -> None:
         """Cross-check with the mode switch.
 
@@ -209,11 +271,13 @@ class Authority:
         seen to move: in F, the app may have control.
         """
         is_in_f, was_in_f = rc.mode_switch is RcMode.F, self._was_in_f
-        self._was_in_f = is_in_f
+        if is_in_f is not was_in_f:
+            self._was_in_f = is_in_f
+            self._forget()
         if (was_in_f is not None and is_in_f != was_in_f) or (not is_in_f and self._is_settled):
             self.feed(_I.RC_IN_F if is_in_f else _I.RC_LEFT_F)
         elif self.reason is LossReason.UNKNOWN and not is_in_f:
-            self.reason = LossReason.MODE_SWITCH
+            self._explain(LossReason.MODE_SWITCH)
 
     def observe_control_device(self, item: ControlDevice) -> None:
         """Cross-check with the CTRL_DEVICE item (0 Hz by default: it may never come).
@@ -224,7 +288,10 @@ class Authority:
         what = _DEVICE_INPUTS.get(item.device)
         if what is None or (what is _I.DEVICE_RC and not self._was_ours and not self._is_settled):
             return
-        self._was_ours = what is _I.DEVICE_ONBOARD
+        is_ours = what is _I.DEVICE_ONBOARD
+        if is_ours is not self._was_ours:
+            self._was_ours = is_ours
+            self._forget()
         self.feed(what)
 
     async def wait_for(self, state: AuthorityState) -> None:

@@ -72,6 +72,22 @@ class ItemLayout:
         """Bytes on the wire."""
         return struct.calcsize("<" + self.format)
 
+    def span(self, field: str) -> slice:
+        """Which of the item's bytes are that field's: those without which it has another value.
+
+        Raises:
+            ValueError: The layout has no such field.
+        """
+        place = self.fields.index(field)
+        unpack = struct.Struct("<" + self.format).unpack
+        zero = unpack(bytes(self.size))[place]
+        own = [
+            at
+            for at in range(self.size)
+            if unpack(bytes(at) + b"\xff" + bytes(self.size - at - 1))[place] != zero
+        ]
+        return slice(own[0], own[-1] + 1) if own else slice(0, 0)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Item:

@@ -17,7 +17,13 @@ from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.protocol.items import BY_RECORD, ITEMS, Item, ItemLayout, RecordViews
 
-__all__ = ["TelemetryPacket", "encode_telemetry", "fitting_profiles", "telemetry_size"]
+__all__ = [
+    "TelemetryPacket",
+    "encode_telemetry",
+    "field_span",
+    "fitting_profiles",
+    "telemetry_size",
+]
 
 
 _BITS = {record: item.bit for record, item in BY_RECORD.items()}
@@ -87,6 +93,26 @@ def telemetry_size(flags: int, profile: FirmwareProfile) -> int:
     Bits of items that the firmware does not have are left out.
     """
     return _plan(flags & profile.item_flags, profile).size
+
+
+def field_span(record: type[Any], field: str, flags: int, profile: FirmwareProfile) -> slice | None:
+    """Which bytes of a telemetry value are a field's, for who reads nothing else of it.
+
+    Args:
+        record: Record class of the item.
+        field: Wire name of the field.
+        flags: Flag word of the value.
+        profile: Firmware profile of the sender.
+
+    Returns:
+        None where packages with these flags lack the item, or the firmware lacks the field.
+    """
+    item = BY_RECORD[record]
+    place = _plan(flags & profile.item_flags, profile).items.get(item.bit)
+    if place is None or field not in profile.items[item.name].fields:
+        return None
+    span = profile.items[item.name].span(field)
+    return slice(place[0] + span.start, place[0] + span.stop)
 
 
 def _fits(value: bytes, profile: FirmwareProfile) -> bool:

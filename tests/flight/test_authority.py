@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
+import random
 
 import pytest
 
 from m100link.flight.authority import TRANSITIONS, Authority, AuthorityInput, AuthorityState
+from m100link.protocol.firmware import PROFILES, FirmwareProfile
+from m100link.protocol.items import ItemLayout
+from m100link.protocol.packet import TelemetryPacket, encode_telemetry
 from m100link.protocol.records import ControlDevice, RcMode, RemoteControl
 
 S, I = AuthorityState, AuthorityInput  # noqa: E741
@@ -399,6 +404,114 @@ def test_the_request_bit_of_later_firmware_does_not_hide_the_device() -> None:
     authority = authority_in(S.HELD)
     authority.observe_control_device(device(0x08 | 1))
     assert (authority.state, authority.reason) == (S.LOST, "app")
+
+
+# -- whole packages -------------------------------------------------------------------------------
+
+
+class Pair:
+    """An authority that is given packages, and one that is given each of their records."""
+
+    def __init__(self) -> None:
+        self.clock = Clock()
+        self.watching, self.looking = Authority(self.clock), Authority(self.clock)
+        self.told: list[list[tuple[AuthorityState, AuthorityState]]] = [[], []]
+        self.watching.subscribe(lambda *change: self.told[0].append(change))
+        self.looking.subscribe(lambda *change: self.told[1].append(change))
+
+    def feed(self, what: AuthorityInput) -> None:
+        assert self.watching.feed(what) is self.looking.feed(what)
+
+    def observe(self, package: TelemetryPacket) -> None:
+        self.watching.observe(package)
+        if package.remote_control is not None:
+            self.looking.observe_remote_control(package.remote_control)
+        if package.control_device is not None:
+            self.looking.observe_control_device(package.control_device)
+
+    def check(self, seed: int) -> None:
+        assert self.watching.state is self.looking.state, seed
+        assert self.watching.reason is self.looking.reason, seed
+        assert self.told[0] == self.told[1], seed
+
+
+# The second reads the mode switch of the same bytes otherwise, which no firmware of DJI does.
+FIRMWARES = (
+    PROFILES["1.0"],
+    dataclasses.replace(
+        PROFILES["1.0"],
+        name="its own",
+        items=dict(PROFILES["1.0"].items)
+        | {"rc": ItemLayout("4hHh", PROFILES["1.0"].items["rc"].fields)},
+    ),
+)
+
+
+def random_package(dice: random.Random, firmware: FirmwareProfile) -> TelemetryPacket:
+    """With and without the watched items, and with more and less around them."""
+    items: dict[str, list[float]] = {}
+    if dice.random() < 0.5:
+        items["quaternion"] = [1, 0, 0, 0]
+    if dice.random() < 0.8:
+        modes = (8000, 8000, 8000, 57536) if firmware is FIRMWARES[1] else (8000, 8000, 0, -8000)
+        items["rc"] = [dice.choice((0, -10000)), 0, 0, 0, dice.choice(modes), -4545]
+    if dice.random() < 0.8:
+        control: float = dice.choice((0, 0, 1, 2, 2, 2, 0x08 | 2, 0x10, 7))
+        items["control_device"] = [control]
+    return TelemetryPacket(encode_telemetry(items, firmware), firmware)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_packages_are_observed_as_if_each_record_were_looked_at_every_time(seed: int) -> None:
+    dice = random.Random(seed)
+    pair = Pair()
+    firmware = FIRMWARES[0]
+    package = random_package(dice, firmware)
+    for _ in range(2000):
+        match dice.random():
+            case chance if chance < 0.02:
+                firmware = dice.choice(FIRMWARES)
+                package = random_package(dice, firmware)
+            case chance if chance < 0.04:
+                firmware = dice.choice(FIRMWARES)
+                package = TelemetryPacket(package.value, firmware)
+            case chance if chance < 0.12:
+                pair.feed(dice.choice(list(I)))
+            case chance if chance < 0.16:
+                pair.feed(I.OBTAIN)
+            case chance if chance < 0.2:
+                pair.feed(I.OBTAINED)
+            case chance if chance < 0.45:
+                package = random_package(dice, firmware)
+        pair.clock.now += dice.choice((0.0, 0.01, 0.01, 0.1, 0.29, 0.31))
+        for _ in range(dice.randint(1, 3)):  # the same once more, as most packages are
+            pair.observe(package)
+            pair.check(seed)
+
+
+@pytest.mark.parametrize("firmware", PROFILES)
+def test_a_package_that_says_what_the_last_one_said_is_not_read(
+    firmware: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is most of what a package costs; sticks that move are no news about authority."""
+    profile = PROFILES[firmware]
+    looks: list[RemoteControl] = []
+    observe = Authority.observe_remote_control
+
+    def look(authority: Authority, rc: RemoteControl) -> None:
+        looks.append(rc)
+        observe(authority, rc)
+
+    monkeypatch.setattr(Authority, "observe_remote_control", look)
+    clock = Clock()
+    authority = authority_in(S.HELD, clock)
+    clock.now += SETTLING + 0.001
+    for stick in range(100):
+        rc = [stick, -stick, 3 * stick, 0, 8000, -4545][: len(profile.items["rc"].fields)]
+        device = [2] * len(profile.items["control_device"].fields)
+        value = encode_telemetry({"rc": rc, "control_device": device}, profile)
+        authority.observe(TelemetryPacket(value, profile))
+    assert 1 <= len(looks) <= 2
 
 
 # -- waiting --------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ from m100link.protocol import (
     profile,
 )
 from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
-from m100link.protocol.packet import fitting_profiles, telemetry_size
+from m100link.protocol.packet import field_span, fitting_profiles, telemetry_size
 from tests.support import load_vectors
 
 VECTORS = load_vectors("telemetry")
@@ -101,6 +101,36 @@ def test_items_follow_in_bit_order_without_gaps(flags: int, firmware: FirmwarePr
         layout = firmware.items[name]
         raw = struct.pack("<" + layout.format, *items[name].values())
         assert raw == bytes(range(at, at + layout.size))
+
+
+@pytest.mark.parametrize("firmware", PROFILES)
+@pytest.mark.parametrize("flags", [0x0FFF, 0x0F80, 0x0800, 0x0AAA, 0x0555])
+def test_the_span_of_a_field_is_where_its_value_is(firmware: str, flags: int) -> None:
+    """A value made of such spans alone is the value of the whole."""
+    speaks = profile(firmware)
+    numbers = iter(range(1, 200))
+    items = {
+        item.name: [next(numbers) for _ in speaks.items[item.name].fields]
+        for item in ITEMS
+        if item.name in speaks.items and flags >> item.bit & 1
+    }
+    value = encode_telemetry(items, speaks)
+    found: set[int] = set()
+    for item in ITEMS:
+        for field in item.fields:
+            span = field_span(item.record, field, flags, speaks)
+            layout = speaks.items.get(item.name)
+            if item.name not in items or layout is None or field not in layout.fields:
+                assert span is None
+                continue
+            assert span is not None
+            alone = bytearray(len(value))
+            alone[:2], alone[span] = value[:2], value[span]
+            raw = TelemetryPacket(bytes(alone), speaks).raw_items()
+            assert raw[item.name][field] == items[item.name][layout.fields.index(field)]
+            assert not found & set(range(span.start, span.stop))
+            found |= set(range(span.start, span.stop))
+    assert found == set(range(2, len(value)))
 
 
 def test_the_document_profile_reads_longitude_first_and_lacks_what_its_table_lacks() -> None:
