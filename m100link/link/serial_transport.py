@@ -40,6 +40,10 @@ class SerialPort(Protocol):
     def fileno(self) -> int:
         """The open file, of which an empty read means that the device is gone (VMIN is 1)."""
 
+    @property
+    def out_waiting(self) -> int:
+        """Bytes that the system still holds for the line."""
+
     def reset_output_buffer(self) -> object:
         """Drop what the system still holds for the line."""
 
@@ -295,8 +299,13 @@ class SerialTransport(asyncio.Transport):
 
     def _give_back(self) -> None:
         """Close the port, without the wait for a line that takes nothing."""
-        for step in (self._port.reset_output_buffer, self._port.close):
-            try:
-                step()
-            except PORT_GONE as error:
-                _logger.debug("the port was gone before %s: %s", step.__name__, error)
+        try:
+            # On a pseudo-terminal this also drops what the other end has and did not read yet.
+            if self._unsent is not _NOTHING or self._port.out_waiting:
+                self._port.reset_output_buffer()
+        except PORT_GONE as error:
+            _logger.debug("the port was gone before its output could be dropped: %s", error)
+        try:
+            self._port.close()
+        except PORT_GONE as error:
+            _logger.debug("the port was gone before it could be closed: %s", error)

@@ -29,6 +29,7 @@ class Line:
         room: Bytes that it takes yet.
         errors: What the next writes raise.
         calls: What was asked of the port.
+        out_waiting: What the system holds for the line.
     """
 
     def __init__(self) -> None:
@@ -38,6 +39,7 @@ class Line:
         self.errors: deque[OSError] = deque()
         self.calls: list[str] = []
         self.is_open = True
+        self.out_waiting = 0
 
     # the port
 

@@ -208,6 +208,15 @@ def test_every_state_and_event(bench: Bench, state: str, event: str) -> None:
     bench.transport.close()
     bench.loop.run()
     assert bench.protocol.told.count("lost") == 1
+    # Bytes for a line that takes none must not make closing wait. Where all have left, nothing is
+    # dropped: on a pseudo-terminal that would be what the other end has yet to read.
+    assert bench.line.calls == ["reset_output_buffer"] * (unsent > 0) + ["close"]
+
+
+def test_bytes_that_the_system_holds_do_not_make_closing_wait(bench: Bench) -> None:
+    bench.line.out_waiting = 1
+    bench.transport.abort()
+    bench.loop.run()
     assert bench.line.calls == ["reset_output_buffer", "close"]
 
 
@@ -346,16 +355,18 @@ def test_an_error_of_the_protocol_is_the_loops_and_the_bytes_are_gone(bench: Ben
     assert bench.transport.state is OPEN
 
 
-def test_a_port_that_fails_at_its_end_is_closed_all_the_same(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("step", ["reset_output_buffer", "close"])
+def test_a_port_that_fails_at_its_end_has_ended_all_the_same(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     def fail() -> None:
         raise GONE
 
-    monkeypatch.setattr(bench.line, "reset_output_buffer", fail)
+    block(bench)
+    monkeypatch.setattr(bench.line, step, fail)
     bench.transport.abort()
     bench.loop.run()
-    assert bench.line.calls == ["close"]
+    assert bench.transport.state is CLOSED
     assert bench.protocol.errors == [None]
 
 
