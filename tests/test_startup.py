@@ -131,3 +131,20 @@ def test_whoever_comes_in_by_a_door_decides_about_the_log(door: str) -> None:
     statement = f"import m100link.{door}, logging; logging.getLogger('m100link.x').warning('loud')"
     assert "m100link.link" in loaded_by(statement)
     assert run(statement).stderr == ""
+
+
+def test_the_list_of_verbs_loads_none_of_them() -> None:
+    asked = "import sys; sys.argv = ['m100link', '--help']\nfrom m100link.cli import main"
+    loaded = loaded_by(f"{asked}\ntry: main()\nexcept SystemExit: pass")
+    assert {name for name in loaded if name.startswith("m100link")} == {
+        *("m100link", "m100link.errors"),
+        *("m100link.cli", "m100link.cli.app", "m100link.cli.outcome"),
+    }
+
+
+def test_decoding_a_frame_loads_neither_an_event_loop_nor_an_aircraft_nor_a_console() -> None:
+    asked = "import sys; sys.argv = ['m100link', 'decode', 'aa']\nfrom m100link.cli import main"
+    loaded = loaded_by(f"{asked}\ntry: main()\nexcept SystemExit: pass")
+    assert "m100link.cli.decode" in loaded
+    above = {"asyncio", "m100link.link", "m100link.sim", "m100link.station", "rich.console"}
+    assert not loaded & above

@@ -11,7 +11,8 @@ from rich.table import Table
 
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
-from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, print_json, run_async
+from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
+from m100link.cli.outcome import print_json
 from m100link.protocol.items import BY_RECORD
 
 __all__ = ["activate", "info"]

@@ -9,36 +9,87 @@ import sys
 from cyclopts import App, CycloptsError
 
 import m100link
-from m100link.cli import aircraft, decode, demo, flight, monitor, sim, station, telemetry
-from m100link.cli.common import ExitCode, complain
+from m100link.cli.outcome import ExitCode, complain
 from m100link.errors import M100Error, UsageError
 
-__all__ = ["app", "run"]
+__all__ = ["VERBS", "app", "run"]
 
-app = App(
-    name="m100link",
-    help="Fly and watch a DJI Matrice 100 through its Onboard API, or a virtual one.",
-    version=m100link.__version__,
-)
-for _command in (
-    demo.demo,
-    aircraft.info,
-    aircraft.activate,
-    monitor.monitor,
-    telemetry.echo,
-    telemetry.hz,
-    telemetry.plot,
-    flight.takeoff,
-    flight.land,
-    flight.home,
-    flight.fly,
-    flight.release,
-    decode.decode,
-    sim.app,
-    station.serve,
-    station.console,
-):
-    app.command(_command)
+# Verb → where it is, and the first sentence of its help. A module is loaded when its verb is used,
+# and none for the list of verbs.
+VERBS = {
+    "demo": (
+        "demo:demo",
+        "Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.",
+    ),
+    "info": (
+        "aircraft:info",
+        "Show what is at the other end: version, firmware profile, telemetry items, line quality.",
+    ),
+    "activate": (
+        "aircraft:activate",
+        "Activate the aircraft for an app; waits while the aircraft asks DJI's server.",
+    ),
+    "monitor": (
+        "monitor:monitor",
+        "Watch telemetry: every item with its value, age, measured rate and jitter.",
+    ),
+    "echo": (
+        "telemetry:echo",
+        "Print telemetry as it arrives: one JSON object, or one row of CSV, per package.",
+    ),
+    "hz": (
+        "telemetry:hz",
+        "Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock.",
+    ),
+    "plot": (
+        "telemetry:plot",
+        "Plot columns over time: live from an aircraft, or of a recorded span.",
+    ),
+    "takeoff": (
+        "flight:takeoff",
+        "Start the motors and climb to about 1.2 m; the aircraft hovers there.",
+    ),
+    "land": ("flight:land", "Land in place and stop the motors."),
+    "home": ("flight:home", "Fly to the home point and land there."),
+    "fly": ("flight:fly", "Fly so many metres north, east and up from here, and hover there."),
+    "release": (
+        "flight:release",
+        "Give control authority back; the aircraft hovers and the pilot flies on.",
+    ),
+    "decode": (
+        "decode:decode",
+        "Decode frames from hex: one stream per argument, or per line of standard input.",
+    ),
+    "sim": ("sim:app", "A virtual Matrice 100, for people and other programs."),
+    "serve": (
+        "station:serve",
+        "Own the serial port and share the aircraft: rosbridge v2 for any number of clients.",
+    ),
+    "console": (
+        "station:console",
+        "Serve the console for browsers, beside everything that `serve` serves, and open it.",
+    ),
+}
+
+
+def application(*, overview: bool = False) -> App:
+    """The commands under one name.
+
+    Args:
+        overview: For the list of verbs only: a sentence that is given here would take the place of
+            the verb's own help.
+    """
+    made = App(
+        name="m100link",
+        help="Fly and watch a DJI Matrice 100 through its Onboard API, or a virtual one.",
+        version=m100link.__version__,
+    )
+    for verb, (place, sentence) in VERBS.items():
+        made.command(f"m100link.cli.{place}", name=verb, help=sentence if overview else None)
+    return made
+
+
+app = application()
 
 
 def _show_warnings() -> None:
@@ -59,9 +110,9 @@ def run() -> None:
     """Parse the command line, run the command, exit with its status."""
     try:
         _show_warnings()
-        status = app(
-            sys.argv[1:], exit_on_error=False, print_error=True, result_action="return_value"
-        )
+        words = sys.argv[1:]
+        asked = app if VERBS.keys() & set(words) else application(overview=True)
+        status = asked(words, exit_on_error=False, print_error=True, result_action="return_value")
     except CycloptsError:
         sys.exit(ExitCode.USAGE)
     except M100Error as error:

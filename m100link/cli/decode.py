@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.table import Table
 
-from m100link.cli.common import ExitCode, Firmware, complain, out, print_json
+from m100link.cli.options import Firmware
+from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import BadAck, M100Error, UsageError
 from m100link.protocol.command import Request, Unrecognised
 from m100link.protocol.commands.monitor import PushTelemetry
@@ -211,6 +211,11 @@ _COMMON = ("session", "is_ack", "sequence", "encrypted", "padding", "data", "com
 
 
 def _print_table(decoded: dict[str, Any]) -> None:
+    # For people only: whoever pipes frames through waits for nothing but the frames.
+    from rich.table import Table
+
+    from m100link.cli.common import out
+
     table = Table(box=None, pad_edge=False)
     for title in ("session", "seq", "kind", "command", "data", "meaning"):
         table.add_column(title, overflow="fold")

@@ -21,7 +21,8 @@ from rich.text import Text
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import line_plot, track_plot
-from m100link.cli.common import ExitCode, complain, err, out, print_json
+from m100link.cli.common import err, out
+from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import M100Error, NotObserved
 from m100link.flight.control import Control
 from m100link.geodesy import LocalFrame

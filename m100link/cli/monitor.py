@@ -11,7 +11,8 @@ from rich.live import Live
 from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
-from m100link.cli.common import LinkOptions, Url, out, print_json, run_async
+from m100link.cli.common import LinkOptions, Url, out, run_async
+from m100link.cli.outcome import print_json
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Acceleration,

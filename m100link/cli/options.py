@@ -10,11 +10,18 @@ import dataclasses
 import inspect
 import re
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from cyclopts import Parameter
 
-__all__ = ["attribute_texts", "options_of"]
+from m100link.protocol.firmware import PROFILES
+
+__all__ = ["Firmware", "attribute_texts", "options_of"]
+
+if TYPE_CHECKING:
+    Firmware = str
+else:
+    Firmware = Literal[tuple(PROFILES)]  # checkers want it spelt out, people want them all offered
 
 
 def attribute_texts(source: type) -> dict[str, str]:

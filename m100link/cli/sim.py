@@ -18,8 +18,9 @@ import cyclopts
 from cyclopts import Parameter
 from rich.table import Table
 
-from m100link.cli.common import Firmware, out, print_json
-from m100link.cli.options import options_of
+from m100link.cli.common import out
+from m100link.cli.options import Firmware, options_of
+from m100link.cli.outcome import print_json
 from m100link.cli.sim_live import LiveView, read_keys
 from m100link.errors import UsageError
 from m100link.keyfile import read_key

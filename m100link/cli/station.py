@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from m100link.cli.common import ExitCode, err, out, print_json, run_async
+from m100link.cli.common import err, out, run_async
 from m100link.cli.options import options_of
+from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
 from m100link.station.config import ENVIRONMENT, Settings, resolve
 

@@ -17,7 +17,8 @@ from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import line_plot
-from m100link.cli.common import ExitCode, LinkOptions, Url, complain, out, print_json, run_async
+from m100link.cli.common import LinkOptions, Url, out, run_async
+from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_RECORD

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.cli.common import ExitCode
+from m100link.cli.app import VERBS, app, application
+from m100link.cli.outcome import ExitCode
 from tests.cli.conftest import CommandLine
 
 
@@ -41,6 +42,15 @@ def test_help_and_version(cli: CommandLine) -> None:
     overview = cli("--help")
     for command in ("demo", "info", "activate", "monitor", "decode", "sim", "takeoff", "fly"):
         assert command in overview.out
+
+
+def test_each_verb_is_listed_with_the_first_sentence_of_its_own_help(cli: CommandLine) -> None:
+    overview = cli("--help").out
+    for verb, (_, sentence) in VERBS.items():
+        assert (app[verb].help or "").split("\n\n")[0] == sentence
+        assert sentence.replace("`", "") in overview
+    assert application(overview=True)["sim"].name == ("sim",)
+    assert "hex" in cli("decode", "--help").out
 
 
 def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,50 +13,10 @@ from pathlib import Path
 import pytest
 import serial
 
-from m100link import errors
-from m100link.cli.common import ExitCode, exit_code
+from m100link.cli.outcome import ExitCode
 from m100link.testing import VirtualPort
 from m100link.wire import encode_frame
 from tests.cli.conftest import CommandLine
-
-
-@pytest.mark.parametrize(
-    ("error", "status"),
-    [
-        (errors.UsageError("x"), 2),
-        (errors.BadURL("x"), 2),
-        (errors.BadKey("x"), 2),
-        (errors.PortNotFound("x"), 3),
-        (errors.PortPermissionDenied("x"), 3),
-        (errors.PortBusy("x"), 3),
-        (errors.PortFailed("x"), 3),
-        (errors.SilentLine("x"), 4),
-        (errors.NoValidFrame("x"), 4),
-        (errors.NoAnswer("x"), 4),
-        (errors.LinkLost("x"), 4),
-        (errors.ActivationRefused("x"), 5),
-        (errors.NotActivated("x"), 5),
-        (errors.LevelTooLow("x"), 5),
-        (errors.KeyRejected("x"), 5),
-        (errors.AuthorityRefused("x"), 6),
-        (errors.AuthorityLost("x"), 6),
-        (errors.NoAuthority("x"), 6),
-        (errors.TaskRefused("x"), 7),
-        (errors.TaskFailed("x"), 7),
-        (errors.GuardRefused("x"), 7),
-        (errors.CommandNotSupported("x"), 7),
-        (errors.AckTimeout("x"), 8),
-        (errors.NotObserved("x"), 8),
-        (errors.TelemetryStalled("x"), 8),
-        (errors.BadAck("x"), 1),
-        (errors.TelemetryOverflow("x"), 1),
-    ],
-    ids=lambda value: type(value).__name__ if isinstance(value, Exception) else "",
-)
-def test_each_class_of_error_has_its_exit_status(error: Exception, status: int) -> None:
-    """2 usage, 3 port, 4 no link, 5 activation, 6 authority, 7 refused, 8 time, 1 the rest."""
-    assert exit_code(error) == status
-
 
 # -- URLs and ports -------------------------------------------------------------------------------
 
