@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager, nullcontext
-from functools import partial
+from functools import partial, update_wrapper
 from types import TracebackType
-from typing import Self
+from typing import Any, Concatenate, ParamSpec, Self
 
 from m100link.errors import (
     GuardRefused,
@@ -19,7 +19,7 @@ from m100link.errors import (
 from m100link.flight.authority import AuthorityState
 from m100link.flight.block import ControlBlock, PauseAction
 from m100link.flight.guards import GuardKeeper, Guards
-from m100link.flight.guidance import GuidedFlight
+from m100link.flight.guidance import Arrival, GuidedFlight
 from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
 from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold, SetpointLoop, check_lifetime
@@ -37,6 +37,20 @@ SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 """Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""
 
 
+P = ParamSpec("P")
+
+
+def _guided(
+    loop: Callable[Concatenate[GuidedFlight, P], Coroutine[Any, Any, Arrival]],
+) -> Callable[Concatenate[Control, P], Coroutine[Any, Any, Arrival]]:
+    """A closed loop as a method of Control: its arguments and its words stand at GuidedFlight."""
+
+    async def fly(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> Arrival:
+        return await loop(self._guided, *args, **kwargs)
+
+    return update_wrapper(fly, loop)
+
+
 class Control:
     """Control of the aircraft while an ``async with aircraft.control()`` block runs.
 
@@ -45,8 +59,7 @@ class Control:
     time. When authority, the link or telemetry is lost, that path begins at once, the block is
     cancelled and the plain reason raised.
 
-    ``fly_to``, ``climb_to``, ``turn_to`` and ``orbit`` are those of
-    :class:`~m100link.flight.guidance.GuidedFlight`.
+    While one of ``fly_to``, ``climb_to``, ``turn_to`` and ``orbit`` flies, nothing else steers.
     """
 
     def __init__(
@@ -80,9 +93,9 @@ class Control:
             on_pause=on_pause,
             handle_signals=handle_signals,
         )
-        guided = GuidedFlight(self, self._guards)
-        self.fly_to, self.climb_to = guided.fly_to, guided.climb_to
-        self.turn_to, self.orbit = guided.turn_to, guided.orbit
+        self._guided = GuidedFlight(
+            commander.state, self._guards, steer=self._steer, halt=self._setpoints.halt
+        )
 
     # -- the block -------------------------------------------------------------------------------
 
@@ -149,9 +162,24 @@ class Control:
         Raises:
             NoAuthority: Authority is not held, is paused, or a task is flying the aircraft.
             GuardRefused: A guard said no; nothing was sent.
-            UsageError: The lifetime does not end, or is longer than allowed.
+            UsageError: The lifetime does not end, or is longer than allowed; or a closed loop is
+                flying.
             BadSetpoint: The firmware cannot express it.
         """
+        if self._guided.flying:
+            self._block.require_flying("a setpoint")  # what ended the block comes first
+            self._guided.require_idle("a setpoint")
+        self._steer(setpoint, lifetime, rate_hz, is_long_allowed=allow_long_lifetime)
+
+    def _steer(
+        self,
+        setpoint: Setpoint,
+        lifetime: float = SETPOINT_LIFETIME,
+        rate_hz: float = MAX_RATE_HZ,
+        *,
+        is_long_allowed: bool = False,
+    ) -> None:
+        """Send a setpoint for whoever may steer: the program, or the closed loop that flies."""
         self._block.require_flying("a setpoint")
         if self._running_task is not None:
             raise NoAuthority(
@@ -159,7 +187,7 @@ class Control:
                 cause="the aircraft ignores movement during take-off, landing and go-home",
                 remedy="await the task first",
             )
-        check_lifetime(lifetime, is_long_allowed=allow_long_lifetime)
+        check_lifetime(lifetime, is_long_allowed=is_long_allowed)
         # Refused here, not in the sending task.
         self._prepared = setpoint, setpoint.to_move(self._requests.firmware)
         self._guards.check(setpoint)
@@ -176,8 +204,10 @@ class Control:
 
         Raises:
             NoAuthority: Authority is not held.
+            UsageError: A closed loop is flying.
         """
         self._block.require_flying("a raw movement command")
+        self._guided.require_idle("a raw movement command")
         return self._requests.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
@@ -292,7 +322,12 @@ class Control:
                 send(wanted)
 
     async def stop(self) -> None:
-        """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers."""
+        """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers.
+
+        A closed loop that is flying in another task ends with :class:`NotObserved`. A program that
+        goes on sending setpoints flies on.
+        """
+        self._guided.interrupt()
         await self._setpoints.halt()
 
     async def wait_resumable(self) -> None:
@@ -309,6 +344,13 @@ class Control:
             NoAuthority: The pilot has not given the aircraft back.
         """
         self._block.resume()
+
+    # -- closed loops ----------------------------------------------------------------------------
+
+    fly_to = _guided(GuidedFlight.fly_to)
+    climb_to = _guided(GuidedFlight.climb_to)
+    turn_to = _guided(GuidedFlight.turn_to)
+    orbit = _guided(GuidedFlight.orbit)
 
     # -- tasks -----------------------------------------------------------------------------------
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
 from m100link.flight.guards import GuardKeeper, known
@@ -24,7 +24,7 @@ from m100link.protocol.setpoint import Setpoint
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["Arrival", "Flyer", "GuidanceProgress", "GuidedFlight"]
+__all__ = ["Arrival", "GuidanceProgress", "GuidedFlight"]
 
 _FRESH_S = 0.5
 _SETTLED_S = 0.5
@@ -70,31 +70,10 @@ class Arrival:
 Progress = Callable[[GuidanceProgress], None]
 
 
-class Flyer(Protocol):
-    """What guided flight needs of a control block."""
-
-    @property
-    def state(self) -> AircraftState:
-        """Telemetry of the aircraft."""
-        ...
-
-    def send(self, setpoint: Setpoint) -> None:
-        """Send a setpoint until it expires or the next one comes."""
-        ...
-
-    def ticks(self) -> Ticker:
-        """Ticks of a control loop."""
-        ...
-
-    async def stop(self) -> None:
-        """Neutral, then silence."""
-        ...
-
-
-def _position(flyer: Flyer) -> Position:
-    position = known(flyer.state, Position, within=_FRESH_S)
+def _position(state: AircraftState) -> Position:
+    position = known(state, Position, within=_FRESH_S)
     if position is None:
-        age = flyer.state.age(Position)
+        age = state.age(Position)
         raise TelemetryStalled(
             "the position is needed and "
             + (
@@ -102,7 +81,7 @@ def _position(flyer: Flyer) -> Position:
                 if age is None
                 else f"is {age:.1f} s old"
                 if age > _FRESH_S
-                else f"is impossible: {flyer.state.get(Position)}"
+                else f"is impossible: {state.get(Position)}"
             ),
             cause="the position item is not sent, or the line is broken",
             remedy="set the item to 10 Hz or more in the PC assistant",
@@ -110,8 +89,8 @@ def _position(flyer: Flyer) -> Position:
     return position
 
 
-def _heading(flyer: Flyer) -> float:
-    attitude = known(flyer.state, Attitude, within=_FRESH_S)
+def _heading(state: AircraftState) -> float:
+    attitude = known(state, Attitude, within=_FRESH_S)
     if attitude is None:
         raise TelemetryStalled(
             "the heading is needed and the attitude item does not arrive, or is impossible",
@@ -120,21 +99,21 @@ def _heading(flyer: Flyer) -> float:
     return attitude.yaw_deg
 
 
-def _is_on_ground(flyer: Flyer) -> bool:
+def _is_on_ground(state: AircraftState) -> bool:
     """Whether the newest status says so; while nobody knows, it does not."""
-    status = known(flyer.state, FlightStatus)
+    status = known(state, FlightStatus)
     return status is not None and status.status == FlightPhase.STANDBY
 
 
 class _Settling:
     """True once the error stayed within tolerance for a moment, at low speed."""
 
-    def __init__(self, flyer: Flyer) -> None:
-        self._flyer = flyer
+    def __init__(self, state: AircraftState) -> None:
+        self._state = state
         self._since: float | None = None
 
     def update(self, is_within: bool) -> bool:
-        velocity = known(self._flyer.state, Velocity, within=_FRESH_S)
+        velocity = known(self._state, Velocity, within=_FRESH_S)
         is_slow = velocity is None or (
             velocity.ground_speed_m_s < _SETTLED_M_S and abs(velocity.up_m_s) < _SETTLED_M_S
         )
@@ -176,14 +155,47 @@ class GuidedFlight:
     """Flights that measure and correct, over whatever takes setpoints.
 
     Args:
-        flyer: Sends the setpoints and has the telemetry.
+        state: Telemetry.
         guards: Asked for the target before the first setpoint; each setpoint is checked besides.
+        steer: Sends a setpoint until it expires or the next one comes.
+        halt: Neutral for a moment, then silence.
+
+    Attributes:
+        flying: Name of the loop that is flying, or nothing: two would fight for the aircraft.
     """
 
-    def __init__(self, flyer: Flyer, guards: GuardKeeper) -> None:
-        self._flyer = flyer
+    def __init__(
+        self,
+        state: AircraftState,
+        guards: GuardKeeper,
+        *,
+        steer: Callable[[Setpoint], None],
+        halt: Callable[[], Awaitable[None]],
+    ) -> None:
+        self._state = state
         self._guards = guards
-        self._flying = ""  # name of the loop that is flying: two would fight for the aircraft
+        self._steer = steer
+        self._halt = halt
+        self.flying = ""
+        self._task: asyncio.Task[object] | None = None  # in which it flies
+        self._is_interrupted = False
+
+    def require_idle(self, what: str) -> None:
+        """Whether something else may steer; a loop whose task is being cancelled does not mind.
+
+        Raises:
+            UsageError: A loop is flying.
+        """
+        if self.flying and not (self._task is not None and self._task.cancelling()):
+            raise UsageError(
+                f"{what} was sent while a closed loop is flying: {self.flying}; nothing was sent",
+                cause="the two would fight for the aircraft",
+                remedy="await the loop, cancel its task, or await control.stop()",
+            )
+
+    def interrupt(self) -> None:
+        """End the loop that is flying: it raises NotObserved at its next tick."""
+        self._is_interrupted = True
 
     def _admit(self, name: str) -> None:
         """Whether a loop may begin.
@@ -191,15 +203,15 @@ class GuidedFlight:
         Raises:
             UsageError: Another one is flying, or the aircraft stands on the ground.
         """
-        if self._flying:
+        if self.flying:
             raise UsageError(
-                f"{name} was asked for while another closed loop is flying: {self._flying}",
+                f"{name} was asked for while another closed loop is flying: {self.flying}",
                 remedy="await one before the next, or cancel its task",
             )
-        if _is_on_ground(self._flyer):
+        if _is_on_ground(self._state):
             raise UsageError(
                 f"{name} was asked for on the ground "
-                f"({describe_situation(self._flyer.state.situation())})",
+                f"({describe_situation(self._state.situation())})",
                 cause="on the ground the aircraft ignores setpoints",
                 remedy="take off first: await control.take_off()",
             )
@@ -213,13 +225,12 @@ class GuidedFlight:
         progress: Progress | None,
     ) -> Arrival:
         """Send what ``step`` computes at each tick until its error settles within tolerance."""
-        flyer = self._flyer
         clock = asyncio.get_running_loop().time
         began_at = clock()
-        settling = _Settling(flyer)
-        self._flying = name
+        settling = _Settling(self._state)
+        self.flying, self._task, self._is_interrupted = name, asyncio.current_task(), False
         try:
-            async for _ in flyer.ticks():
+            async for _ in Ticker():
                 setpoint, found = step()
                 elapsed = clock() - began_at
                 found = replace(found, elapsed=elapsed)
@@ -227,25 +238,29 @@ class GuidedFlight:
                     progress(found)
                 if settling.update(is_within(found)):
                     break
-                if elapsed > timeout or _is_on_ground(flyer):
+                if self._is_interrupted or elapsed > timeout or _is_on_ground(self._state):
                     raise self._not_arrived(name, timeout, found)
-                flyer.send(setpoint)
+                self._steer(setpoint)
         finally:
-            self._flying = ""
-            await flyer.stop()
+            self.flying, self._task = "", None
+            await self._halt()
         return Arrival(elapsed, found.distance_m, found.height_error_m, found.heading_error_deg)
 
     def _not_arrived(self, name: str, timeout: float, found: GuidanceProgress) -> NotObserved:
-        situation = self._flyer.state.situation()
-        is_on_ground = _is_on_ground(self._flyer)
-        end = "ended on the ground" if is_on_ground else f"did not arrive within {timeout:g} s"
+        situation = self._state.situation()
+        is_on_ground = _is_on_ground(self._state)
+        end, cause = "was stopped", "stop() was called while it flew"
+        if is_on_ground:
+            end = "ended on the ground"
+            cause = "the aircraft landed: by the pilot, a low battery, or a height near 0"
+        elif not self._is_interrupted:
+            end = f"did not arrive within {timeout:g} s"
+            cause = "wind, an envelope of the autopilot, or a mode that it ignores"
         return NotObserved(
             f"{name} {end}; {found.distance_m:.1f} m, {found.height_error_m:+.1f} m of height and "
             f"{found.heading_error_deg:+.0f}° remain ({describe_situation(situation)})",
             situation=situation,
-            cause="the aircraft landed: by the pilot, a low battery, or a height near 0"
-            if is_on_ground
-            else "wind, an envelope of the autopilot, or a mode that it ignores",
+            cause=cause,
         )
 
     async def fly_to(
@@ -277,7 +292,8 @@ class GuidedFlight:
             progress: Called at each tick.
 
         Raises:
-            NotObserved: It did not arrive in time and hovers where it is, or it was landed.
+            NotObserved: It did not arrive in time and hovers where it is, or it was stopped or
+                landed.
             TelemetryStalled: Position or attitude do not arrive.
             GuardRefused: The target lies outside the envelope, or as :meth:`Control.send`.
             UsageError: The target is none, the aircraft stands on the ground, or another closed
@@ -286,7 +302,7 @@ class GuidedFlight:
         """
         self._admit("fly_to")
         target = _target(
-            _position(self._flyer), (north, east, up), (latitude_deg, longitude_deg, height)
+            _position(self._state), (north, east, up), (latitude_deg, longitude_deg, height)
         )
         latitude, longitude, target_height = target
         if not all(map(math.isfinite, target)) or target_height < 0 or abs(latitude) > 89:
@@ -295,11 +311,11 @@ class GuidedFlight:
                 remedy="finite numbers, height 0 m or more, latitude within ±89°",
             )
         self._guards.check_target("fly_to", (latitude, longitude), height=target_height)
-        heading = _heading(self._flyer) if yaw_deg is None else yaw_deg
+        heading = _heading(self._state) if yaw_deg is None else yaw_deg
         there = LocalFrame(latitude, longitude)
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
-            here = _position(self._flyer)
+            here = _position(self._state)
             from_north, from_east = there.to_local(here.latitude_deg, here.longitude_deg)
             distance = math.hypot(from_north, from_east)
             scale = -min(1.0, _MAX_OFFSET_M / distance) if distance else 0.0
@@ -310,7 +326,7 @@ class GuidedFlight:
                 yaw_deg=heading,
             )
             turn = (
-                normalize_degrees(heading - _heading(self._flyer)) if yaw_deg is not None else 0.0
+                normalize_degrees(heading - _heading(self._state)) if yaw_deg is not None else 0.0
             )
             return setpoint, GuidanceProgress(0.0, distance, target_height - here.height_m, turn)
 
@@ -339,7 +355,7 @@ class GuidedFlight:
         self._guards.check_target("climb_to", height=height)
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
-            here = _position(self._flyer)
+            here = _position(self._state)
             setpoint = Setpoint.velocity(north=0.0, east=0.0, height=height, yaw_rate_deg_s=0.0)
             return setpoint, GuidanceProgress(0.0, 0.0, height - here.height_m, 0.0)
 
@@ -367,7 +383,7 @@ class GuidedFlight:
         setpoint = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_deg=yaw_deg)
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
-            turn = normalize_degrees(yaw_deg - _heading(self._flyer))
+            turn = normalize_degrees(yaw_deg - _heading(self._state))
             return setpoint, GuidanceProgress(0.0, 0.0, 0.0, turn)
 
         return await self._run(
@@ -416,7 +432,7 @@ class GuidedFlight:
             clockwise=clockwise,
             max_speed=max_speed,
         )
-        start = _position(self._flyer)
+        start = _position(self._state)
         here_frame = LocalFrame(start.latitude_deg, start.longitude_deg)
         center = LocalFrame(*here_frame.to_geodetic(center_north, center_east))
         height = start.height_m
@@ -431,9 +447,9 @@ class GuidedFlight:
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
             nonlocal before
-            here = _position(self._flyer)
-            velocity = known(self._flyer.state, Velocity, within=_FRESH_S)
-            attitude = known(self._flyer.state, Attitude, within=_FRESH_S)
+            here = _position(self._state)
+            velocity = known(self._state, Velocity, within=_FRESH_S)
+            attitude = known(self._state, Attitude, within=_FRESH_S)
             now = clock()
             steering = orbit.steer(
                 center.to_local(here.latitude_deg, here.longitude_deg),

@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import math
+import pydoc
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, assert_type
 
 import pytest
 
 from m100link import (
+    Arrival,
     AuthorityLost,
     Control,
     Envelope,
     FlightPhase,
     GuardRefused,
     Guards,
+    NoAuthority,
     NotObserved,
     Position,
+    Setpoint,
     TelemetryStalled,
     UsageError,
 )
-from m100link.flight.guidance import GuidanceProgress
+from m100link.flight.guidance import GuidanceProgress, GuidedFlight
 from m100link.geodesy import LocalFrame
+from m100link.protocol.commands.control import Move
 from m100link.sim import AircraftSettings
 from tests.rig import FIRMWARES, Rig, rig
 
@@ -42,6 +48,7 @@ async def flying(
 
 
 Loop = Callable[[Control], Awaitable[object]]
+AWAY = Setpoint.velocity(north=-9.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
 def fly(**target: float) -> Loop:
@@ -230,6 +237,92 @@ async def test_a_second_loop_is_refused_and_leaves_the_first_alone(second: Loop)
         await first
         assert flown.virtual.position == pytest.approx((10, 0), abs=0.6)
         await second(control)
+
+
+LOOPS = pytest.mark.parametrize(
+    ("name", "loop"),
+    [
+        ("fly_to", fly(north=20, east=0, up=0)),
+        ("climb_to", climb(8)),
+        ("turn_to", turn(170)),
+        ("orbit", orbit(center_north=5, center_east=0)),
+    ],
+)
+
+
+@LOOPS
+async def test_nothing_else_steers_while_a_loop_flies(name: str, loop: Loop) -> None:
+    async with flying() as (flown, control):
+        first = asyncio.ensure_future(loop(control))
+        await asyncio.sleep(1.0)
+        frames = len(flown.moves)
+        with pytest.raises(UsageError, match=f"a closed loop is flying: {name}"):
+            control.send(AWAY)
+        with pytest.raises(UsageError, match=name):
+            async with control.hold(AWAY):
+                pytest.fail("entered")
+        with pytest.raises(UsageError, match=name):
+            await control.follow(lambda _: AWAY)
+        with pytest.raises(UsageError, match=f"a raw movement command .*{name}"):
+            control.send_raw_move_as_expert(Move(0x4B, -9.0, 0.0, 0.0, 0.0))
+        assert not first.done()
+        await first
+        assert len(flown.moves) > frames + 10
+        assert all(move.roll_or_x > -9.0 for move in flown.moves)
+        control.send(AWAY)
+
+
+@LOOPS
+async def test_stop_ends_the_loop_that_flies(name: str, loop: Loop) -> None:
+    """Otherwise its next setpoint would come 20 ms later."""
+    async with flying() as (flown, control):
+        flight = asyncio.ensure_future(loop(control))
+        await asyncio.sleep(1.0)
+        await control.stop()
+        with pytest.raises(NotObserved, match=f"{name} was stopped"):
+            await flight
+        await asyncio.sleep(0.5)
+        flown.assert_stopped_in_order()
+        await flown.assert_hovers()
+        await control.climb_to(3.0)
+
+
+async def test_who_cancels_a_loop_may_steer_at_once() -> None:
+    async with flying() as (flown, control):
+        flight = asyncio.create_task(control.fly_to(north=20, east=0, up=0))
+        await asyncio.sleep(1.0)
+        flight.cancel()
+        control.send(AWAY)
+        await flown.fly(control, 1.0)
+        assert flight.cancelled()
+
+
+async def test_a_loop_whose_block_is_over_says_that_and_not_that_it_flies() -> None:
+    async with rig() as flown:
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+            flight = asyncio.create_task(control.fly_to(north=20, east=0, up=0))
+            await asyncio.sleep(1.0)
+        with pytest.raises(NoAuthority, match="over with this block"):
+            control.send(AWAY)
+        with pytest.raises(NoAuthority):
+            await flight
+        await flown.assert_hovers()
+
+
+def test_the_loops_are_methods_of_control_with_their_own_words() -> None:
+    """For help(), the manual and editors, which look at the class."""
+    for name in ("fly_to", "climb_to", "turn_to", "orbit"):
+        mine, its = getattr(Control, name), getattr(GuidedFlight, name)
+        assert inspect.iscoroutinefunction(mine)
+        assert (mine.__doc__, inspect.signature(mine)) == (its.__doc__, inspect.signature(its))
+        assert f"async {name}(self" in pydoc.plain(pydoc.render_doc(Control))
+
+
+async def what_mypy_knows(control: Control) -> None:
+    """Never called: the types are what is tested."""
+    assert_type(await control.fly_to(north=1.0, east=0.0, up=0.0), Arrival)
+    await control.fly_to(nrth=1.0)  # type: ignore[call-arg]  # no such argument
 
 
 async def test_a_flight_status_that_stopped_on_the_ground_does_not_forbid_a_flight() -> None:
