@@ -12,6 +12,7 @@ from typing import Any, Concatenate, ParamSpec, Self
 from m100link.errors import (
     GuardRefused,
     LinkError,
+    M100Error,
     NoAuthority,
     TaskRefused,
     UsageError,
@@ -83,7 +84,7 @@ class Control:
         self._running_task: Task | None = None  # flown by the autopilot: it ignores setpoints
         self._prepared: tuple[Setpoint, Move] | None = None  # the newest setpoint, for the wire
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
-        self._setpoints = SetpointLoop(self._transmit, self._admits)
+        self._setpoints = SetpointLoop(self._transmit, self._admits, self._on_send_failed)
         self._block = ControlBlock(
             commander,
             claim,
@@ -218,6 +219,17 @@ class Control:
         except LinkError as error:
             self._block.end(StopCause.LINK_LOST, error.again())
             return False
+
+    def _on_send_failed(self, error: Exception) -> None:
+        """The task that repeats setpoints has ended, and not because of the line."""
+        _logger.error("setpoints cannot be sent", exc_info=error)
+        failure = M100Error(
+            f"setpoints cannot be sent: {error!r}",
+            cause="an error that nobody expected: a bug, of m100link or of what it stands on",
+            remedy="report it with the traceback in the log",
+        )
+        failure.__cause__ = error
+        self._block.end(StopCause.SENDING_FAILED, failure)
 
     def _admits(self, setpoint: Setpoint) -> bool:
         """The gate in front of the wire, for each frame that :meth:`send` did not check itself."""

@@ -55,6 +55,7 @@ class StopCause(Enum):
     CLOSED = "the connection is being closed, by whatever task"
     AUTHORITY_LOST = "the pilot or the app took the aircraft"
     TELEMETRY_STALLED = "no telemetry came for too long"
+    SENDING_FAILED = "a setpoint could not be sent, and not because of the line"
     LINK_LOST = "the line is gone"
 
 
@@ -87,6 +88,8 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
     _C.AUTHORITY_LOST: StopPlan(explain=True, neutral=False, land=False, release=True),
     # The aircraft may hear us although we do not hear it.
     _C.TELEMETRY_STALLED: StopPlan(explain=False, neutral=True, land=True, release=True),
+    # The neutral and the release are other commands: they may still be sent.
+    _C.SENDING_FAILED: StopPlan(explain=False, neutral=True, land=True, release=True),
     # There is nobody to talk to.
     _C.LINK_LOST: StopPlan(explain=False, neutral=False, land=False, release=False),
 }

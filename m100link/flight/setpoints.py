@@ -78,6 +78,7 @@ class SetpointLoop:
         send: Puts a setpoint on the line.
         admits: Asked before each frame that goes out by itself; what :meth:`set` sends at once was
             checked by whoever set it.
+        on_failure: Called with what ended the task; the next setpoint begins another.
 
     Attributes:
         sent: Frames sent, neutrals included.
@@ -85,10 +86,14 @@ class SetpointLoop:
     """
 
     def __init__(
-        self, send: Callable[[Setpoint], object], admits: Callable[[Setpoint], bool]
+        self,
+        send: Callable[[Setpoint], object],
+        admits: Callable[[Setpoint], bool],
+        on_failure: Callable[[Exception], None],
     ) -> None:
         self._send = send
         self._admits = admits
+        self._on_failure = on_failure
         self._loop = asyncio.get_running_loop()
         self._setpoint: Setpoint | None = None
         self._frame: Setpoint | None = None  # what went out last, None before and in silence
@@ -185,6 +190,15 @@ class SetpointLoop:
         self._send(setpoint)
 
     async def _run(self) -> None:
+        """Repeat, and never end in silence: whoever flies by this has to hear of it."""
+        try:
+            await self._repeat()
+        except Exception as error:  # noqa: BLE001 (whatever it is, it goes to the block)
+            if self._task is asyncio.current_task():
+                self._task = None  # so that the neutral gets a task of its own
+            self._on_failure(error)
+
+    async def _repeat(self) -> None:
         with Alarm() as alarm:
             while True:
                 now = self._loop.time()

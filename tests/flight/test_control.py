@@ -14,14 +14,18 @@ from m100link import (
     BadSetpoint,
     Control,
     GuardRefused,
+    M100Error,
     NoAuthority,
     Setpoint,
     Tick,
     UsageError,
 )
+from m100link.flight.guards import GuardKeeper
+from m100link.flight.stop_path import StopAction
 from m100link.protocol.commands.control import Move
+from m100link.requests import Requests
 from m100link.sim import VirtualClockEventLoop
-from tests.rig import NORTH, STILL, Rig, rig
+from tests.rig import FIRMWARES, NORTH, STILL, Rig, rig
 
 pytestmark = pytest.mark.anyio
 
@@ -441,3 +445,75 @@ async def test_a_line_that_does_not_drain_drops_setpoints_instead_of_queueing_th
         await asyncio.sleep(0.03)
         assert {move.roll_or_x for move in flown.moves} == {3.0}
         assert flown.aircraft.statistics().dropped_writes >= 45
+
+
+# -- what nobody expected --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("stop", ["hover", "land"])
+async def test_an_error_in_the_sending_task_takes_the_stop_path_and_reaches_the_program(
+    firmware: str,
+    stop: StopAction,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The neutral can be sent, as another command can."""
+    push = Requests.push
+
+    def explode(requests: Requests, command: object) -> bool:
+        if isinstance(command, Move) and command.roll_or_x:
+            raise ZeroDivisionError("a bug")
+        return push(requests, command)  # type: ignore[arg-type]  # passed on as it is
+
+    async with rig(firmware=firmware) as flown:
+        with pytest.raises(M100Error, match=r"cannot be sent: ZeroDivisionError") as caught:
+            async with flown.aircraft.control(stop=stop) as control:
+                await control.take_off()
+                control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
+                await asyncio.sleep(1.0)
+                monkeypatch.setattr(Requests, "push", explode)
+                failed_at = flown.now
+                await asyncio.sleep(30.0)
+        assert isinstance(caught.value.__cause__, ZeroDivisionError)
+        assert "ZeroDivisionError" in caplog.text
+        assert flown.now < failed_at + (1.0 if stop == "hover" else 20.0)
+        flown.assert_stopped_in_order()
+        assert flown.is_released
+        assert flown.is_running is (stop == "hover")
+
+
+async def test_when_nothing_can_be_sent_at_all_the_block_ends_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def explode(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    async with rig() as flown:
+        with pytest.raises(M100Error, match=r"cannot be sent"):
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                control.send(NORTH, lifetime=1.0)
+                monkeypatch.setattr(Setpoint, "to_move", explode)
+                monkeypatch.setattr(Requests, "push", explode)
+                await asyncio.sleep(30.0)
+        assert "setpoints cannot be sent" in caplog.text
+        assert flown.is_released
+        await flown.assert_hovers()
+
+
+async def test_a_guard_that_breaks_is_a_guard_that_says_no(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def explode(*_: object) -> None:
+        raise ValueError("math domain error")
+
+    async with rig() as flown:
+        with pytest.raises(M100Error, match="math domain error"):
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                control.send(NORTH, lifetime=1.0)
+                monkeypatch.setattr(GuardKeeper, "check", explode)
+                await asyncio.sleep(30.0)
+        assert flown.is_released
+        await flown.assert_hovers()

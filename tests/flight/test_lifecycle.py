@@ -42,6 +42,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.NEW, C.CLOSED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.AUTHORITY_LOST): (S.NEW, NOT_ENTERED),
     (S.NEW, C.TELEMETRY_STALLED): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.SENDING_FAILED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.LINK_LOST): (S.NEW, NOT_ENTERED),
     (S.ENTERING, I.ENTER): (S.ENTERING, ONCE),
     (S.ENTERING, I.OBTAINED): (S.FLYING, "the ack says obtained"),
@@ -54,6 +55,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.ENTERING, C.CLOSED): (S.STOPPING, ENDS),
     (S.ENTERING, C.AUTHORITY_LOST): (S.STOPPING, ENDS),
     (S.ENTERING, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.ENTERING, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.ENTERING, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.FLYING, I.ENTER): (S.FLYING, ONCE),
     (S.FLYING, I.OBTAINED): (S.FLYING, KNOWN),
@@ -66,6 +68,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.FLYING, C.CLOSED): (S.STOPPING, ENDS),
     (S.FLYING, C.AUTHORITY_LOST): (S.STOPPING, ENDS),
     (S.FLYING, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.FLYING, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.FLYING, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.PAUSED, I.ENTER): (S.PAUSED, ONCE),
     (S.PAUSED, I.OBTAINED): (S.PAUSED, "the pilot took it after the ack: that is newer"),
@@ -78,6 +81,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.PAUSED, C.CLOSED): (S.STOPPING, ENDS),
     (S.PAUSED, C.AUTHORITY_LOST): (S.STOPPING, "the app takes it from the pilot, too"),
     (S.PAUSED, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.PAUSED, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.PAUSED, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.STOPPING, I.ENTER): (S.STOPPING, ONCE),
     (S.STOPPING, I.OBTAINED): (S.STOPPING, "an ack that comes late: the release follows"),
@@ -90,6 +94,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.STOPPING, C.CLOSED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.AUTHORITY_LOST): (S.STOPPING, UNDER_WAY),
     (S.STOPPING, C.TELEMETRY_STALLED): (S.STOPPING, FIRST_CAUSE),
+    (S.STOPPING, C.SENDING_FAILED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.LINK_LOST): (S.STOPPING, NO_LINE),
     (S.OVER, I.ENTER): (S.OVER, ONCE),
     (S.OVER, I.OBTAINED): (S.OVER, NEVER_AGAIN),
@@ -102,6 +107,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.OVER, C.CLOSED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.AUTHORITY_LOST): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.TELEMETRY_STALLED): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.SENDING_FAILED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.LINK_LOST): (S.OVER, NEVER_AGAIN),
 }
 
@@ -174,6 +180,7 @@ PLANS: dict[StopCause, tuple[tuple[bool, bool, bool, bool], str]] = {
     C.CLOSED: ((False, True, True, True), "as long as the line is there, it is used"),
     C.AUTHORITY_LOST: ((True, False, False, True), "whoever took it flies it; say who it was"),
     C.TELEMETRY_STALLED: ((False, True, True, True), "it may hear us although we hear nothing"),
+    C.SENDING_FAILED: ((False, True, True, True), "other commands may still be sent"),
     C.LINK_LOST: ((False, False, False, False), "nobody is there"),
 }
 

@@ -29,9 +29,13 @@ class Rig:
         self.loop = asyncio.get_running_loop()
         self.frames: list[tuple[float, Setpoint]] = []
         self.is_admitted = True
-        self.setpoints = SetpointLoop(self._send, lambda _: self.is_admitted)
+        self.failures: list[Exception] = []
+        self.is_failing = False
+        self.setpoints = SetpointLoop(self._send, lambda _: self.is_admitted, self.failures.append)
 
     def _send(self, setpoint: Setpoint) -> bool:
+        if self.is_failing:
+            raise RuntimeError("a bug")
         self.frames.append((self.loop.time(), setpoint))
         return True
 
@@ -360,3 +364,20 @@ async def test_the_neutral_keeps_horizontal_mode_and_frame_and_nothing_else(
     await asyncio.sleep(1.0)
     assert rig.frames[0][1] == setpoint
     assert rig.frames[-1][1] == neutral
+
+
+# -- failures -------------------------------------------------------------------------------------
+
+
+async def test_a_task_that_fails_says_so_and_the_next_setpoint_begins_another(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=1.0)
+    rig.is_failing = True
+    await asyncio.sleep(0.1)
+    assert [str(failure) for failure in rig.failures] == ["a bug"]
+    rig.is_failing = False
+    await asyncio.sleep(0.1)
+    assert len(rig.frames) == 1, "nobody asked for more"
+    rig.setpoints.neutralise()
+    await asyncio.sleep(0.1)
+    assert {setpoint for _, setpoint in rig.frames[1:]} == {STILL}
+    assert len(rig.frames) >= 5
