@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Coroutine, Generator
+from functools import partial
+from types import TracebackType
 from typing import Any, TypeVar
 
 from m100link.activation import ActivationProgress, activate
@@ -40,7 +41,7 @@ from m100link.telemetry.subscription import Hub, Latest, Newest, Policy, Subscri
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
-__all__ = ["Aircraft", "connect", "open_aircraft"]
+__all__ = ["Aircraft", "Connecting", "connect"]
 
 _logger = logging.getLogger("m100link.aircraft")
 
@@ -72,6 +73,16 @@ class Aircraft:
         notifications.subscribe(AuthorityChanged, self._on_authority_changed)
         notifications.subscribe(FromMobile, self._on_from_mobile)
         link.on_lost = self._on_lost
+
+    def __repr__(self) -> str:
+        if self.link.failure is not None:
+            return f"<Aircraft {self.link.name}, gone: {self.link.failure.seen}>"
+        age = self.state.newest_age
+        telemetry = "no telemetry" if age is None else f"telemetry {age:.2f} s old"
+        return (
+            f"<Aircraft {self.link.name}, firmware {self.firmware}, "
+            f"authority {self.authority.state.value}, {telemetry}>"
+        )
 
     # -- connection ------------------------------------------------------------------------------
 
@@ -310,20 +321,46 @@ class Aircraft:
         self.authority.feed(AuthorityInput.LINK_LOST)
 
 
-@asynccontextmanager
-async def connect(
+class Connecting:
+    """A connection to be made, by ``async with`` or ``await``: see :func:`m100link.connect`."""
+
+    def __init__(self, connect: Callable[[], Coroutine[Any, Any, Aircraft]]) -> None:
+        self._connect = connect
+        self._aircraft: Aircraft | None = None  # while the block runs
+
+    def __await__(self) -> Generator[Any, Any, Aircraft]:
+        return self._connect().__await__()
+
+    async def __aenter__(self) -> Aircraft:
+        self._aircraft = await self._connect()
+        return self._aircraft
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._aircraft is not None:
+            await self._aircraft.aclose()
+
+
+def connect(
     line: str | Link,
     *,
     firmware: str | FirmwareProfile | None = None,
     baud_rate: int | None = None,
     timeout: float = 3.0,
-) -> AsyncIterator[Aircraft]:
+) -> Connecting:
     """Connect to an aircraft for the time of a block.
 
     ::
 
         async with m100link.connect("serial:///dev/ttyUSB0:230400") as aircraft:
             print(await aircraft.version())
+
+    At a prompt, or in a service, ``aircraft = await m100link.connect(...)`` connects until
+    :meth:`Aircraft.aclose`.
 
     Args:
         line: ``serial:///dev/ttyUSB0:230400``, a bare device path, ``tcp://host:port``, ``sim://``,
@@ -332,29 +369,22 @@ async def connect(
         baud_rate: Rate when the URL has none; 230400 by default.
         timeout: Seconds until an aircraft has to answer.
 
-    Raises:
-        BadURL, UsageError: A wrong string or profile name.
+    Raises (when it is entered or awaited):
+        BadURL, UsageError: A wrong string or profile name; no asyncio, but trio.
         PortNotFound, PortPermissionDenied, PortBusy, PortFailed: The port cannot be opened.
         SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
     """
-    aircraft = await open_aircraft(line, firmware=firmware, baud_rate=baud_rate, timeout=timeout)
-    try:
-        yield aircraft
-    finally:
-        await aircraft.aclose()
+    return Connecting(partial(_open, line, firmware=firmware, baud_rate=baud_rate, timeout=timeout))
 
 
-async def open_aircraft(
+async def _open(
     line: str | Link,
     *,
-    firmware: str | FirmwareProfile | None = None,
-    baud_rate: int | None = None,
-    timeout: float = 3.0,
+    firmware: str | FirmwareProfile | None,
+    baud_rate: int | None,
+    timeout: float,
 ) -> Aircraft:
-    """Connect until :meth:`Aircraft.aclose` is called, which :func:`m100link.connect` sees to.
-
-    Args and errors: see :func:`m100link.connect`.
-    """
+    _require_asyncio()
     forced = None if firmware is None else profile(firmware)
     link = line if isinstance(line, Link) else await open_link(line, baud_rate=baud_rate)
     aircraft = Aircraft(link, firmware=forced)
@@ -364,3 +394,15 @@ async def open_aircraft(
         await aircraft.aclose()
         raise
     return aircraft
+
+
+def _require_asyncio() -> None:
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        raise UsageError(
+            "there is no event loop of asyncio here",
+            cause="the program runs on trio, or steps through the coroutine itself",
+            remedy="asyncio.run(main()), or anyio.run(main, backend='asyncio'); without an event "
+            "loop, or beside that of trio: m100link.sync",
+        ) from None

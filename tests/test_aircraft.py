@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -32,7 +33,6 @@ from m100link import (
     SilentLine,
     UsageError,
 )
-from m100link.aircraft import open_aircraft
 from m100link.errors import M100Error
 from m100link.link import Link, connect_in_memory
 from m100link.protocol.command import encode_code
@@ -89,7 +89,7 @@ async def attach_to(peer: Peer, *, timeout: float = 3.0) -> Aircraft:
     link = Link()
     connect_in_memory(link, peer)
     await link.wait_connected()
-    return await open_aircraft(link, timeout=timeout)
+    return await m100link.connect(link, timeout=timeout)
 
 
 def answering(
@@ -215,11 +215,29 @@ async def test_a_profile_that_does_not_exist_is_told_before_anything_is_opened()
 
 
 async def test_an_aircraft_may_be_closed_more_than_once_and_is_closed_then() -> None:
-    aircraft = await open_aircraft("sim://")
+    aircraft = await m100link.connect("sim://")
     await aircraft.aclose()
     await aircraft.aclose()
     with pytest.raises(LinkClosed):
         await aircraft.version()
+
+
+def test_outside_of_asyncio_the_error_says_asyncio() -> None:
+    """As where a program of trio awaits it."""
+    with pytest.raises(UsageError, match="no event loop of asyncio") as caught:
+        m100link.connect("sim://").__await__().send(None)
+    assert "anyio.run(main, backend='asyncio')" in caught.value.remedy
+
+
+async def test_an_aircraft_says_what_it_is_and_in_which_state() -> None:
+    async with rig(firmware="3.1") as flown:
+        text = repr(flown.aircraft)
+        assert re.fullmatch(
+            r"<Aircraft .+, firmware 3\.1, authority none, telemetry 0\.0\d s old>", text
+        )
+        flown.virtual.unplug()
+        await asyncio.sleep(0.1)
+        assert repr(flown.aircraft).endswith(", gone: virtual aircraft went away>")
 
 
 async def test_many_connections_in_a_row_leave_no_task_behind() -> None:

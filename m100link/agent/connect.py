@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from m100link.aircraft import Aircraft, open_aircraft
+from m100link.aircraft import Aircraft, connect
 from m100link.errors import PortNotFound
 from m100link.link import Link
 from m100link.protocol.firmware import profile
@@ -30,16 +30,16 @@ def by_url(
     """
     forced = None if firmware is None else profile(firmware)
 
-    async def connect() -> Aircraft:
-        return await open_aircraft(url, firmware=forced, baud_rate=baud_rate, timeout=timeout)
+    async def opened() -> Aircraft:
+        return await connect(url, firmware=forced, baud_rate=baud_rate, timeout=timeout)
 
-    return connect
+    return opened
 
 
 def by_driver(driver: Driver, *, timeout: float = 3.0) -> Connect:
     """Plug into a virtual aircraft of this process; it outlives the connection."""
 
-    async def connect() -> Aircraft:
+    async def plugged_in() -> Aircraft:
         link = Link()
         try:
             driver.connect(link)
@@ -47,6 +47,6 @@ def by_driver(driver: Driver, *, timeout: float = 3.0) -> Connect:
             raise PortNotFound(str(error), remedy="plug it in again") from error
         await link.wait_connected()
         link.name = "sim://"
-        return await open_aircraft(link, timeout=timeout)
+        return await connect(link, timeout=timeout)
 
-    return connect
+    return plugged_in

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Literal
 
@@ -63,7 +65,11 @@ class ControlBlock:
         self._on_pause: PauseAction = on_pause
         self._handles_signals = handle_signals
         self._life = Lifecycle()
-        self._program = ProgramTask()
+        # Who is cancelled when the block ends: the task that entered it; when it was entered by
+        # hand, whoever waits for something at that moment.
+        self._programs: list[ProgramTask] = []
+        self._is_by_hand = False
+        self._is_told = False  # by hand: the program was told what ended the block
         self._stop_path = StopPath(commander, self._life, setpoints, stop)
         self.taking_off = self._stop_path.taking_off
         self._stopping = Errand(self._stop_path.run, self._on_stopped)
@@ -72,6 +78,7 @@ class ControlBlock:
             commander.state,
             guards.guards.stale_telemetry_s,
             on_stall=partial(self.end, StopCause.TELEMETRY_STALLED),
+            loop=commander.link.loop,
         )
 
     @property
@@ -82,38 +89,23 @@ class ControlBlock:
     # -- in and out ------------------------------------------------------------------------------
 
     async def enter(self) -> None:
-        """Obtain authority; what ends the block is raised in the task that entered it.
+        """Obtain authority; what ends the block cancels the task that entered it.
 
-        Raises:
-            UsageError: It was entered before, another block of this program is running, or the
-                firmware is unknown.
-            AuthorityRefused, NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See
-                each class.
+        Raises: as :meth:`obtain`.
         """
-        if self._life.state is not BlockState.NEW:
-            raise UsageError("this control block was entered before; ask for a new one")
-        self._commander.requests.fix_firmware()
-        self._claim.take(self._close)
-        self._life.feed(BlockInput.ENTER)
-        self._program.enter()
-        self._unsubscribe = self._authority.subscribe(self._on_authority_changed)
-        if self._handles_signals:
-            SIGNALS.join(self._on_signal)
+        self._begin()
+        program = self._join()
         try:
-            await obtain_authority(self._commander)
-            self._life.feed(BlockInput.OBTAINED)
-            self._guards.start()
-            self._watchdog.start()
+            await self._obtain()
         except BaseException as error:
-            self.end(StopCause.NOT_ENTERED)
-            await self._leave(error)
+            await self._leave(program, error)
             raise
         if not self._life.is_open:  # lost, closed or signalled between the request and here
-            await self._leave(None)
+            await self._leave(program, None)
             raise asyncio.CancelledError
 
     async def leave(self, error: BaseException | None) -> bool:
-        """End it, if nothing did before, and wait for the end of the stop path.
+        """End what was entered, if nothing did before, and wait for the end of the stop path.
 
         Args:
             error: With which the program leaves.
@@ -125,19 +117,105 @@ class ControlBlock:
             M100Error: What ended the block, unless an error of the program is under way.
         """
         self.end(StopCause.LEFT)
-        return await self._leave(error)
+        return await self._leave(self._programs[0], error)
 
-    async def _leave(self, error: BaseException | None) -> bool:
-        self._program.leave()
+    async def _leave(self, program: ProgramTask, error: BaseException | None) -> bool:
+        program.leave()
         try:
             await self._stopping.ended()
         finally:
-            is_ours = self._program.take_back(error)
+            is_ours = program.take_back(error)
         failure = self._life.failure
         if failure is not None and (error is None or is_ours):
             raise failure.again() from failure.__cause__
         # After a signal the program does not go on behind the block as if it had flown.
         return is_ours and self._life.cause is not StopCause.SIGNALLED
+
+    async def obtain(self) -> None:
+        """Obtain authority by hand; what ends it is raised by the next call that needs it.
+
+        Raises:
+            UsageError: It was entered before, another block of this program is running, or the
+                firmware is unknown.
+            AuthorityRefused, NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See
+                each class.
+        """
+        self._begin()
+        self._is_by_hand = True
+        with self.waiting("control"):
+            try:
+                await self._obtain()
+            except BaseException:
+                await self._stopping.ended()
+                raise
+        if not self._life.is_open:
+            await self._stopping.ended()
+            self.require_flying("control")
+
+    async def release(self) -> None:
+        """End what was obtained by hand, and wait for the end of the stop path.
+
+        Raises:
+            M100Error: What ended it before, unless a call has told it.
+        """
+        if self._life.state is BlockState.NEW:
+            return
+        self.end(StopCause.LEFT)
+        await self._stopping.ended()
+        failure = self._life.failure
+        if self._is_by_hand and failure is not None and not self._is_told:
+            self._is_told = True
+            raise failure.again() from failure.__cause__
+
+    def _begin(self) -> None:
+        if self._life.state is not BlockState.NEW:
+            raise UsageError("this control block was entered before; ask for a new one")
+        self._commander.requests.fix_firmware()
+        self._claim.take(self._close)
+        self._life.feed(BlockInput.ENTER)
+        self._unsubscribe = self._authority.subscribe(self._on_authority_changed)
+        if self._handles_signals:
+            SIGNALS.join(self._on_signal)
+
+    async def _obtain(self) -> None:
+        try:
+            await obtain_authority(self._commander)
+            self._life.feed(BlockInput.OBTAINED)
+            self._guards.start()
+            self._watchdog.start()
+        except BaseException:
+            self.end(StopCause.NOT_ENTERED)
+            raise
+
+    def _join(self) -> ProgramTask:
+        """The present task is cancelled when the block ends."""
+        program = ProgramTask(self._commander.link.loop)
+        program.enter()
+        self._programs.append(program)
+        return program
+
+    @contextmanager
+    def waiting(self, what: str) -> Iterator[None]:
+        """What waits in here ends with the block, also when that was entered by hand.
+
+        Raises:
+            NoAuthority: The program released it meanwhile.
+            M100Error: What ended the block.
+        """
+        if not self._is_by_hand:  # then the program is cancelled as a whole
+            yield
+            return
+        program = self._join()
+        try:
+            yield
+        except BaseException as error:
+            program.leave()
+            if program.take_back(error):
+                self.require_flying(what)
+            raise
+        finally:
+            program.leave()
+            self._programs.remove(program)
 
     def end(self, cause: StopCause, failure: M100Error | None = None) -> None:
         """Something ends the block: the stop path begins at once, in a task of its own.
@@ -151,8 +229,10 @@ class ControlBlock:
         self._stop_path.let_go()
         if is_first:
             self._stopping.begin()
-            if cause not in (StopCause.LEFT, StopCause.NOT_ENTERED):
-                self._program.cancel()
+            is_left = cause is StopCause.LEFT and not self._is_by_hand
+            if not is_left and cause is not StopCause.NOT_ENTERED:
+                for program in self._programs:
+                    program.cancel()
 
     async def _close(self) -> None:
         """The connection is about to be closed."""
@@ -198,6 +278,7 @@ class ControlBlock:
             return
         life = self._life
         if life.failure is not None:
+            self._is_told = True
             raise life.failure.again()
         state, remedy = self._authority.state.value, "use it inside `async with aircraft.control()`"
         if life.state in (BlockState.STOPPING, BlockState.OVER):

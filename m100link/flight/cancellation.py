@@ -21,10 +21,13 @@ class ProgramTask:
 
     It may be left by another task (an async generator that is closed by the event loop, an
     ExitStack that somebody else unwinds); a scope of anyio would refuse that.
+
+    Args:
+        loop: Where it runs; at a prompt, nothing runs yet when this is made.
     """
 
-    def __init__(self) -> None:
-        self._loop = asyncio.get_running_loop()
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
         self._task: asyncio.Task[object] | None = None  # None before the block and after it
         self._host: asyncio.Task[object] | None = None
         self._requests_before = 0  # cancellations of others that were under way at the start

@@ -84,7 +84,9 @@ class Control:
         self._running_task: Task | None = None  # flown by the autopilot: it ignores setpoints
         self._prepared: tuple[Setpoint, Move] | None = None  # the newest setpoint, for the wire
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
-        self._setpoints = SetpointLoop(self._transmit, self._admits, self._on_send_failed)
+        self._setpoints = SetpointLoop(
+            self._transmit, self._admits, self._on_send_failed, commander.link.loop
+        )
         self._block = ControlBlock(
             commander,
             claim,
@@ -100,6 +102,10 @@ class Control:
 
     # -- the block -------------------------------------------------------------------------------
 
+    def __repr__(self) -> str:
+        state, authority = self._block.state.name.lower(), self._authority.state.value
+        return f"<Control {state}, authority {authority}, {self.setpoints_sent} setpoints sent>"
+
     async def __aenter__(self) -> Self:
         await self._block.enter()
         return self
@@ -111,6 +117,39 @@ class Control:
         traceback: TracebackType | None,
     ) -> bool:
         return await self._block.leave(exc)
+
+    async def obtain(self) -> Self:
+        """Obtain authority without a block: at a prompt, in a notebook, in a service.
+
+        ::
+
+            control = await aircraft.control().obtain()
+            ...
+            await control.release()
+
+        What would end a block ends this too, by the same stop path: lost authority, a lost line,
+        stalled telemetry, Ctrl-C, closing the aircraft. There is no block to be cancelled then:
+        what waits in a call of this object raises the reason at once, otherwise the next call
+        does. A program that forgets :meth:`release` keeps the aircraft until it disconnects or
+        ends; its setpoints expire all the same, and the aircraft hovers.
+
+        Returns:
+            This object.
+
+        Raises: as ``aircraft.control()`` on entering.
+        """
+        await self._block.obtain()
+        return self
+
+    async def release(self) -> None:
+        """Take the stop path and give authority back: what leaving a block does.
+
+        May be called any number of times, and on what was never obtained.
+
+        Raises:
+            M100Error: What ended it before, unless a call has raised that.
+        """
+        await self._block.release()
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -344,7 +383,8 @@ class Control:
 
     async def wait_resumable(self) -> None:
         """With ``on_pause="wait"``: wait until the pilot has given the aircraft back."""
-        await self._authority.wait_for(AuthorityState.HELD)
+        with self._block.waiting("wait_resumable"):
+            await self._authority.wait_for(AuthorityState.HELD)
 
     def resume(self) -> None:
         """With ``on_pause="wait"``: setpoints may be sent again.
@@ -412,7 +452,7 @@ class Control:
         self._setpoints.silence()
         watch = self._block.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
-            with watch:
+            with watch, self._block.waiting(task_name(task)):
                 await run_task(self._commander, task, timeout=timeout, progress=progress)
         finally:
             self._running_task = None

@@ -79,6 +79,7 @@ class SetpointLoop:
         admits: Asked before each frame that goes out by itself; what :meth:`set` sends at once was
             checked by whoever set it.
         on_failure: Called with what ended the task; the next setpoint begins another.
+        loop: Where the task runs.
 
     Attributes:
         sent: Frames sent, neutrals included.
@@ -90,11 +91,12 @@ class SetpointLoop:
         send: Callable[[Setpoint], object],
         admits: Callable[[Setpoint], bool],
         on_failure: Callable[[Exception], None],
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._send = send
         self._admits = admits
         self._on_failure = on_failure
-        self._loop = asyncio.get_running_loop()
+        self._loop = loop
         self._setpoint: Setpoint | None = None
         self._frame: Setpoint | None = None  # what went out last, None before and in silence
         self._slot = float("-inf")  # where the last frame stands on the grid

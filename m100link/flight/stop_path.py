@@ -46,7 +46,7 @@ class StopPath:
         self._life = life
         self._setpoints = setpoints
         self._action: StopAction = action
-        self._clock = asyncio.get_running_loop().time
+        self._clock = commander.link.loop.time
         self._take_off_at: float | None = None  # the last one of this block that was not refused
 
     @contextmanager

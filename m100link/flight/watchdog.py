@@ -25,6 +25,7 @@ class TelemetryWatchdog:
         state: Telemetry.
         limit: Seconds without telemetry that count as a stall; None: it never does.
         on_stall: Called with the error at each look that finds a stall.
+        loop: Whose clock and timers are used.
     """
 
     def __init__(
@@ -32,11 +33,13 @@ class TelemetryWatchdog:
         state: AircraftState,
         limit: float | None,
         on_stall: Callable[[TelemetryStalled], None],
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._state = state
         self._limit = limit
         self._on_stall = on_stall
-        self._clock = asyncio.get_running_loop().time
+        self._loop = loop
+        self._clock = loop.time
         self._timer: asyncio.TimerHandle | None = None
         # Until when old telemetry is forgiven; None while it is not old.
         self._grace_ends_at: float | None = None
@@ -46,7 +49,7 @@ class TelemetryWatchdog:
         if self._limit is not None and self.is_quiet():
             age = self._state.newest_age or 0.0
             rest = self._limit - age if age <= self._limit else _GRACE_S
-            self._timer = asyncio.get_running_loop().call_later(rest + _SLACK_S, self.start)
+            self._timer = self._loop.call_later(rest + _SLACK_S, self.start)
 
     def stop(self) -> None:
         """Look no more."""

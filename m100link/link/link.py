@@ -129,6 +129,11 @@ class Link(asyncio.Protocol):
     # -- what users of a link call ---------------------------------------------------------------
 
     @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        """The event loop that this link belongs to."""
+        return self._loop
+
+    @property
     def cipher(self) -> Cipher | None:
         """Encrypts and decrypts in both directions; None until there is a key."""
         return self._endpoint.cipher

@@ -117,7 +117,7 @@ class Block:
     """A block that is cancelled from outside, and what it made of that."""
 
     def __init__(self) -> None:
-        self.program = ProgramTask()
+        self.program = ProgramTask(asyncio.get_running_loop())
         self.was_ours: bool | None = None
 
     async def __aenter__(self) -> Block:

@@ -31,7 +31,9 @@ class Rig:
         self.is_admitted = True
         self.failures: list[Exception] = []
         self.is_failing = False
-        self.setpoints = SetpointLoop(self._send, lambda _: self.is_admitted, self.failures.append)
+        self.setpoints = SetpointLoop(
+            self._send, lambda _: self.is_admitted, self.failures.append, self.loop
+        )
 
     def _send(self, setpoint: Setpoint) -> bool:
         if self.is_failing:

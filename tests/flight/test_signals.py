@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from m100link import Control
+from m100link import Control, NoAuthority
 from m100link.flight import signals as module
 from m100link.flight.signals import SignalWatch
 from m100link.sim import VirtualClockEventLoop
-from tests.rig import Rig, rig
+from tests.rig import NORTH, Rig, rig
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -129,6 +129,21 @@ async def test_a_block_entered_after_the_signal_is_stopped_too(acted: list[signa
         assert acted == []
         await asyncio.wait([landing])
         assert acted == [signal.SIGTERM]
+
+
+@pytest.mark.anyio
+async def test_a_signal_stops_what_was_obtained_by_hand(acted: list[signal.Signals]) -> None:
+    async with rig() as flown:
+        control = await flown.aircraft.control().obtain()
+        await control.take_off()
+        control.send(NORTH, lifetime=1.0)
+        await asyncio.sleep(0.5)
+        come(signal.SIGINT)
+        await asyncio.sleep(1.0)
+        assert flown.is_released
+        assert acted == [signal.SIGINT]
+        with pytest.raises(NoAuthority):
+            control.send(NORTH)
 
 
 @pytest.mark.anyio

@@ -39,7 +39,9 @@ class State:
 
 def watch(state: State) -> tuple[TelemetryWatchdog, list[TelemetryStalled]]:
     stalls: list[TelemetryStalled] = []
-    watchdog = TelemetryWatchdog(cast(AircraftState, state), LIMIT, stalls.append)
+    watchdog = TelemetryWatchdog(
+        cast(AircraftState, state), LIMIT, stalls.append, asyncio.get_running_loop()
+    )
     watchdog.start()
     return watchdog, stalls
 
