@@ -1,20 +1,28 @@
 """What the virtual aircraft costs: ten minutes of flight, a hundred at once, an hour of memory.
 
-    python benchmarks/virtual_aircraft.py [flight|fleet|memory]
+    python -m benchmarks.virtual_aircraft [ROW …] [--rounds 5] [--json] [--beside TREE]
 
-Prints one JSON object per measurement. ``fleet`` takes real time (20 s).
+Ten simulated minutes are flown three times: by the aircraft alone, which receives movement at 50 Hz
+and makes telemetry at 100 Hz without an event loop; with a host at the other end of a cable in
+memory, whose program takes every package by ``async for``, on virtual time; and with a host that
+sends movement and listens to nothing. A hundred aircraft are in the air in real time, for the share
+of a CPU. Memory is what an hour on virtual time adds, by tracemalloc, measured once.
 """
 
 from __future__ import annotations
 
 import asyncio
-import json
-import statistics
-import sys
 import time
 import tracemalloc
+from collections.abc import Awaitable, Callable, Iterable
+from contextlib import ExitStack
+from functools import cache
 from random import Random
 
+import m100link
+from benchmarks.program import main
+from benchmarks.rows import Program, Row, Setting, Side, at_most, times
+from m100link.link import Link
 from m100link.protocol import profile
 from m100link.sim import (
     AircraftSettings,
@@ -28,130 +36,138 @@ from m100link.wire import encode_frame
 
 MOVE = encode_frame(bytes.fromhex("010348" + "0000803f" + 12 * "00"), session=0, sequence=1)
 FLIGHT_S = 600
+MANY = 100
+ALONE, HOST = "ten minutes, aircraft alone", "ten minutes, with host and async for"
+CABLE = "ten minutes, steered over a cable in memory"
+REAL = f"{MANY} aircraft in real time, share of a CPU"
+MEMORY = "memory that a simulated hour adds, kB"
 
 
 class Listener(asyncio.Protocol):
-    def __init__(self) -> None:
-        self.bytes = 0
-
-    def data_received(self, data: bytes) -> None:
-        self.bytes += len(data)
+    """The end of a cable at which nobody reads."""
 
 
-def flight_of_the_core() -> float:
-    """Ten minutes: movement received at 50 Hz, telemetry made at 100 Hz, no event loop."""
+def on_virtual_time(run: Callable[[], Awaitable[float]]) -> float:
+    """Run to the end on an event loop whose time jumps."""
+
+    async def whole() -> float:
+        return await run()
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        return runner.run(whole())
+
+
+def alone(seconds: int) -> float:
+    """CPU time: movement received at 50 Hz, telemetry made at 100 Hz, no event loop."""
     settings = AircraftSettings(noise=1.0)
     autopilot = Autopilot(Vehicle(Random(1), profile("1.0"), settings=settings))
     autopilot.advance(0.0)
     autopilot.vehicle.flight.take_off()
     autopilot.advance(8.0)
     autopilot.vehicle.authority.is_requested = True
-    began = time.perf_counter()
-    for index in range(FLIGHT_S * 50):
+    began = time.thread_time()
+    for index in range(seconds * 50):
         autopilot.receive_data(MOVE, 8.0 + index / 50)
         autopilot.data_to_send()
-    return time.perf_counter() - began
+    return time.thread_time() - began
 
 
-def flight_through_the_loop() -> float:
-    """The same through a virtual event loop and a cable in memory."""
-
-    async def main() -> float:
-        loop = asyncio.get_running_loop()
-        driver = Driver(VirtualAircraft(seed=1, settings=AircraftSettings(noise=1.0)))
-        transport = driver.connect(Listener())
-        driver.start()
-        driver.aircraft.vehicle.flight.take_off()
-        await asyncio.sleep(8.0)
-        driver.aircraft.vehicle.authority.is_requested = True
-        left = FLIGHT_S * 50
-
-        def send() -> None:
-            nonlocal left
-            transport.write(MOVE)
-            left -= 1
-            if left:
-                loop.call_later(0.02, send)
-
-        began = time.perf_counter()
-        send()
-        await asyncio.sleep(FLIGHT_S)
-        elapsed = time.perf_counter() - began
-        driver.stop()
-        return elapsed
-
-    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
-        return runner.run(main())
+async def with_host(seconds: int) -> float:
+    """CPU time of both ends, with a program that takes every package."""
+    driver = Driver(VirtualAircraft(seed=1))
+    link = Link()
+    driver.connect(link)
+    driver.start()
+    await link.wait_connected()
+    async with m100link.connect(link) as aircraft, aircraft.telemetry() as samples:
+        began = time.thread_time()
+        end = asyncio.get_running_loop().time() + seconds
+        async for sample in samples:
+            if sample.received_at >= end:
+                break
+        spent = time.thread_time() - began
+    driver.stop()
+    return spent
 
 
-async def fleet(count: int = 100, seconds: float = 20.0) -> dict[str, float]:
-    """Aircraft in the air at default rates, in real time: share of a core, lateness."""
+async def over_cable(seconds: int) -> float:
+    """CPU time, with movement sent at 50 Hz by a timer."""
     loop = asyncio.get_running_loop()
-    drivers = [Driver(VirtualAircraft(seed=seed)) for seed in range(count)]
+    driver = Driver(VirtualAircraft(seed=1, settings=AircraftSettings(noise=1.0)))
+    transport = driver.connect(Listener())
+    driver.start()
+    driver.aircraft.vehicle.flight.take_off()
+    await asyncio.sleep(8.0)
+    driver.aircraft.vehicle.authority.is_requested = True
+    left = seconds * 50
+
+    def send() -> None:
+        nonlocal left
+        transport.write(MOVE)
+        left -= 1
+        if left:
+            loop.call_later(0.02, send)
+
+    began = time.thread_time()
+    send()
+    await asyncio.sleep(seconds)
+    spent = time.thread_time() - began
+    driver.stop()
+    return spent
+
+
+async def in_real_time(number: int, seconds: float) -> float:
+    """Share of a CPU that aircraft in the air at default rates take."""
+    drivers = [Driver(VirtualAircraft(seed=seed)) for seed in range(number)]
     for driver in drivers:
         driver.connect(Listener())
         driver.start()
         driver.aircraft.vehicle.flight.take_off()
-        await asyncio.sleep(0.01 / count)  # real aircraft are not switched on together
-    await asyncio.sleep(1.0)
-    flown = [driver.aircraft.vehicle.time for driver in drivers]
-    began, used = loop.time(), time.process_time()
-    late = []
-    while loop.time() - began < seconds:
-        due = loop.time() + 0.05
-        await asyncio.sleep(0.05)
-        late.append(loop.time() - due)
-    elapsed, used = loop.time() - began, time.process_time() - used
-    flown = [d.aircraft.vehicle.time - t for d, t in zip(drivers, flown, strict=True)]
+        await asyncio.sleep(0.01 / number)  # real aircraft are not switched on together
+    began, used = time.perf_counter(), time.thread_time()
+    await asyncio.sleep(seconds)
+    share = (time.thread_time() - used) / (time.perf_counter() - began)
     for driver in drivers:
         driver.stop()
-    late.sort()
-    return {
-        "aircraft": count,
-        "core_percent": round(100 * used / elapsed, 1),
-        "slowest_flew_percent_of_real_time": round(100 * min(flown) / elapsed, 2),
-        "late_ms_p99": round(1000 * late[int(0.99 * len(late))], 2),
-    }
+    return share
 
 
-def memory() -> dict[str, float]:
-    """A simulated hour with a listener: what is allocated after five minutes and at the end."""
-
-    async def main() -> dict[str, float]:
-        driver = Driver(VirtualAircraft(seed=1))
-        driver.connect(Listener())
-        await asyncio.sleep(300.0)
-        tracemalloc.start()
-        await asyncio.sleep(1.0)
-        before, _ = tracemalloc.get_traced_memory()
-        await asyncio.sleep(3600.0)
-        after, peak = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        driver.stop()
-        return {"grown_kb_in_an_hour": (after - before) / 1000, "peak_kb": peak / 1000}
-
-    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
-        return runner.run(main())
+async def memory(minutes: int) -> float:
+    """Kilobytes that so many minutes add, after a twelfth of them that is not counted."""
+    driver = Driver(VirtualAircraft(seed=1))
+    driver.connect(Listener())
+    await asyncio.sleep(5.0 * minutes)
+    tracemalloc.start()
+    await asyncio.sleep(1.0)
+    before, _ = tracemalloc.get_traced_memory()
+    await asyncio.sleep(60.0 * minutes)
+    after, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    driver.stop()
+    return (after - before) / 1000
 
 
-def show(name: str, result: object) -> None:
-    print(json.dumps({"benchmark": name, "result": result}))
+def ours(setting: Setting, stack: ExitStack) -> Iterable[Side]:
+    """Flights, a crowd, an hour."""
+    flight, minutes = setting.count(FLIGHT_S), max(1, setting.count(60))
+    number, seconds = setting.count(MANY), setting.seconds(4.0)
+    measured_once = cache(lambda: on_virtual_time(lambda: memory(minutes)))
+    yield Side(ALONE, lambda: alone(flight))
+    yield Side(HOST, lambda: on_virtual_time(lambda: with_host(flight)))
+    yield Side(CABLE, lambda: on_virtual_time(lambda: over_cable(flight)))
+    yield Side(REAL, lambda: asyncio.run(in_real_time(number, seconds)), is_time=False)
+    yield Side(MEMORY, measured_once, is_time=False)
 
 
-def main() -> None:
-    wanted = sys.argv[1:] or ["flight", "fleet", "memory"]
-    if "flight" in wanted:
-        for flight in (flight_of_the_core, flight_through_the_loop):
-            times = sorted(flight() for _ in range(5))
-            show(
-                flight.__name__,
-                {"median_s": round(statistics.median(times), 3), "worst_s": round(times[-1], 3)},
-            )
-    if "fleet" in wanted:
-        show("fleet", asyncio.run(fleet()))
-    if "memory" in wanted:
-        show("memory", memory())
-
+PROGRAM = Program(
+    name="virtual_aircraft",
+    rows=(
+        Row("ten simulated minutes, aircraft alone, CPU", times(ALONE, 1.0), at_most(0.8), "s"),
+        Row("the same with host and async for, CPU", times(HOST, 1.0), at_most(1.5), "s"),
+    ),
+    ours=ours,
+    rounds=5,
+)
 
 if __name__ == "__main__":
-    main()
+    main(PROGRAM)
