@@ -1,43 +1,179 @@
-"""From a key press to the movement frame on the line, through the station; alone and under load.
+"""The ground station on a busy machine, and from a key press to the movement frame on the line.
 
-    python benchmarks/station.py [--presses 300] [--clients 10] [--json]
+    python -m benchmarks.station [ROW …] [--rounds 3] [--json] [--beside TREE]
 
-Three processes, as in use: the station (``m100link serve``), this one with the virtual aircraft
-behind TCP and the client that presses keys, and one with the clients that only listen. A press is
-timed from just before the WebSocket message is sent until the frame's bytes arrive at the aircraft,
-by one clock: from rest, when the frame leaves at once, and 0.1 s after a release, when frames of
-zeros still leave at 50 Hz and the press takes the next one. Then the lateness of 50 Hz ticks inside
-the process that serves. All first with no other client, then with ten that subscribe to every topic
-at full rate. Nothing here passes or fails.
+**Busy**: the station runs in this process, ten clients in another subscribe to every topic at full
+rate, and beside them as many processes as there are CPUs compute without end. Told are the messages
+that the station dropped because a client was slow, the lateness of 50 Hz ticks in its loop, and
+what the clients got.
+
+**Drop and delivery**: CPU time for a message to one client, by the station's own parts without a
+socket; one client takes its messages, the other never does.
+
+**Key to frame**: ``m100link serve`` in its processes, this one with the virtual aircraft behind TCP
+and the client that presses keys. A press is timed from just before the WebSocket message is sent
+until the frame's bytes arrive at the aircraft, by one clock: from rest, when the frame leaves at
+once, and 0.1 s after a release, when frames of zeros still leave at 50 Hz and the press takes the
+next one. First with no other client, then with ten.
 """
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import json
-import math
 import os
 import random
-import statistics
 import subprocess
 import sys
-import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import WebSocketException
 
+from benchmarks.program import main
+from benchmarks.rows import (
+    NotMeasured,
+    Program,
+    Row,
+    Setting,
+    Side,
+    at_most,
+    percentile,
+    ratio,
+    timed,
+    times,
+)
 from m100link.flight.pacing import Ticker
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.tcp import serve_tcp
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
+from m100link.station.ros.client import Client
+from m100link.station.ros.graph import Graph, Publication
 from m100link.station.run import running
 
+CLIENTS = 10
+COUNT = 3000  # messages per timing
+TOPICS = 30
+PRESSES = 20
+SEED = 1
+PATIENCE_S = 60.0  # for anything that a busy machine may delay
+BUSY = f"{CLIENTS} clients, every topic, both cores busy"
+DROP, DELIVERY = "a message dropped", "a message delivered"
+KEYS, KEYS_LOADED = "key to frame, alone", f"key to frame, with {CLIENTS} clients"
+LISTENER = str(Path(__file__).with_name("listener.py"))
 MAIN = "from m100link.cli import main; main()"
+
+
+@contextlib.asynccontextmanager
+async def process(*command: str, **more: Any) -> AsyncIterator[asyncio.subprocess.Process]:
+    """A Python program while the block runs."""
+    started = await asyncio.create_subprocess_exec(
+        sys.executable, *command, stdout=subprocess.PIPE, **more
+    )
+    try:
+        yield started
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            started.terminate()
+        try:
+            async with asyncio.timeout(5):
+                await started.wait()
+        except TimeoutError:
+            started.kill()
+            await started.wait()
+
+
+# -- busy ------------------------------------------------------------------------------------------
+
+
+async def busy(clients: int, burners: int, seconds: float) -> dict[str, float]:
+    """What ten clients and busy cores do to the station."""
+    async with contextlib.AsyncExitStack() as stack:
+        station = await stack.enter_async_context(running(Settings(sim=True, port=0)))
+        url = f"ws://127.0.0.1:{station.ports[0]}"
+        listeners = await stack.enter_async_context(process(LISTENER, url, str(clients)))
+        assert listeners.stdout is not None
+        await until_connected(listeners.stdout, clients)
+        for _ in range(burners):
+            await stack.enter_async_context(process("-c", "while True: pass"))
+        await asyncio.sleep(min(1.0, seconds))
+        before = dropped(station.bridge.graph)
+        counting = asyncio.create_task(count(listeners.stdout, clients))
+        late = []
+        async for tick in Ticker(50):
+            late.append(tick.lateness)
+            if tick.elapsed >= seconds:
+                break
+        counting.cancel()
+        rates, connected = await counting
+        return {
+            "dropped": dropped(station.bridge.graph) - before,
+            "cut off": clients - connected,
+            "messages/s": percentile(rates, 0.5) if rates else 0.0,
+            "loop late p50, ms": percentile(late, 0.5) * 1e3,
+            "loop late p99, ms": percentile(late, 0.99) * 1e3,
+        }
+
+
+def dropped(graph: Graph) -> int:
+    """Messages that clients lost because they were slow."""
+    return sum(one.dropped for one in graph.sessions if isinstance(one, Client))
+
+
+async def until_connected(lines: asyncio.StreamReader, clients: int) -> None:
+    """Wait for the clients."""
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            while (await lines.readline()).split()[1:] != [str(clients).encode()]:
+                pass
+    except TimeoutError:
+        raise NotMeasured(f"the clients were not connected after {PATIENCE_S:g} s") from None
+
+
+async def count(lines: asyncio.StreamReader, connected: int) -> tuple[list[int], int]:
+    """Messages of each second, and how many clients there were in the last; until cancelled."""
+    rates = []
+    with contextlib.suppress(asyncio.CancelledError):
+        async for line in lines:
+            rate, connected = map(int, line.split())
+            rates.append(rate)
+    return rates, connected
+
+
+# -- drop and delivery -----------------------------------------------------------------------------
+
+
+def messages(name: str, number: int, *, takes: bool) -> Side:
+    """Messages of many topics to one client that takes them, or never does."""
+    graph = Graph()
+    topics = [graph.add_topic(f"/topic{n}", "std_msgs/Float32") for n in range(TOPICS)]
+    client = Client(graph)
+    for topic in topics:
+        client.receive(json.dumps({"op": "subscribe", "topic": topic.name}), 0.0)
+    publications = [Publication(topic, {"data": 1.0}) for topic in topics]
+    for one in publications:
+        one.pack(one.topic.name, "none")  # packed once for all clients, so it is nobody's cost
+    for _ in range(client.limits.waiting if not takes else 0):
+        client.deliver(publications[0], 0.0)
+
+    def run() -> int:
+        before, taken = client.dropped, 0
+        for index in range(number):
+            client.deliver(publications[index % TOPICS], 0.0)
+            if takes:
+                taken += client.next_frame() is not None
+        return taken if takes else client.dropped - before
+
+    return timed(name, number, run)
+
+
+# -- key to frame ----------------------------------------------------------------------------------
 
 
 class Line(Driver):
@@ -49,6 +185,7 @@ class Line(Driver):
         self.news = asyncio.Event()
 
     def receive(self, data: bytes) -> None:
+        """Bytes from the station."""
         before = self.aircraft.autopilot.counters.movements
         now = self.loop.time()
         super().receive(data)
@@ -58,150 +195,73 @@ class Line(Driver):
 
 
 async def publish(client: ClientConnection, topic: str, kind: str, **message: float) -> None:
+    """One message on a topic of its own."""
     await client.send(json.dumps({"op": "advertise", "topic": topic, "type": kind}))
     await client.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))
 
 
 async def steer(client: ClientConnection, **message: float) -> None:
+    """What a key of DJI's web page sends."""
     body = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0} | message
     await client.send(json.dumps({"op": "publish", "topic": "/sdk_request_ctrl", "msg": body}))
 
 
-async def presses(
-    client: ClientConnection, line: Line, count: int, chance: random.Random, rest: float
-) -> list[float]:
-    """Seconds from press to frame, that long after the key before was released; inf if none."""
-    times = []
-    for _ in range(count):
-        await steer(client)
-        await asyncio.sleep(rest + chance.random() * 0.04)
-        line.news.clear()
-        pressed_at = line.loop.time()
-        await steer(client, x=-2.0)
-        try:
-            async with asyncio.timeout(2):
-                await line.news.wait()
-        except TimeoutError:
-            times.append(math.inf)  # on a machine that is busy enough a press may come to nothing
-        else:
-            times.append(line.arrivals[-1] - pressed_at)
-    return times
-
-
-async def lateness(clients: int, seconds: float = 8.0) -> dict[str, Any]:
-    """How late 50 Hz ticks are in the process that serves, and what clients cost it."""
-    result: dict[str, Any] = {}
-    async with running(Settings(sim=True, port=0)) as station:
-        command = (__file__, "--listen", f"ws://127.0.0.1:{station.ports[0]}")
-        for case, count in (("alone", 0), ("loaded", clients)):
-            async with process(*command, "--clients", str(count)):
-                await asyncio.sleep(3.0)
-                began, late = time.process_time(), []
-                async for tick in Ticker(50):
-                    late.append(tick.lateness)
-                    if tick.elapsed >= seconds:
-                        break
-                busy = (time.process_time() - began) / seconds
-                result[case] = summary(late) | {"busy": busy}
-    return result
-
-
-def percentile(values: list[float], part: float) -> float:
-    return sorted(values)[min(len(values) - 1, int(len(values) * part))]
-
-
-def summary(values: list[float]) -> dict[str, float]:
-    return {
-        "count": len(values),
-        "p50_ms": 1e3 * percentile(values, 0.50),
-        "p99_ms": 1e3 * percentile(values, 0.99),
-        "worst_ms": 1e3 * max(values),
-    }
-
-
-async def listen(url: str, count: int) -> None:
-    """Clients that take everything and say once a second how much it was."""
-    received = 0
-
-    async def one() -> None:
-        nonlocal received
-        async with connect(url, compression=None) as client:
-            await client.send('{"op":"call_service","service":"/rosapi/topics"}')
-            topics = json.loads(await client.recv())["values"]["topics"]
-            for topic in topics:
-                await client.send(json.dumps({"op": "subscribe", "topic": topic}))
-            async for _ in client:
-                received += 1
-
-    async def report() -> None:
-        while True:
-            before = received
-            await asyncio.sleep(1.0)
-            print(received - before, flush=True)
-
-    await asyncio.gather(report(), *(one() for _ in range(count)))
-
-
-@contextlib.asynccontextmanager
-async def process(*command: str, **more: Any) -> AsyncIterator[asyncio.subprocess.Process]:
-    running = await asyncio.create_subprocess_exec(
-        sys.executable, *command, stdout=subprocess.PIPE, **more
-    )
+async def press(client: ClientConnection, line: Line, rest: float) -> float | None:
+    """Seconds from press to frame, so long after the key before was released; None: no frame."""
+    await steer(client)
+    await asyncio.sleep(rest)
+    line.news.clear()
+    pressed_at = line.loop.time()
+    await steer(client, x=-2.0)
     try:
-        yield running
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            running.terminate()
-        await running.wait()
+        async with asyncio.timeout(2):
+            await line.news.wait()
+    except TimeoutError:
+        return None  # on a machine that is busy enough a press may come to nothing
+    return line.arrivals[-1] - pressed_at
 
 
-async def measure(options: argparse.Namespace) -> dict[str, Any]:
-    chance = random.Random(options.seed)
-    line = Line(VirtualAircraft(seed=options.seed))
-    server = await serve_tcp(line)
+async def key_to_frame(clients: int, presses: int) -> dict[str, float]:
+    """Presses from rest and between frames, with so many other clients."""
+    chance = random.Random(SEED)
+    line = Line(VirtualAircraft(seed=SEED))
     environment = os.environ | {
         "M100LINK_APP_ID": str(DEMO_APP_ID),
         "M100LINK_KEY": DEMO_KEY.reveal().hex(),
     }
-    serve = ("serve", f"tcp://127.0.0.1:{server.port}", "--port", "0", "--json")
-    result: dict[str, Any] = {"seed": options.seed, "clients": options.clients}
-    quiet = {"stderr": subprocess.DEVNULL, "env": environment}
-    async with process("-c", MAIN, *serve, **quiet) as station:
+    async with contextlib.AsyncExitStack() as stack:
+        server = await serve_tcp(line)
+        stack.push_async_callback(server.stop)
+        command = ("serve", f"tcp://127.0.0.1:{server.port}", "--port", "0", "--json")
+        station = await stack.enter_async_context(
+            process("-c", MAIN, *command, stderr=subprocess.DEVNULL, env=environment)
+        )
         assert station.stdout is not None
         url = json.loads(await station.stdout.readline())["rosbridge"][0]
-        async with connect(url, compression=None) as client:
+        client = await stack.enter_async_context(
+            connect(url, compression=None, open_timeout=PATIENCE_S, ping_interval=None)
+        )
+        async with asyncio.timeout(PATIENCE_S):
             await take_off(client, line)
-            result["alone"] = await both(client, line, options, chance)
-            command = (__file__, "--listen", url, "--clients", str(options.clients))
-            async with process(*command) as listeners:
-                assert listeners.stdout is not None
-                rates = asyncio.create_task(read_rates(listeners.stdout))
-                await asyncio.sleep(3.0)
-                result["loaded"] = await both(client, line, options, chance)
-            # The listeners have ended: the first and the last second were not whole ones.
-            result["messages_per_s"] = statistics.median((await rates)[1:-1] or [0])
-    await server.stop()
-    ticks = await lateness(options.clients)
-    for case in ("alone", "loaded"):
-        result[case]["ticks"] = ticks[case]
-    return result
-
-
-async def read_rates(stream: asyncio.StreamReader) -> list[int]:
-    """Messages of each second, until the listeners end."""
-    return [int(text) async for text in stream if text.strip().isdigit()]
-
-
-async def both(
-    client: ClientConnection, line: Line, options: argparse.Namespace, chance: random.Random
-) -> dict[str, Any]:
-    return {
-        "press": summary(await presses(client, line, options.presses, chance, 0.6)),
-        "change": summary(await presses(client, line, options.presses, chance, 0.1)),
-    }
+        if clients:
+            listeners = await stack.enter_async_context(process(LISTENER, url, str(clients)))
+            assert listeners.stdout is not None
+            await until_connected(listeners.stdout, clients)
+        found: dict[str, float] = {}
+        for what, rest in (("from rest", 0.6), ("between frames", 0.1)):
+            answers = [
+                await press(client, line, rest + chance.random() * 0.04) for _ in range(presses)
+            ]
+            seen = [seconds for seconds in answers if seconds is not None]
+            if len(seen) * 2 < presses:
+                raise NotMeasured(f"{presses - len(seen)} of {presses} presses moved nothing")
+            found[f"{what}, p50"] = percentile(seen, 0.5)
+            found[f"{what}, worst"] = max(seen)
+        return found
 
 
 async def take_off(client: ClientConnection, line: Line) -> None:
+    """Activated, authority held, in the air."""
     vehicle = line.aircraft.vehicle
     await publish(client, "/sdk_request_activation", "std_msgs/Float32", data=1)
     while vehicle.activation.active is None:  # noqa: ASYNC110 - the virtual aircraft has no events
@@ -216,37 +276,60 @@ async def take_off(client: ClientConnection, line: Line) -> None:
     await publish(client, "/sdk_request_ctrl", "geometry_msgs/Quaternion", x=0.0)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--presses", type=int, default=100)
-    parser.add_argument("--clients", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--listen", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.listen:
-        with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(listen(options.listen, options.clients))
-        return
-    result = asyncio.run(measure(options))
-    if options.json:
-        print(json.dumps(result))
-        return
-    print(f"seed {result['seed']}; load: {result['clients']} clients with every topic, ", end="")
-    print(f"{result['messages_per_s']} messages/s")
-    for what, text in (
-        ("press", "key press to frame"),
-        ("change", "the same between frames"),
-        ("ticks", "50 Hz tick late"),
-    ):
-        for case in ("alone", "loaded"):
-            one = result[case][what]
-            numbers = "  ".join(
-                f"{name} {one[f'{name}_ms']:6.2f}" for name in ("p50", "p99", "worst")
-            )
-            busy = f", CPU {one['busy']:.0%}" if "busy" in one else ""
-            print(f"{text:25} {case:7} {numbers}  ms  (n = {one['count']}{busy})")
+def keys(name: str, clients: int, presses: int) -> Side:
+    """Presses; what a busy machine spoils is told and not raised."""
 
+    def run() -> dict[str, float]:
+        try:
+            return asyncio.run(key_to_frame(clients, presses))
+        except (TimeoutError, OSError, WebSocketException) as error:
+            raise NotMeasured(f"the station did not keep up: {error!r}") from error
+
+    return Side(name, run)
+
+
+# -- sides and rows --------------------------------------------------------------------------------
+
+
+def ours(setting: Setting, stack: ExitStack) -> Iterable[Side]:
+    """The station."""
+    clients = setting.count(CLIENTS)
+    burners = 1 if setting.is_quick else os.cpu_count() or 1
+    seconds, number = setting.seconds(8.0), setting.count(COUNT)
+    yield Side(BUSY, lambda: asyncio.run(busy(clients, burners, seconds)), is_time=False)
+    yield messages(DROP, number, takes=False)
+    yield messages(DELIVERY, number, takes=True)
+    if not setting.is_quick:  # a flight takes its time
+        yield keys(KEYS, 0, PRESSES)
+        yield keys(KEYS_LOADED, clients, PRESSES)
+
+
+PROGRAM = Program(
+    name="station",
+    rows=(
+        Row(
+            "station, both cores busy: dropped for readers",
+            times(f"{BUSY}, dropped", 1),
+            at_most(0),
+        ),
+        Row(
+            "the same: lateness of its loop, p99",
+            times(f"{BUSY}, loop late p99, ms", 1),
+            at_most(20),
+            "ms",
+        ),
+        Row("a message dropped ÷ a message delivered", ratio(DROP, DELIVERY), at_most(1)),
+        Row("key to frame from rest, alone, p50", times(f"{KEYS}, from rest, p50", 1e3), unit="ms"),
+        Row(
+            f"key to frame from rest, {CLIENTS} clients, p50",
+            times(f"{KEYS_LOADED}, from rest, p50", 1e3),
+            unit="ms",
+        ),
+    ),
+    ours=ours,
+    rounds=3,
+    is_pinned=False,
+)
 
 if __name__ == "__main__":
-    main()
+    main(PROGRAM)
