@@ -163,8 +163,7 @@ def mutation(session: nox.Session) -> None:
 def bench(session: nox.Session) -> None:
     """The benchmarks, beside their rivals on the same machine; `-- frames` for one program."""
     session.install("-e", PACKAGE, *group("bench"))
-    for name in ("ticks", "virtual_aircraft", "station"):
-        session.run("python", "-m", f"benchmarks.{name}")
+    session.run("python", "-m", "benchmarks.ticks")
     session.run("python", "-m", "benchmarks", *session.posargs)
 
 

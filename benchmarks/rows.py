@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 ROUNDS = 15
-QUICK_ROUNDS = 2  # one has no quartiles
+QUICK_ROUNDS = 1
 
 
 class NotMeasured(Exception):
