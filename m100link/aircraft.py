@@ -222,12 +222,15 @@ class Aircraft:
             handle_signals=handle_signals,
         )
 
-    async def release_authority(self) -> None:
+    async def release_authority(self) -> bool:
         """Give control authority back that an earlier program left; a control block does it itself.
 
         The aircraft hovers and the pilot flies on. What goes wrong is logged, not raised.
+
+        Returns:
+            Whether the aircraft said that it has it back.
         """
-        await release_authority(self._commander)
+        return await release_authority(self._commander)
 
     # -- telemetry and mobile data ---------------------------------------------------------------
 

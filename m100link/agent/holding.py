@@ -20,6 +20,7 @@ from m100link.agent.flying import Flying
 from m100link.agent.journal import Journal
 from m100link.aircraft import Aircraft
 from m100link.errors import AuthorityLost, AuthorityRefused, LossReason, M100Error, NoAuthority
+from m100link.flight.authority import AuthorityState
 from m100link.flight.control import Control
 from m100link.protocol.records import RemoteControl
 from m100link.telemetry.subscription import Newest
@@ -234,7 +235,10 @@ class Holding:
             async with aircraft.control() as control:
                 await self._use(control, granted)
             self.feed(HoldingInput.ENDED)
-            self._journal.note("control authority released")
+            if aircraft.authority.state is AuthorityState.UNRELEASED:
+                self._journal.note("control authority may not be released: no answer", "warning")
+            else:
+                self._journal.note("control authority released")
         except AuthorityLost as error:
             self._lost(aircraft, error, granted)
         except M100Error as error:

@@ -12,7 +12,7 @@ from rich.prompt import Confirm
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
-from m100link.errors import UsageError
+from m100link.errors import NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.guidance import GuidanceProgress
@@ -143,7 +143,13 @@ def release(url: Url, /, *, app: AppOptions | None = None, link: LinkOptions | N
     async def run() -> None:
         async with connect(url, **(link or LinkOptions()).arguments()) as aircraft:
             await _activate(aircraft, (app or AppOptions()).credentials(url))
-            await aircraft.release_authority()
+            if not await aircraft.release_authority():
+                raise NotObserved(
+                    "the aircraft did not say that it has control authority back",
+                    situation=aircraft.state.situation(),
+                    cause="the release or its answer was lost, or refused: see the log",
+                    remedy="it hovers, and the pilot takes it by the mode switch; try again",
+                )
             out.print("released")
 
     return run_async(run())

@@ -37,6 +37,7 @@ class AuthorityState(Enum):
     PAUSED = "paused"  # the pilot left F; going back to F gives authority back
     LOST = "lost"  # the app took it, or the link is gone; a new request is needed
     RELEASING = "releasing"  # a release is on its way
+    UNRELEASED = "unreleased"  # nobody said that the release arrived: it may still be ours
 
 
 class AuthorityInput(Enum):
@@ -46,7 +47,8 @@ class AuthorityInput(Enum):
     OBTAINED = "its ack says obtained"
     REFUSED = "its ack says refused, or none came"
     RELEASE = "we send a release"
-    RELEASED = "its ack says released, or none came"
+    RELEASED = "its ack says released"
+    NOT_RELEASED = "its ack says something else, or none came"
     NOTIFIED = "the aircraft notifies that authority passed away (0x02/0x01)"
     RC_LEFT_F = "the mode switch is not in F"
     RC_IN_F = "the mode switch is in F"
@@ -108,6 +110,15 @@ TRANSITIONS: dict[AuthorityState, dict[AuthorityInput, AuthorityState]] = {
     },
     _S.RELEASING: {
         _I.RELEASED: _S.NONE,
+        _I.NOT_RELEASED: _S.UNRELEASED,
+        _I.LINK_LOST: _S.LOST,
+    },
+    _S.UNRELEASED: {
+        # The pilot who takes it may give it back by going back to F, so only an ack and the app,
+        # behind which a new request is needed, make an end.
+        _I.OBTAIN: _S.OBTAINING,
+        _I.RELEASE: _S.RELEASING,
+        _I.DEVICE_APP: _S.LOST,
         _I.LINK_LOST: _S.LOST,
     },
 }

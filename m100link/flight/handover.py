@@ -6,7 +6,14 @@ import asyncio
 import logging
 from typing import TYPE_CHECKING
 
-from m100link.errors import AckTimeout, AuthorityLost, AuthorityRefused, LossReason, M100Error
+from m100link.errors import (
+    AckTimeout,
+    AuthorityLost,
+    AuthorityRefused,
+    LossReason,
+    M100Error,
+    NotActivated,
+)
 from m100link.flight.authority import AuthorityInput
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
@@ -136,13 +143,17 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
     return found
 
 
-async def release_authority(commander: Commander) -> None:
+async def release_authority(commander: Commander) -> bool:
     """Give authority back, within two seconds. What goes wrong is logged, not raised.
 
     The control block ends all the same: without setpoints the aircraft hovers.
+
+    Returns:
+        Whether the aircraft said that it has it back.
     """
     authority = commander.authority
     authority.feed(AuthorityInput.RELEASE)
+    outcome = AuthorityInput.NOT_RELEASED
     try:
         async with asyncio.timeout(_RELEASE_DEADLINE_S):
             for attempt in range(_most(commander)):
@@ -152,11 +163,18 @@ async def release_authority(commander: Commander) -> None:
                 code = await _request_release(commander, is_last=is_last)
                 if code not in (AuthorityCode.NOT_CHANGED, AuthorityCode.RELEASING):
                     break
-        _logger.info("control authority released")
+        if code == AuthorityCode.RELEASED:
+            outcome = AuthorityInput.RELEASED
+            _logger.info("control authority released")
+        else:
+            _logger.warning("control authority may not be released: code 0x%04X", code)
+    except NotActivated:
+        outcome = AuthorityInput.RELEASED  # nobody has it before an activation
     except (M100Error, TimeoutError) as error:
         _logger.warning("control authority may not be released: %s", error)
     finally:
-        authority.feed(AuthorityInput.RELEASED)
+        authority.feed(outcome)
+    return outcome is AuthorityInput.RELEASED
 
 
 async def explained_loss(commander: Commander, loss: AuthorityLost) -> AuthorityLost:

@@ -12,7 +12,7 @@ from m100link.agent.background import BackgroundTasks
 from m100link.agent.holding import Holding, HoldingInput, HoldingState
 from m100link.agent.journal import Journal
 from m100link.errors import AuthorityRefused, LinkError, NoAuthority
-from m100link.sim.line import LineFaults
+from m100link.sim.line import NO_FAULTS, LineFaults
 from tests.agent.conftest import Rig
 
 S, I = HoldingState, HoldingInput  # noqa: E741 - a table is read by its columns
@@ -69,6 +69,13 @@ async def test_obtained_held_and_given_back(rig: Rig) -> None:
     assert rig.states == [S.OBTAINING, S.HELD, S.RELEASING, S.NONE]
     with pytest.raises(NoAuthority):
         rig.holding.require()
+
+
+async def test_a_release_that_nobody_answers_is_not_noted_as_one(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    rig.aircraft.set_faults(LineFaults(loss=1.0), to_aircraft=NO_FAULTS)
+    await rig.agent.release(rig.token)
+    assert "may not be released" in rig.agent.journal.events[-1].text
 
 
 async def test_two_that_ask_at_once_ask_the_aircraft_once(rig: Rig) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from m100link.cli.flight import release
+from m100link.cli.outcome import ExitCode
 from tests.cli.conftest import Simulator, process
 
 # Several programs in a row fly in real time: more than the usual time-out on a busy machine.
@@ -44,6 +46,17 @@ def test_release_is_always_possible(simulator: Simulator, app: list[str]) -> Non
     outcome = process("release", simulator.port, *app)
     assert outcome.status == 0
     assert outcome.out == "released\n"
+
+
+def test_a_release_that_is_not_confirmed_is_not_called_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def unheard(*_: object) -> bool:
+        return False
+
+    monkeypatch.setattr("m100link.aircraft.release_authority", unheard)
+    assert release("sim://") == ExitCode.TIMEOUT
+    assert "did not say that it has control authority back" in capsys.readouterr().err
 
 
 def test_a_url_of_the_simulator_needs_no_credentials() -> None:

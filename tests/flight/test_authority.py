@@ -27,6 +27,8 @@ GONE_ALREADY = "it passed away before; saying so again is no news"
 STILL_OURS = "the item says what is known already"
 NEW_REQUEST = "2.2.2.1: after the app took control a new request is needed"
 RELEASE_ANY_TIME = "2.2.2.1: a release may be sent at any time; it is how one makes sure"
+UNHEARD = "nobody said that it was released: it may be ours, and saying otherwise would be a guess"
+MAY_COME_BACK = "QS: the pilot who took it gives it back by going back to F"
 RELEASE_PENDING = "2.2.2.1: the ack of the release decides, whoever holds control meanwhile"
 ASK_AGAIN = "2.2.2.1: a request may be sent at any time"
 NO_LINE = "without a line nothing is obeyed and nothing is heard"
@@ -37,6 +39,7 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.NONE, I.REFUSED): (S.NONE, "", NOT_ASKED),
     (S.NONE, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
     (S.NONE, I.RELEASED): (S.NONE, "", NOT_ASKED),
+    (S.NONE, I.NOT_RELEASED): (S.NONE, "", NOT_ASKED),
     (S.NONE, I.NOTIFIED): (S.NONE, "", NOTHING_TO_LOSE),
     (S.NONE, I.RC_LEFT_F): (S.NONE, "", NOTHING_TO_LOSE),
     (S.NONE, I.RC_IN_F): (S.NONE, "", REQUEST_FIRST),
@@ -49,6 +52,7 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.OBTAINING, I.REFUSED): (S.NONE, "", "2.2.2.1: 0x0003, failed to change"),
     (S.OBTAINING, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
     (S.OBTAINING, I.RELEASED): (S.OBTAINING, "", NOT_ASKED),
+    (S.OBTAINING, I.NOT_RELEASED): (S.OBTAINING, "", NOT_ASKED),
     (S.OBTAINING, I.NOTIFIED): (S.CONTESTED, "unknown", GRANTED_AND_GONE),
     (S.OBTAINING, I.RC_LEFT_F): (S.CONTESTED, "mode_switch", GRANTED_AND_GONE),
     (S.OBTAINING, I.RC_IN_F): (S.OBTAINING, "", ACK_DECIDES),
@@ -69,6 +73,7 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.CONTESTED, I.REFUSED): (S.NONE, "", "2.2.2.1: 0x0003, failed to change"),
     (S.CONTESTED, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
     (S.CONTESTED, I.RELEASED): (S.CONTESTED, "mode_switch", NOT_ASKED),
+    (S.CONTESTED, I.NOT_RELEASED): (S.CONTESTED, "mode_switch", NOT_ASKED),
     (S.CONTESTED, I.NOTIFIED): (S.CONTESTED, "mode_switch", GONE_ALREADY),
     (S.CONTESTED, I.RC_LEFT_F): (S.CONTESTED, "mode_switch", GONE_ALREADY),
     (S.CONTESTED, I.RC_IN_F): (
@@ -89,6 +94,7 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.HELD, I.REFUSED): (S.HELD, "", NOT_ASKED),
     (S.HELD, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
     (S.HELD, I.RELEASED): (S.HELD, "", NOT_ASKED),
+    (S.HELD, I.NOT_RELEASED): (S.HELD, "", NOT_ASKED),
     (S.HELD, I.NOTIFIED): (
         S.PAUSED,
         "unknown",
@@ -109,6 +115,7 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.PAUSED, I.REFUSED): (S.PAUSED, "mode_switch", NOT_ASKED),
     (S.PAUSED, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
     (S.PAUSED, I.RELEASED): (S.PAUSED, "mode_switch", NOT_ASKED),
+    (S.PAUSED, I.NOT_RELEASED): (S.PAUSED, "mode_switch", NOT_ASKED),
     (S.PAUSED, I.NOTIFIED): (S.PAUSED, "mode_switch", GONE_ALREADY),
     (S.PAUSED, I.RC_LEFT_F): (S.PAUSED, "mode_switch", GONE_ALREADY),
     (S.PAUSED, I.RC_IN_F): (
@@ -125,6 +132,7 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.LOST, I.REFUSED): (S.LOST, "app", NOT_ASKED),
     (S.LOST, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
     (S.LOST, I.RELEASED): (S.LOST, "app", NOT_ASKED),
+    (S.LOST, I.NOT_RELEASED): (S.LOST, "app", NOT_ASKED),
     (S.LOST, I.NOTIFIED): (S.LOST, "app", GONE_ALREADY),
     (S.LOST, I.RC_LEFT_F): (S.LOST, "app", GONE_ALREADY),
     (S.LOST, I.RC_IN_F): (S.LOST, "app", NEW_REQUEST),
@@ -137,6 +145,7 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.RELEASING, I.REFUSED): (S.RELEASING, "", RELEASE_PENDING),
     (S.RELEASING, I.RELEASE): (S.RELEASING, "", "firmware 2.3 and 3.1 want the release twice"),
     (S.RELEASING, I.RELEASED): (S.NONE, "released", "2.2.2.1: 0x0001, successfully released"),
+    (S.RELEASING, I.NOT_RELEASED): (S.UNRELEASED, "", UNHEARD),
     (S.RELEASING, I.NOTIFIED): (S.RELEASING, "", RELEASE_PENDING),
     (S.RELEASING, I.RC_LEFT_F): (S.RELEASING, "", RELEASE_PENDING),
     (S.RELEASING, I.RC_IN_F): (S.RELEASING, "", RELEASE_PENDING),
@@ -144,6 +153,19 @@ EXPECTED: dict[tuple[AuthorityState, AuthorityInput], tuple[AuthorityState, str,
     (S.RELEASING, I.DEVICE_APP): (S.RELEASING, "", RELEASE_PENDING),
     (S.RELEASING, I.DEVICE_ONBOARD): (S.RELEASING, "", RELEASE_PENDING),
     (S.RELEASING, I.LINK_LOST): (S.LOST, "link", NO_LINE),
+    (S.UNRELEASED, I.OBTAIN): (S.OBTAINING, "", ASK_AGAIN),
+    (S.UNRELEASED, I.OBTAINED): (S.UNRELEASED, "", NOT_ASKED),
+    (S.UNRELEASED, I.REFUSED): (S.UNRELEASED, "", NOT_ASKED),
+    (S.UNRELEASED, I.RELEASE): (S.RELEASING, "", RELEASE_ANY_TIME),
+    (S.UNRELEASED, I.RELEASED): (S.UNRELEASED, "", NOT_ASKED),
+    (S.UNRELEASED, I.NOT_RELEASED): (S.UNRELEASED, "", NOT_ASKED),
+    (S.UNRELEASED, I.NOTIFIED): (S.UNRELEASED, "", MAY_COME_BACK),
+    (S.UNRELEASED, I.RC_LEFT_F): (S.UNRELEASED, "", MAY_COME_BACK),
+    (S.UNRELEASED, I.RC_IN_F): (S.UNRELEASED, "", UNHEARD),
+    (S.UNRELEASED, I.DEVICE_RC): (S.UNRELEASED, "", MAY_COME_BACK),
+    (S.UNRELEASED, I.DEVICE_APP): (S.LOST, "app", NEW_REQUEST),
+    (S.UNRELEASED, I.DEVICE_ONBOARD): (S.UNRELEASED, "", UNHEARD),
+    (S.UNRELEASED, I.LINK_LOST): (S.LOST, "link", NO_LINE),
 }
 
 # How a program really comes to each state; a state is nothing that one could set.
@@ -155,6 +177,7 @@ WAY_TO: dict[AuthorityState, tuple[AuthorityInput, ...]] = {
     S.PAUSED: (I.OBTAIN, I.OBTAINED, I.RC_LEFT_F),
     S.LOST: (I.OBTAIN, I.OBTAINED, I.DEVICE_APP),
     S.RELEASING: (I.OBTAIN, I.OBTAINED, I.RELEASE),
+    S.UNRELEASED: (I.OBTAIN, I.OBTAINED, I.RELEASE, I.NOT_RELEASED),
 }
 
 

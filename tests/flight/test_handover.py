@@ -7,7 +7,9 @@ import asyncio
 import pytest
 
 import m100link
-from m100link import AuthorityLost, AuthorityRefused
+from m100link import AuthorityLost, AuthorityRefused, AuthorityState
+from m100link.protocol.codes import AuthorityCode
+from m100link.protocol.commands.control import RequestAuthority
 from m100link.sim import NO_FAULTS, AssistantSettings, LineFaults
 from tests.flight.foreign_aircraft import APP_ID, KEY, foreign_aircraft
 from tests.rig import FIRMWARES, NORTH, Rig, rig
@@ -113,6 +115,47 @@ async def test_the_items_do_not_end_a_block_that_has_authority(firmware: str) ->
             await control.take_off()
             await flown.fly(control, 3.0)
         await flown.assert_hovers()
+
+
+# -- releases -------------------------------------------------------------------------------------
+
+
+@each_firmware
+@pytest.mark.parametrize("is_heard", [False, True])
+async def test_a_release_without_an_answer_leaves_a_state_that_says_so(
+    firmware: str, is_heard: bool
+) -> None:
+    """Nothing tells a lost request from a lost answer."""
+    async with rig(firmware=firmware) as flown:
+        async with flown.aircraft.control():
+            faults = LineFaults(loss=1.0)
+            flown.virtual.set_faults(faults, to_aircraft=NO_FAULTS if is_heard else faults)
+        flown.virtual.set_faults()
+        states = [flown.aircraft.authority.state]
+        assert flown.is_released is is_heard
+        assert await flown.aircraft.release_authority()
+        states.append(flown.aircraft.authority.state)
+        assert states == [AuthorityState.UNRELEASED, AuthorityState.NONE]
+        assert flown.is_released
+        async with flown.aircraft.control():
+            pass
+        assert flown.is_released
+
+
+@each_firmware
+@pytest.mark.parametrize("code", [AuthorityCode.NOT_IN_F, AuthorityCode.RELEASING])
+async def test_a_release_that_is_answered_with_something_else_is_none(
+    firmware: str, code: AuthorityCode, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with rig(firmware=firmware) as flown:
+        async with flown.aircraft.control():
+            handlers = flown.virtual.autopilot._commands._handlers
+            known = handlers[RequestAuthority]
+            handlers[RequestAuthority] = lambda _: code
+        assert flown.aircraft.authority.state is AuthorityState.UNRELEASED
+        assert f"may not be released: code 0x{code:04X}" in caplog.text
+        handlers[RequestAuthority] = known
+        assert await flown.aircraft.release_authority()
 
 
 # -- refusals -------------------------------------------------------------------------------------
