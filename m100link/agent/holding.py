@@ -86,6 +86,7 @@ TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
         _I.OBTAINED: _S.HELD,
         _I.REFUSED: _S.NONE,
         _I.LET_GO: _S.RELEASING,
+        _I.TAKEN_OVER: _S.RELEASING,  # another client asked for it; the new one has not
     },
     _S.HELD: _LOST
     | {
@@ -105,6 +106,7 @@ TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
         _I.OBTAINED: _S.HELD,
         _I.REFUSED: _S.TAKEN,  # the switch has to be seen out of F and back once more
         _I.LET_GO: _S.RELEASING,
+        _I.TAKEN_OVER: _S.RELEASING,  # the pilot came back for another client
     },
     _S.RELEASING: dict.fromkeys(_LOST, _S.NONE)
     | {

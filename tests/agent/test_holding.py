@@ -25,11 +25,11 @@ COLUMNS = (
 TABLE = """
            ASKED     OBTAINED REFUSED FAILED LET_GO    TAKEN_OVER PILOT  SOMEBODY APP  LINK LEFT_F IN_F     ENDED
 NONE       OBTAINING .        .       .      .         .          .      .        .    .    .      .        .
-OBTAINING  .         HELD     NONE    NONE   RELEASING .          NONE   NONE     NONE NONE .      .        NONE
+OBTAINING  .         HELD     NONE    NONE   RELEASING RELEASING  NONE   NONE     NONE NONE .      .        NONE
 HELD       .         .        .       NONE   RELEASING .          PAUSED TAKEN    NONE NONE .      .        NONE
 TAKEN      OBTAINING .        .       .      NONE      NONE       .      .        .    NONE PAUSED .        .
 PAUSED     OBTAINING .        .       .      NONE      NONE       .      .        .    NONE .      RESUMING .
-RESUMING   OBTAINING HELD     TAKEN   NONE   RELEASING .          PAUSED TAKEN    NONE NONE .      .        NONE
+RESUMING   OBTAINING HELD     TAKEN   NONE   RELEASING RELEASING  PAUSED TAKEN    NONE NONE .      .        NONE
 RELEASING  .         .        NONE    NONE   .         .          NONE   NONE     NONE NONE .      .        NONE
 """  # noqa: E501 - a table
 
@@ -148,6 +148,35 @@ async def test_a_pilot_who_comes_back_does_not_fly_for_another_client(rig: Rig) 
     rig.aircraft.return_to_f()
     await anyio.sleep(2.0)
     assert rig.holding.state is S.NONE
+
+
+@pytest.mark.parametrize("state", [S.OBTAINING, S.RESUMING])
+async def test_who_takes_over_while_another_one_is_given_authority_has_to_ask(
+    rig: Rig, state: HoldingState
+) -> None:
+    async def take_over() -> None:
+        rig.aircraft.set_faults(LineFaults(delay=0.05))
+        await rig.until(lambda: rig.holding.state is state)
+        wanted = rig.agent.desk.ask_take_over("other", rig.agent.now)
+        rig.token = rig.agent.desk.confirm(wanted.token, rig.agent.now).token
+
+    if state is S.RESUMING:
+        await rig.agent.obtain(rig.token)
+        rig.aircraft.leave_f()
+        await rig.until(lambda: rig.holding.state is S.PAUSED)
+        rig.aircraft.return_to_f()
+        await take_over()
+    else:
+        async with anyio.create_task_group() as group:
+            group.start_soon(take_over)
+            with pytest.raises(NoAuthority, match="given back"):
+                await rig.agent.obtain(rig.token)
+    await rig.until(lambda: rig.holding.state is S.NONE)
+    await anyio.sleep(2.0)
+    assert rig.holding.state is S.NONE
+    assert not rig.aircraft.vehicle.authority.is_requested
+    await rig.agent.obtain(rig.token)
+    assert rig.holding.has_authority
 
 
 async def test_what_the_app_took_stays_with_it(rig: Rig) -> None:
