@@ -10,32 +10,22 @@ from __future__ import annotations
 import asyncio
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from m100link.errors import GuardRefused, UsageError
+from m100link.flight.known import AGE_LIMITS_S, known
 from m100link.geodesy import LocalFrame
 from m100link.protocol.items import BY_RECORD
-from m100link.protocol.records import Attitude, Battery, FlightStatus, Position
+from m100link.protocol.records import Attitude, Battery, Position
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical
 
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["Envelope", "GuardKeeper", "Guards", "known"]
-
-R = TypeVar("R", bound=tuple[Any, ...])
+__all__ = ["Envelope", "GuardKeeper", "Guards"]
 
 GPS_HEALTH_NEEDED = 3
 """From this health on the autopilot holds a position (document 2.2.3.1)."""
-
-AGE_LIMITS_S: dict[type[Any], float] = {
-    Position: 1.2,
-    Attitude: 1.2,
-    FlightStatus: 2.5,
-    Battery: 5.0,
-}
-"""Seconds after which the value of an item counts as unknown: more than one period of an item that
-is sent once a second; the charge changes slowly and may miss four packages."""
 
 FIRST_VALUES_S = 1.5
 """Seconds that an item has for its first value: the battery item is sent once a second."""
@@ -47,29 +37,6 @@ _OFF = {
 }
 
 _TAKE_OFF_POLL_S = 0.02
-
-
-def known(state: AircraftState, record: type[R], *, within: float | None = None) -> R | None:
-    """The newest value of an item, None when it is old or impossible: nobody knows it then.
-
-    Args:
-        state: Telemetry.
-        record: Which item.
-        within: Seconds that it may be old; by default those of :data:`AGE_LIMITS_S`.
-    """
-    value = state.fresh(record, within=AGE_LIMITS_S[record] if within is None else within)
-    return value if value is not None and _is_possible(value) else None
-
-
-def _is_possible(value: tuple[Any, ...]) -> bool:
-    numbers = value if None not in value else [field for field in value if field is not None]
-    if not all(map(math.isfinite, numbers)):
-        return False
-    if isinstance(value, Battery):
-        return value.percent <= 100
-    if isinstance(value, Attitude):
-        return 0.5 < sum(part * part for part in value) < 2.0  # a unit quaternion, roughly
-    return value.is_possible if isinstance(value, Position) else True
 
 
 @dataclass(frozen=True, slots=True)

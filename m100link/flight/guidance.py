@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
-from m100link.flight.guards import GuardKeeper, known
+from m100link.flight.guards import GuardKeeper
+from m100link.flight.known import known
 from m100link.flight.orbit import Orbit
 from m100link.flight.pacing import Ticker
 from m100link.flight.tasks import describe_situation

@@ -15,6 +15,7 @@ from m100link.errors import (
     NotActivated,
 )
 from m100link.flight.authority import AuthorityInput
+from m100link.flight.known import known
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
 from m100link.protocol.records import ControlDevice, Device, RemoteControl
@@ -34,7 +35,6 @@ _RELEASE_DEADLINE_S = 2.0
 _RELEASE_TIMEOUT_S = 0.4  # two requests of two tries each fit into the deadline
 _EXPLANATION_S = 0.15  # seven RC items, or one or two control device items at 10 Hz
 _EXPLANATION_STEP_S = 0.01
-_FRESH_S = 1.2  # an item that is sent once a second
 
 
 def _needed(commander: Commander) -> int:
@@ -114,12 +114,12 @@ def _refused(commander: Commander, code: AuthorityCode) -> AuthorityRefused:
 
 def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[str, str]]:
     """What can keep the onboard device out, with what to do about it; what is seen comes first."""
-    device = state.fresh(ControlDevice, within=_FRESH_S)
+    device = known(state, ControlDevice)
     app = ("the mobile app holds control", "let the mobile app release control")
     if device is not None and device.device is Device.APP:
         return [app]
     found = []
-    rc = state.fresh(RemoteControl, within=_FRESH_S)
+    rc = known(state, RemoteControl)
     if rc is None:
         found.append(("the mode switch is not in F", "move the mode switch to F"))
     elif not rc.is_in_f:

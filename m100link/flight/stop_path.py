@@ -11,9 +11,10 @@ from typing import Literal
 from m100link.errors import AuthorityLost, M100Error, TaskRefused
 from m100link.flight.authority import AuthorityState
 from m100link.flight.handover import explained_loss, release_authority
+from m100link.flight.known import known
 from m100link.flight.lifecycle import Lifecycle
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
-from m100link.flight.tasks import STATUS_AGE_S, Commander, run_task
+from m100link.flight.tasks import Commander, run_task
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
@@ -134,7 +135,7 @@ class StopPath:
             return True
         if take_off_at is not None:  # "standby" of before it left the ground proves nothing
             return status_at is None or status_at < take_off_at + _LEAVES_THE_GROUND_S
-        if status_at is None or self._clock() > status_at + STATUS_AGE_S:
+        if known(state, FlightStatus) is None:
             _logger.error(
                 "stop='land' did not land: the flight status is %s, and no take-off was commanded",
                 "unknown" if status is None else "old",

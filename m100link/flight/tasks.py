@@ -17,6 +17,7 @@ from m100link.errors import (
     TaskFailed,
     TaskRefused,
 )
+from m100link.flight.known import known
 from m100link.protocol.codes import TaskResultCode, TaskStartCode
 from m100link.protocol.commands.control import QueryTask, StartTask, Task
 from m100link.protocol.records import FlightPhase, FlightStatus, Position
@@ -37,9 +38,6 @@ _TAKEN_OFF_HEIGHT_M = 1.0
 _SETTLED_S = 1.0
 _SETTLED_M_S = 0.15
 _UNANSWERED = 3  # queries in a row, after which what telemetry shows must do
-
-STATUS_AGE_S = 2.5
-"""Seconds after which a flight status shows nothing; the slowest rate of the item is 1 Hz."""
 
 TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
 """Seconds to wait for the end of each task unless told otherwise."""
@@ -99,8 +97,8 @@ def task_name(task: Task) -> str:
 
 def describe_situation(situation: dict[str, object]) -> str:
     """A situation in one line; what was never received is left out."""
-    known = {name: value for name, value in situation.items() if value is not None}
-    return ", ".join(f"{name} {value}" for name, value in known.items()) or "no telemetry"
+    seen = {name: value for name, value in situation.items() if value is not None}
+    return ", ".join(f"{name} {value}" for name, value in seen.items()) or "no telemetry"
 
 
 async def run_task(
@@ -214,7 +212,7 @@ class _Watch:
 
         What is old shows nothing: an item that stopped on the ground still says "standby".
         """
-        status = self._state.fresh(FlightStatus, within=STATUS_AGE_S)
+        status = known(self._state, FlightStatus)
         if self._task is not Task.TAKE_OFF:
             return status is not None and status.status == FlightPhase.STANDBY
         if not self._hovers():
@@ -226,8 +224,8 @@ class _Watch:
         return now - self._observed_since >= _SETTLED_S
 
     def _hovers(self) -> bool:
-        status = self._state.fresh(FlightStatus, within=STATUS_AGE_S)
-        position = self._state.fresh(Position, within=STATUS_AGE_S)
+        status = known(self._state, FlightStatus)
+        position = known(self._state, Position)
         velocity = self._state.velocity
         return (
             status is not None
