@@ -124,6 +124,22 @@ VERTICAL_LIMITS = {
 }
 YAW_LIMITS = {Yaw.ANGLE: _Range(-180, 180, "°"), Yaw.RATE: _Range(-100, 100, "°/s")}
 
+# The arguments of the constructors; tilt has one pair in both frames.
+_HORIZONTAL_NAMES = {
+    (horizontal, frame): names
+    for horizontal in (Horizontal.VELOCITY, Horizontal.POSITION_OFFSET)
+    for frame, names in (
+        (ReferenceFrame.GROUND, ("north", "east")),
+        (ReferenceFrame.BODY, ("forward", "right")),
+    )
+}
+_VERTICAL_NAMES = {
+    Vertical.VELOCITY: "up",
+    Vertical.HEIGHT: "height",
+    Vertical.THRUST: "thrust_percent",
+}
+_YAW_NAMES = {Yaw.ANGLE: "yaw_deg", Yaw.RATE: "yaw_rate_deg_s"}
+
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
@@ -163,11 +179,30 @@ class Setpoint:
                 cause="the document lists 14 modes; thrust goes with tilt only",
             )
         horizontal = LIMITS[self.mode.horizontal]
-        names = ("roll", "pitch") if self.mode.horizontal is Horizontal.TILT else ("x", "y")
-        _check(names[0], self.x, horizontal)
-        _check(names[1], self.y, horizontal)
-        _check(self.mode.vertical.name.lower(), self.z, VERTICAL_LIMITS[self.mode.vertical])
-        _check(f"yaw {self.mode.yaw.name.lower()}", self.yaw, YAW_LIMITS[self.mode.yaw])
+        for index, (value, limit) in enumerate(
+            (
+                (self.x, horizontal),
+                (self.y, horizontal),
+                (self.z, VERTICAL_LIMITS[self.mode.vertical]),
+                (self.yaw, YAW_LIMITS[self.mode.yaw]),
+            )
+        ):
+            if not limit.low <= value <= limit.high:
+                raise self._outside(index, value, limit)
+
+    def _outside(self, index: int, value: float, limit: _Range) -> BadSetpoint:
+        """By the name that the program gave the value."""
+        name = (
+            *_HORIZONTAL_NAMES.get((self.mode.horizontal, self.frame), ("roll_deg", "pitch_deg")),
+            _VERTICAL_NAMES[self.mode.vertical],
+            _YAW_NAMES[self.mode.yaw],
+        )[index]
+        if not math.isfinite(value):
+            return BadSetpoint(f"{name} is {value}", cause="a computation that went wrong upstream")
+        return BadSetpoint(
+            f"{name} {value:g} {limit.unit} is outside {limit.low:g} to {limit.high:g}",
+            remedy="limit the value before it becomes a setpoint",
+        )
 
     @classmethod
     def tilt(
@@ -301,7 +336,7 @@ class Setpoint:
         if is_ground_tilt and not profile.tilt_frame_selectable:
             raise BadSetpoint(
                 f"firmware {profile} takes tilt angles in the body frame only",
-                remedy="use frame=Frame.BODY and turn the angles by the heading",
+                remedy="use frame=ReferenceFrame.BODY and turn the angles by the heading",
             )
         return flag
 
@@ -346,16 +381,6 @@ class Setpoint:
             )
         stable = bool(flag & 1) and profile.flag_bit0 is FlagBit0.STABLE_MODE
         return cls(mode, *values, frame=frame, stable=stable)
-
-
-def _check(name: str, value: float, limit: _Range) -> None:
-    if not math.isfinite(value):
-        raise BadSetpoint(f"{name} is {value}", cause="a computation that went wrong upstream")
-    if not limit.low <= value <= limit.high:
-        raise BadSetpoint(
-            f"{name} {value:g} {limit.unit} is outside {limit.low:g} to {limit.high:g}",
-            remedy="limit the value before it becomes a setpoint",
-        )
 
 
 def _one(

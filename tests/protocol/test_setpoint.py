@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -216,9 +217,36 @@ def test_every_setpoint_can_be_sent_and_is_read_back(
     assert Setpoint.from_move(Move.parse(value, firmware), firmware) == setpoint
 
 
-def test_a_bad_setpoint_is_a_usage_error_that_names_value_and_range() -> None:
-    with pytest.raises(UsageError, match="yaw rate 120 °/s is outside -100 to 100"):
-        Setpoint.velocity(north=0, east=0, up=0, yaw_rate_deg_s=120)
+@pytest.mark.parametrize(
+    ("make", "words", "told"),
+    [
+        (Setpoint.velocity, {"north": 12.0}, "north 12 m/s is outside -10 to 10"),
+        (Setpoint.velocity, {"east": -12.0}, "east -12 m/s is outside -10 to 10"),
+        (Setpoint.velocity, {"forward": 12.0, "right": 0.0}, "forward 12 m/s"),
+        (Setpoint.velocity, {"forward": 0.0, "right": 12.0}, "right 12 m/s"),
+        (Setpoint.position_offset, {"north": math.nan}, "north is nan"),
+        (Setpoint.position_offset, {"forward": 0.0, "right": math.inf}, "right is inf"),
+        (Setpoint.tilt, {"roll_deg": 31.0}, "roll_deg 31 ° is outside -30 to 30"),
+        (Setpoint.tilt, {"pitch_deg": 31.0, "frame": ReferenceFrame.GROUND}, "pitch_deg 31 °"),
+        (Setpoint.velocity, {"up": 5.0}, "up 5 m/s is outside -4 to 4"),
+        (Setpoint.velocity, {"height": -1.0}, "height -1 m is outside 0 to"),
+        (Setpoint.tilt, {"thrust_percent": 101.0}, "thrust_percent 101 %"),
+        (Setpoint.velocity, {"yaw_deg": 181.0}, "yaw_deg 181 °"),
+        (Setpoint.velocity, {"yaw_rate_deg_s": 120.0}, "yaw_rate_deg_s 120 °/s"),
+    ],
+)
+def test_a_bad_setpoint_is_a_usage_error_in_the_words_of_the_program(
+    make: Callable[..., Setpoint], words: dict[str, float], told: str
+) -> None:
+    usual = {"roll_deg": 0.0, "pitch_deg": 0.0} if make == Setpoint.tilt else {}
+    if make != Setpoint.tilt and "forward" not in words:
+        usual = {"north": 0.0, "east": 0.0}
+    if not words.keys() & {"up", "height", "thrust_percent"}:
+        usual["up"] = 0.0
+    if not words.keys() & {"yaw_deg", "yaw_rate_deg_s"}:
+        usual["yaw_deg"] = 0.0
+    with pytest.raises(UsageError, match=re.escape(told)):
+        make(**{**usual, **words})
 
 
 # -- what is given must make one setpoint ----------------------------------------------------------
