@@ -6,6 +6,9 @@ the least apparent delay is kept, and a line through these gives offset and skew
 of the delay cannot be seen from one side; it is not in the uncertainty, and is at least the time of
 a package on the line (6 ms at 230400 baud).
 
+A package costs a note of its tick and arrival. Notes are looked at together, when there are some or
+somebody asks: what the clock says is the same as if each had been looked at when it came.
+
 What arrives late may have waited in a buffer while this program was busy, or the device clock may
 have stepped back: one package does not tell which. The stated bound therefore reaches from the line
 to the newest arrival, and only seconds whose packages come at their own pace move the line.
@@ -20,6 +23,8 @@ from typing import NamedTuple
 __all__ = ["DeviceClock", "HostTime"]
 
 _WRAP = 1 << 32
+_MASK = _WRAP - 1
+_HALF = _WRAP // 2
 _SECONDS = 60  # seconds that the line is fitted through
 _SECOND_S = 1.0
 _SECOND_COUNT = 20  # fewer arrivals do not show what an ordinary delay is
@@ -28,6 +33,7 @@ _LATE_COUNT = 5  # seconds late one after the other are a step back
 _MAX_SKEW = 200e-6  # two crystals, each good to 100 ppm
 _BACKLOG_S = 0.1  # lateness that only packages have which waited
 _BACKLOG_GONE_S = 0.5  # without such lateness for so long, nothing waits any more
+_NOTES = 64  # looked at together
 
 
 class HostTime(NamedTuple):
@@ -65,12 +71,12 @@ class DeviceClock:
 
     Attributes:
         tick_hz: As given.
-        resets: How often the tick jumped, either way, as after a reboot of the aircraft.
     """
 
     def __init__(self, tick_hz: int) -> None:
         self.tick_hz = tick_hz
-        self.resets = 0
+        self._notes: list[tuple[int, float]] = []  # tick and arrival, not looked at yet
+        self._resets = 0
         self._start()
 
     def _start(self) -> None:
@@ -92,67 +98,87 @@ class DeviceClock:
 
     def update(self, tick: int, received_at: float) -> None:
         """A package with this tick arrived."""
-        device = tick / self.tick_hz if self._last_tick is None else self._unwrapped(tick)
-        offset = received_at - device
-        intercept, slope = self._floor
-        # The tick went back, or a package came before it can have been sent: the clock jumped.
-        if offset < intercept + slope * device or device < self._device:
-            self.resets += 1
-            self._start()
-            device = tick / self.tick_hz
+        notes = self._notes
+        notes.append((tick, received_at))
+        if len(notes) >= _NOTES:
+            self._look()
+
+    def _look(self) -> None:
+        """Look at the notes. Whatever is asked of the clock begins with it."""
+        notes, self._notes = self._notes, []
+        tick_hz = self.tick_hz
+        for tick, received_at in notes:
+            last_tick, last_device, last_at = self._last_tick, self._device, self._received_at
+            if last_tick is None:
+                device = tick / tick_hz
+            else:
+                step = (tick - last_tick) & _MASK
+                device = last_device + (step if step < _HALF else step - _WRAP) / tick_hz
             offset = received_at - device
-        silence = received_at - self._received_at
-        if silence > 0:
-            self._end_read(received_at)
-            self._silence = silence
-        # What follows sooner than its tick: the one before waited, and says nothing about delay.
-        if self._arrivals and silence < (device - self._device) / 2:
-            self._arrivals[-1] = (device, offset)
-        else:
-            self._arrivals.append((device, offset))
-        self._last_tick = tick
-        self._device = device
-        self._received_at = received_at
-        self._newest = offset
-        if not self._seconds and offset < self._intercept:
-            self._intercept = offset
+            intercept, slope = self._floor
+            # The tick went back, or a package came before it can have been sent: the clock jumped.
+            if offset < intercept + slope * device or device < last_device:
+                self._resets += 1
+                self._start()
+                last_device, last_at = self._device, self._received_at
+                device = tick / tick_hz
+                offset = received_at - device
+            silence = received_at - last_at
+            arrivals = self._arrivals
+            if not arrivals:
+                self._arrivals_since = received_at
+            elif silence > 0:  # the read before this one is complete
+                if self._newest - (self._intercept + self._slope * last_device) > _BACKLOG_S:
+                    self._note_backlog()
+                if (
+                    received_at - self._arrivals_since >= _SECOND_S
+                    and len(arrivals) >= _SECOND_COUNT
+                ):
+                    self._end_second()
+                    self._arrivals = arrivals = []
+                    self._arrivals_since = received_at
+            if silence > 0:
+                self._silence = silence
+            # What follows sooner than its tick: the one before waited, and says nothing of delay.
+            if silence < (device - last_device) / 2 and arrivals:
+                arrivals[-1] = (device, offset)
+            else:
+                arrivals.append((device, offset))
+            self._last_tick = tick
+            self._device = device
+            self._received_at = received_at
+            self._newest = offset
+            if offset < self._intercept and not self._seconds:
+                self._intercept = offset
 
-    def _unwrapped(self, tick: int) -> float:
-        step = (tick - (self._last_tick or 0)) % _WRAP
-        return self._device + (step - _WRAP if step >= _WRAP // 2 else step) / self.tick_hz
-
-    def _end_read(self, now: float) -> None:
-        """The newest package stays the last of its read."""
-        if not self._arrivals:
-            self._arrivals_since = now
-            return
-        if self._seconds and self._newest - self._offset_at(self._device) > _BACKLOG_S:
+    def _note_backlog(self) -> None:
+        """The newest package, the last of its read, may have waited."""
+        if self._seconds:
             waited = self._waited()
             is_over = self._received_at > self._backlog_at + _BACKLOG_GONE_S
             self._backlog = waited if is_over else max(self._backlog, waited)
             self._backlog_at = self._received_at
-        if len(self._arrivals) >= _SECOND_COUNT and now - self._arrivals_since >= _SECOND_S:
-            self._end_second()
-            self._arrivals = []
-            self._arrivals_since = now
 
     def _end_second(self) -> None:
-        by_delay = sorted((offset - self._slope * d, d, offset) for d, offset in self._arrivals)
-        delay, device, offset = by_delay[0]
-        second = _Second(device, offset, by_delay[len(by_delay) // 2][0] - delay)
+        slope = self._slope
+        delays = [offset - slope * device for device, offset in self._arrivals]
+        delay = min(delays)
+        device, offset = self._arrivals[delays.index(delay)]
+        second = _Second(device, offset, sorted(delays)[len(delays) // 2] - delay)
         if offset - self._offset_at(device) > self._bound_at(device):
             self._late.append(second)
             if len(self._late) < _LATE_COUNT:
                 return
-            self.resets += 1
+            self._resets += 1
             self._seconds = deque(self._late, maxlen=_SECONDS)
         else:
             # A second that this one shows to have been late from end to end says nothing.
             slack = second.width + 1.0 / self.tick_hz
+            latest = offset + slack
             kept = [
                 earlier
                 for earlier in self._seconds
-                if earlier.offset <= offset + slack + _MAX_SKEW * abs(device - earlier.device)
+                if earlier[1] <= latest + _MAX_SKEW * abs(device - earlier[0])
             ]
             self._seconds = deque([*kept, second], maxlen=_SECONDS)
         self._late = []
@@ -160,19 +186,20 @@ class DeviceClock:
 
     def _fit(self) -> None:
         """Least squares through the earliest arrival of each second."""
-        points = self._seconds
+        devices, offsets, widths = zip(*self._seconds, strict=True)
+        points = list(zip(devices, offsets, strict=True))
         count = len(points)
-        mean_x = sum(point.device for point in points) / count
-        mean_y = sum(point.offset for point in points) / count
-        self._slope = 0.0
+        mean_x, mean_y = sum(devices) / count, sum(offsets) / count
+        slope = 0.0
         if count >= _FIT_COUNT:
-            square = sum((point.device - mean_x) ** 2 for point in points)
-            product = sum((p.device - mean_x) * (p.offset - mean_y) for p in points)
-            self._slope = max(-_MAX_SKEW, min(_MAX_SKEW, product / square))
-        self._intercept = mean_y - self._slope * mean_x
-        residual = max(abs(p.offset - self._offset_at(p.device)) for p in points)
-        self._spread = residual + sum(p.width for p in points) / count + 1.0 / self.tick_hz
-        last, drift = points[-1].device, self._drift()
+            square = sum([(x - mean_x) ** 2 for x in devices])
+            product = sum([(x - mean_x) * (y - mean_y) for x, y in points])
+            slope = max(-_MAX_SKEW, min(_MAX_SKEW, product / square))
+        intercept = mean_y - slope * mean_x
+        residual = max([abs(y - (intercept + slope * x)) for x, y in points])
+        self._slope, self._intercept = slope, intercept
+        self._spread = residual + sum(widths) / count + 1.0 / self.tick_hz
+        last, drift = devices[-1], self._drift()
         self._floor = (self._intercept - self._spread + drift * last, self._slope - drift)
 
     def _drift(self) -> float:
@@ -207,13 +234,21 @@ class DeviceClock:
         return max(bound, self._backlog) if waiting else bound
 
     @property
+    def resets(self) -> int:
+        """How often the tick jumped, either way, as after a reboot of the aircraft."""
+        self._look()
+        return self._resets
+
+    @property
     def offset_s(self) -> float | None:
         """Host time minus device time now, s; None before the first package."""
+        self._look()
         return None if self._last_tick is None else self._offset_at(self._device)
 
     @property
     def skew_ppm(self) -> float:
         """How much faster the host clock runs, parts per million; 0 in the first seconds."""
+        self._look()
         return self._slope * 1e6
 
     @property
@@ -223,6 +258,7 @@ class DeviceClock:
         Infinite until a second of arrivals at their own pace. It is what the earliest arrivals
         scatter, what half of the arrivals are later, and one tick; more while packages come late.
         """
+        self._look()
         return self._uncertainty_at(self._device)
 
     def host_time(self, tick: int) -> HostTime | None:
@@ -230,7 +266,9 @@ class DeviceClock:
 
         The further from the packages of the last minute, the less certain.
         """
+        self._look()
         if self._last_tick is None:
             return None
-        device = self._unwrapped(tick)
+        step = (tick - self._last_tick) & _MASK
+        device = self._device + (step if step < _HALF else step - _WRAP) / self.tick_hz
         return HostTime(device + self._offset_at(device), self._uncertainty_at(device))

@@ -281,6 +281,34 @@ def test_the_truth_is_within_the_bound_whatever_the_line_and_the_host_do(seed: i
     assert settled_uncertainty(calm, 60.0) <= 3 / TICK_HZ + 4 * scale
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_what_it_says_does_not_depend_on_how_often_it_is_asked(seed: int) -> None:
+    """Packages are noted, and looked at together or when somebody asks."""
+    random = Random(seed)
+    world = World(
+        rate_hz=random.choice([10, 50, 100]),
+        skew=50e-6,
+        jitter=lambda: random.expovariate(500),
+        blocks=[(5.0, 5.6), (30.2, 31.0)],
+        steps=[(12.0, 0.4), (21.0, -0.4)],
+        chunk=random.choice([None, 40]),
+    )
+    clocks = DeviceClock(TICK_HZ), DeviceClock(TICK_HZ)
+    for read_at, packages in world.reads(40.0):
+        tick = 0
+        for _, device in packages:
+            tick = tick_of(device)
+            for clock in clocks:
+                clock.update(tick, read_at)
+            assert clocks[0].uncertainty_s >= 0
+        if random.random() < 0.01:
+            for ask in ("offset_s", "skew_ppm", "uncertainty_s", "resets"):
+                assert getattr(clocks[0], ask) == getattr(clocks[1], ask)
+            assert clocks[0].host_time(tick) == clocks[1].host_time(tick)
+    assert clocks[0].host_time(0) == clocks[1].host_time(0)
+    assert clocks[0].resets == clocks[1].resets == 2
+
+
 def test_an_estimate_far_from_the_last_package_is_less_certain() -> None:
     clock = DeviceClock(TICK_HZ)
     run(clock, seconds=30)
