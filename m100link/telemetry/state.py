@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ __all__ = ["AircraftState", "ItemStatistics"]
 R = TypeVar("R", bound=tuple[Any, ...])
 
 _WINDOW_S = 2.5  # long enough for the rate of an item at 1 Hz
+_ARRIVALS = 512  # twice what an item at 100 Hz has in that time
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +40,45 @@ class ItemStatistics:
     longest_gap_s: float
 
 
+class _Cell:
+    """What is known of items that have always come together.
+
+    Attributes:
+        items: The bits of these items.
+        sample: The newest package with them.
+        received_at: When it arrived; infinite before the first, so that no gap ends with it.
+        longest_gap_s: See :class:`ItemStatistics`.
+        count: Packages with them.
+        arrivals: When the newest of them arrived, oldest first.
+    """
+
+    __slots__ = ("arrivals", "count", "items", "longest_gap_s", "received_at", "sample")
+
+    def __init__(self, items: int) -> None:
+        self.items = items
+        self.sample: Sample | None = None
+        self.received_at = math.inf
+        self.longest_gap_s = 0.0
+        self.count = 0
+        self.arrivals: deque[float] = deque(maxlen=_ARRIVALS)
+
+    def split(self, items: int) -> _Cell:
+        """Leave these items to a cell of their own; so far they came together with the others."""
+        other = _Cell(items)
+        self.items &= ~items
+        other.sample, other.received_at = self.sample, self.received_at
+        other.longest_gap_s, other.count = self.longest_gap_s, self.count
+        other.arrivals.extend(self.arrivals)
+        return other
+
+
 class AircraftState(RecordViews):
     """The newest value of every telemetry item.
 
     An item that never arrived is None, never zero. Every value knows its age.
+
+    Items that always come together share a cell, and a package is entered once for each cell and
+    not once for each item. The first package with only some of the items of a cell splits it.
 
     Attributes:
         newest_at: When any telemetry arrived last, on the event loop's clock; None: never.
@@ -49,33 +86,49 @@ class AircraftState(RecordViews):
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self._samples: list[Sample | None] = [None] * len(ITEMS)
-        self._longest_gaps = [0.0] * len(ITEMS)
-        self._counts: dict[int, int] = {}  # packages per flag word; few flag words ever occur
-        self._recent: deque[tuple[float, int]] = deque(maxlen=512)
+        whole = _Cell(sum(1 << item.bit for item in ITEMS))
+        self._cells: dict[type[Any], _Cell] = dict.fromkeys(BY_RECORD, whole)
+        self._cells_of: dict[int, tuple[_Cell, ...]] = {}  # by flag word; few ever occur
         self.newest_at: float | None = None
 
     def update(self, sample: Sample) -> None:
         """Take over what the sample carries."""
         now, flags = sample.received_at, sample.flags
         self.newest_at = now
-        self._counts[flags] = self._counts.get(flags, 0) + 1
-        self._recent.append((now, flags))
-        samples, longest_gaps = self._samples, self._longest_gaps
-        for index in sample.indices:
-            before = samples[index]
-            if before is not None and now - before.received_at > longest_gaps[index]:
-                longest_gaps[index] = now - before.received_at
-            samples[index] = sample
+        cells = self._cells_of.get(flags)
+        if cells is None:
+            cells = self._split(flags)
+        for cell in cells:
+            if now - cell.received_at > cell.longest_gap_s:
+                cell.longest_gap_s = now - cell.received_at
+            cell.sample = sample
+            cell.received_at = now
+            cell.count += 1
+            cell.arrivals.append(now)
+
+    def _split(self, flags: int) -> tuple[_Cell, ...]:
+        """The cells of packages with these flags, made so that each is of them whole or not at all.
+
+        That happens at most as often as there are items, besides once for each flag word.
+        """
+        for cell in set(self._cells.values()):
+            apart = cell.items & ~flags
+            if apart and cell.items & flags:
+                other = cell.split(apart)
+                self._cells.update((i.record, other) for i in ITEMS if apart >> i.bit & 1)
+                self._cells_of.clear()
+        cells = tuple({cell for cell in self._cells.values() if cell.items & flags})
+        self._cells_of[flags] = cells
+        return cells
 
     def get(self, record: type[R]) -> R | None:
         """The newest record of that class, None when it never arrived."""
-        sample = self._samples[BY_RECORD[record].bit]
+        sample = self._cells[record].sample
         return None if sample is None else sample.get(record)
 
     def received_at(self, record: type[Any]) -> float | None:
         """When the newest record arrived, on the event loop's clock."""
-        sample = self._samples[BY_RECORD[record].bit]
+        sample = self._cells[record].sample
         return None if sample is None else sample.received_at
 
     def age(self, record: type[Any]) -> float | None:
@@ -90,26 +143,24 @@ class AircraftState(RecordViews):
 
     def fresh(self, record: type[R], *, within: float) -> R | None:
         """The newest record if it is at most ``within`` seconds old, else None."""
-        sample = self._samples[BY_RECORD[record].bit]
+        sample = self._cells[record].sample
         if sample is None or self._clock() - sample.received_at > within:
             return None
         return self.get(record)
 
     def statistics(self, record: type[Any]) -> ItemStatistics:
         """Measured rate, jitter and longest gap of an item."""
-        item = BY_RECORD[record]
-        arrivals = [at for at, flags in self._recent if flags >> item.bit & 1]
-        if arrivals:
-            oldest = arrivals[-1] - _WINDOW_S
-            arrivals = [at for at in arrivals if at >= oldest]
+        cell = self._cells[record]
+        oldest = cell.received_at - _WINDOW_S
+        arrivals = [at for at in cell.arrivals if at >= oldest]
         gaps = [later - earlier for earlier, later in pairwise(arrivals)]
         mean = sum(gaps) / len(gaps) if gaps else 0.0
         return ItemStatistics(
-            name=item.name,
-            count=sum(count for flags, count in self._counts.items() if flags >> item.bit & 1),
+            name=BY_RECORD[record].name,
+            count=cell.count,
             rate_hz=1 / mean if mean > 0 else None,
             jitter_s=sum(abs(gap - mean) for gap in gaps) / len(gaps) if len(gaps) > 1 else None,
-            longest_gap_s=self._longest_gaps[item.bit],
+            longest_gap_s=cell.longest_gap_s,
         )
 
     def situation(self) -> dict[str, object]:

@@ -14,6 +14,7 @@ from m100link import (
     AuthorityLost,
     AuthorityState,
     FlightPhase,
+    FlightStatus,
     LinkClosed,
     LinkLost,
     NoAuthority,
@@ -354,8 +355,9 @@ async def test_a_take_off_that_was_refused_is_nothing_to_land_from() -> None:
 
 async def without_status(flown: Rig) -> None:
     flown.virtual.set_rates(flight_status=0)
-    flown.aircraft.state._samples[9] = None
+    flown.aircraft.state._cells[FlightStatus].sample = None
     assert flown.aircraft.state.flight_status is None
+    assert flown.aircraft.state.position is not None
 
 
 @each_firmware

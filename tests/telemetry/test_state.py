@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import random
+from itertools import pairwise
+
 import pytest
 
 from m100link.protocol import Attitude, Battery, Position, encode_telemetry, profile
+from m100link.protocol.items import ITEMS
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
@@ -74,3 +78,35 @@ def test_rate_jitter_and_longest_gap_are_those_of_the_item(state: AircraftState)
     # Of the last 2.5 s: gaps of 1 and 1.5 s.
     assert attitude.rate_hz == pytest.approx(0.8)
     assert attitude.jitter_s == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_items_that_came_together_and_part_each_keep_their_own(seed: int, clock: Clock) -> None:
+    """Against a model that keeps the arrivals of each item by itself."""
+    dice = random.Random(seed)
+    state = AircraftState(clock)
+    arrivals: dict[str, list[float]] = {item.name: [] for item in ITEMS}
+    newest: dict[str, Sample] = {}
+    combinations = [dice.sample(ITEMS, dice.randint(0, 12)) for _ in range(dice.choice((1, 3, 30)))]
+    for _ in range(300):
+        clock.now += dice.choice((0.0, 0.01, 0.1, 1.0))
+        carried = dice.choice(combinations)
+        values = {item.name: (dice.randrange(9),) for item in carried}
+        package = sample(
+            clock.now,
+            **{name: value * len(FIRMWARE.items[name].fields) for name, value in values.items()},
+        )
+        state.update(package)
+        for item in carried:
+            arrivals[item.name].append(clock.now)
+            newest[item.name] = package
+        item = dice.choice(ITEMS)
+        found = state.statistics(item.record)
+        expected = newest[item.name].get(item.record) if item.name in newest else None
+        gaps = [later - earlier for earlier, later in pairwise(arrivals[item.name])]
+        assert state.get(item.record) == expected
+        assert state.received_at(item.record) == next(reversed(arrivals[item.name]), None)
+        assert (found.count, found.longest_gap_s) == (
+            len(arrivals[item.name]),
+            max(gaps, default=0.0),
+        )
