@@ -10,6 +10,8 @@ from typing import Any
 from m100link.errors import LayoutMismatch, LinkError, TelemetryStalled, UsageError
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.items import ITEMS
+from m100link.protocol.packet import field_span
+from m100link.protocol.records import Time
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
@@ -33,6 +35,8 @@ class TelemetryStream:
         self.mismatches = 0
         self._hub: Hub[Sample] = Hub()
         self._clock: DeviceClock | None = None
+        self._firmware: FirmwareProfile | None = None
+        self._tick_spans: dict[int, slice] = {}  # by flags, of packages of that firmware
 
     def clock_of(self, firmware: FirmwareProfile) -> DeviceClock:
         """The clock of the aircraft; a firmware with another tick rate begins a new one."""
@@ -51,10 +55,23 @@ class TelemetryStream:
                 _logger.warning("telemetry refused: %s", error)
             return None
         self.state.update(sample)
-        time = sample.time
-        if time is not None:
-            self.clock_of(firmware).update(time.tick, now)
+        if firmware is not self._firmware:
+            self._firmware = firmware
+            self._tick_spans.clear()
+        span = self._tick_spans.get(sample.flags)
+        if span is None:
+            span = self._tick_span(sample.flags, firmware)
+        tick = value[span]
+        if tick:
+            # Of its record, which costs ten times as much, the clock wants nothing else.
+            self.clock_of(firmware).update(int.from_bytes(tick, "little"), now)
         return sample
+
+    def _tick_span(self, flags: int, firmware: FirmwareProfile) -> slice:
+        """Where packages with these flags have their tick; an empty one where they have none."""
+        span = field_span(Time, "tick", flags, firmware) or slice(0, 0)
+        self._tick_spans[flags] = span
+        return span
 
     def publish(self, sample: Sample) -> None:
         """Hand the sample to every consumer, once everybody inside knows what it says."""
