@@ -21,6 +21,8 @@ __all__ = ["TelemetryStream"]
 
 _logger = logging.getLogger("m100link.aircraft")
 
+_PACKAGE = 1 << 16  # a kind of value beside the items: it may carry none of them
+
 
 class TelemetryStream:
     """Takes packages as they arrive.
@@ -75,7 +77,7 @@ class TelemetryStream:
 
     def publish(self, sample: Sample) -> None:
         """Hand the sample to every consumer, once everybody inside knows what it says."""
-        self._hub.publish(sample, sample.received_at)
+        self._hub.publish(sample, sample.received_at, sample.flags | _PACKAGE)
 
     def fail(self, error: LinkError) -> None:
         """End every subscription with the error."""
@@ -99,7 +101,7 @@ class TelemetryStream:
         return self._hub.subscribe(
             policy,
             min_interval=1.0 / rate_hz if rate_hz else 0.0,
-            accepts=(lambda sample: bool(sample.flags & wanted)) if wanted else None,
+            wanted=wanted or _PACKAGE,
         )
 
     async def wait_for(

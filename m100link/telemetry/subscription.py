@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Generic, Self, TypeVar
@@ -24,6 +23,7 @@ __all__ = [
 ]
 
 _TOLERANCE_S = 1e-6  # a value exactly one interval after the last is not early
+_ANY = -1  # all kinds
 
 T = TypeVar("T")
 
@@ -70,9 +70,9 @@ class Queue(Generic[T]):
     """Values that wait for one consumer: what the reader of the line fills.
 
     Attributes:
-        accepts: Which values are queued; None: all.
+        wanted: Kinds of values that are queued, a bit for each.
         values: What waits, oldest first.
-        waiter: Resolved when there is something to take, while the consumer waits for it. The
+        waiter: Resolved when there is something to take; None while nobody waits for it. The
             hub keeps a waiting consumer alive by it, as nothing else needs to.
         error: How the stream ends, after what is queued.
         is_closed: Nobody takes values any more.
@@ -86,12 +86,13 @@ class Queue(Generic[T]):
         policy: Policy,
         *,
         min_interval: float = 0.0,
-        accepts: Callable[[T], bool] | None = None,
+        wanted: int = _ANY,
     ) -> None:
         self._policy = policy
+        self._count = policy.count
         self._min_interval = min_interval
         self._next_at = float("-inf")  # the next value of the rate limit's grid is due
-        self.accepts = accepts
+        self.wanted = wanted
         self.values: deque[T] = deque()
         self.waiter: asyncio.Future[None] | None = None
         self.error: M100Error | None = None
@@ -102,30 +103,40 @@ class Queue(Generic[T]):
 
     def put(self, value: T, now: float) -> None:
         """Queue a value, as the policy says. Called by the reader; never waits, never raises."""
-        if self.is_closed or self.error is not None:
+        if self.error is not None or self.is_closed or (self._min_interval and self._thins(now)):
             return
-        if self._min_interval:
-            if now < self._next_at - _TOLERANCE_S:
-                self.thinned += 1
-                return
-            # A late value does not shift the ones after it, a long gap does not let a burst in.
-            is_on_grid = now - self._next_at < self._min_interval
-            self._next_at = (self._next_at if is_on_grid else now) + self._min_interval
         self.received += 1
-        if len(self.values) >= self._policy.count:
-            if isinstance(self._policy, Lossless):
-                self.fail(
-                    TelemetryOverflow(
-                        f"{self._policy.count} values wait and the consumer took none",
-                        cause="the consumer is slower than the aircraft, or was blocked",
-                        remedy="take values faster, ask for a lower rate or another policy",
-                    )
+        values = self.values
+        if len(values) >= self._count and not self._make_room():
+            return
+        values.append(value)
+        if self.waiter is not None:
+            self.wake()
+
+    def _thins(self, now: float) -> bool:
+        """Whether the rate limit leaves out a value that arrives now."""
+        if now < self._next_at - _TOLERANCE_S:
+            self.thinned += 1
+            return True
+        # A late value does not shift the ones after it, a long gap does not let a burst in.
+        is_on_grid = now - self._next_at < self._min_interval
+        self._next_at = (self._next_at if is_on_grid else now) + self._min_interval
+        return False
+
+    def _make_room(self) -> bool:
+        """The queue is full: drop the oldest value, or end the stream."""
+        if isinstance(self._policy, Lossless):
+            self.fail(
+                TelemetryOverflow(
+                    f"{self._count} values wait and the consumer took none",
+                    cause="the consumer is slower than the aircraft, or was blocked",
+                    remedy="take values faster, ask for a lower rate or another policy",
                 )
-                return
-            self.values.popleft()
-            self.dropped += 1
-        self.values.append(value)
-        self.wake()
+            )
+            return False
+        self.values.popleft()
+        self.dropped += 1
+        return True
 
     def fail(self, error: M100Error) -> None:
         """End the stream with an error, after what is queued."""
@@ -135,8 +146,9 @@ class Queue(Generic[T]):
 
     def wake(self) -> None:
         """Let the consumer look."""
-        if self.waiter is not None and not self.waiter.done():
-            self.waiter.set_result(None)
+        waiter, self.waiter = self.waiter, None
+        if waiter is not None and not waiter.done():
+            waiter.set_result(None)
 
 
 class Subscription(Generic[T]):
@@ -226,22 +238,22 @@ class Hub(Generic[T]):
         policy: Policy,
         *,
         min_interval: float = 0.0,
-        accepts: Callable[[T], bool] | None = None,
+        wanted: int = _ANY,
     ) -> Subscription[T]:
-        """A new subscription for the values that ``accepts`` accepts."""
-        queue: Queue[T] = Queue(policy, min_interval=min_interval, accepts=accepts)
+        """A new subscription for values of the kinds whose bits are in ``wanted``."""
+        queue: Queue[T] = Queue(policy, min_interval=min_interval, wanted=wanted)
         if self._error is not None:
             queue.fail(self._error)
         self._queues = (*(other for other in self._queues if not other.is_closed), queue)
         return Subscription(queue)
 
-    def publish(self, value: T, now: float) -> None:
-        """Queue the value everywhere."""
+    def publish(self, value: T, now: float, kinds: int = _ANY) -> None:
+        """Queue the value wherever one of its kinds is wanted."""
         is_any_closed = False
         for queue in self._queues:
             if queue.is_closed:
                 is_any_closed = True
-            elif queue.accepts is None or queue.accepts(value):
+            elif queue.wanted & kinds:
                 queue.put(value, now)
         if is_any_closed:
             self._queues = tuple(queue for queue in self._queues if not queue.is_closed)

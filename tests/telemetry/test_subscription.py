@@ -210,18 +210,14 @@ async def test_a_closed_subscription_leaves_the_hub() -> None:
 
 async def test_a_subscription_that_a_loop_breaks_out_of_costs_nothing_any_more() -> None:
     hub: Hub[int] = Hub()
-    asked: list[int] = []
-
-    def accepts(value: int) -> bool:
-        asked.append(value)
-        return True
-
     asyncio.get_running_loop().call_soon(hub.publish, 1, 0.0)
-    async for value in hub.subscribe(Latest(), accepts=accepts):
+    async for value in hub.subscribe(Latest()):
         assert value == 1
         break
+    (queue,) = hub._queues
     hub.publish(2, 0.0)
-    assert asked == [1]
+    assert queue.received == 1
+    assert hub._queues == ()
 
 
 async def test_a_task_that_nobody_refers_to_goes_on_waiting() -> None:
@@ -246,20 +242,31 @@ async def test_a_task_that_nobody_refers_to_goes_on_waiting() -> None:
 
 
 async def test_a_subscription_that_goes_while_a_value_is_handed_out_disturbs_nobody() -> None:
-    hub: Hub[int] = Hub()
-    others: list[Subscription[int]] = []
+    """As when a value that makes room for it is the last thing that refers to a subscription."""
+    others: list[Subscription[object]] = []
 
-    def accepts(value: int) -> bool:
-        others.clear()
-        others.append(hub.subscribe(Latest()))
-        return True
+    class Value:
+        def __del__(self) -> None:
+            others[:] = [hub.subscribe(Latest())]
 
-    first = hub.subscribe(Latest(), accepts=accepts)
+    hub: Hub[object] = Hub()
+    first = hub.subscribe(Latest())
     others.append(hub.subscribe(Latest()))
     last = hub.subscribe(Latest())
-    for value in range(3):
-        hub.publish(value, 0.0)
-        assert (first.get_nowait(), last.get_nowait()) == (value, value)
+    for _ in range(4):
+        hub.publish(Value(), 0.0)
+    assert (first.received, last.received) == (4, 4)
+    assert (first.dropped, last.dropped) == (3, 3)
+    hub = Hub()  # the values that are left find another one
+
+
+async def test_a_value_goes_where_one_of_its_kinds_is_wanted() -> None:
+    hub: Hub[int] = Hub()
+    one, two, both, every = (hub.subscribe(Latest(), wanted=bits) for bits in (1, 2, 3, -1))
+    for kinds in (0, 1, 2, 3, 4):
+        hub.publish(kinds, 0.0, kinds)
+    hub.publish(5, 0.0)
+    assert [queue.received for queue in (one, two, both, every)] == [3, 3, 4, 5]
 
 
 async def test_an_error_that_is_raised_again_does_not_grow() -> None:
