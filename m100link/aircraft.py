@@ -305,7 +305,7 @@ class Aircraft:
     def _on_telemetry(self, frame: Frame, now: float) -> None:
         if not self._requests.knows_layout:
             return
-        sample = self._telemetry.take(frame.data[2:], self.firmware, now)
+        sample = self._telemetry.take(frame.data[2:], self._requests.firmware, now)
         if sample is None:
             return
         self.authority.observe(sample)

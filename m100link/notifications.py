@@ -39,18 +39,18 @@ class Notifications:
     ) -> None:
         self._link = link
         self._requests = requests
-        self._takers: dict[tuple[int, int], Callable[[Frame, float], None]] = {
-            PushTelemetry.ADDRESS: on_telemetry
+        self._takers: dict[bytes, Callable[[Frame, float], None]] = {
+            bytes(PushTelemetry.ADDRESS): on_telemetry
         }
         link.on_received = self._on_received
 
     def subscribe(self, kind: type[N], handler: Callable[[N, float], None]) -> None:
         """Call the handler with each notification of that class and the time of its arrival."""
-        self._takers[kind.ADDRESS] = partial(self._take, kind, handler)
+        self._takers[bytes(kind.ADDRESS)] = partial(self._take, kind, handler)
 
     def _on_received(self, frame: Frame, now: float) -> None:
         data = frame.data
-        taker = self._takers.get((data[0], data[1])) if len(data) >= 2 else None
+        taker = self._takers.get(data[:2])
         if taker is not None:
             taker(frame, now)
         else:
