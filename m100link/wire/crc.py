@@ -8,7 +8,9 @@ register reads it, so the constants below are used as they stand.
 
 from __future__ import annotations
 
+import sys
 import zlib
+from array import array
 from collections.abc import Callable
 
 import crcmod
@@ -18,8 +20,7 @@ __all__ = [
     "CRC32_POLYNOMIAL",
     "FRAME_RESIDUE",
     "HEADER_RESIDUE",
-    "SEQUENCE_CRC16_HIGH",
-    "SEQUENCE_CRC16_LOW",
+    "SEQUENCE_CRC16",
     "START_VALUE",
     "ZLIB_START",
     "frame_crc32",
@@ -33,9 +34,10 @@ CRC16_POLYNOMIAL = 0x18005
 CRC32_POLYNOMIAL = 0x104C11DB7
 START_VALUE = 0x3AA3
 
-_crc16: Callable[[bytes], int] = crcmod.mkCrcFun(
+header_crc16: Callable[[bytes], int] = crcmod.mkCrcFun(
     CRC16_POLYNOMIAL, initCrc=START_VALUE, rev=True, xorOut=0
 )
+"""CRC16 over the first ten bytes of a header; over all twelve it is the residue."""
 _crc32: Callable[[bytes], int] = crcmod.mkCrcFun(
     CRC32_POLYNOMIAL, initCrc=START_VALUE, rev=True, xorOut=0
 )
@@ -51,11 +53,6 @@ HEADER_RESIDUE = 0
 FRAME_RESIDUE = 0xFFFFFFFF
 
 
-def header_crc16(data: bytes) -> int:
-    """CRC16 over the first ten bytes of a header; over all twelve it is the residue."""
-    return _crc16(data)
-
-
 def frame_crc32(data: bytes) -> int:
     """CRC32 over header and data as they are sent, encrypted or not."""
     return zlib.crc32(data, ZLIB_START) ^ 0xFFFFFFFF
@@ -66,19 +63,33 @@ def frame_crc32_by_crcmod(data: bytes) -> int:
     return _crc32(data)
 
 
+def _sequence_crc16() -> array[int]:
+    """What each sequence number adds, in order: a row of 256 per value of the high byte."""
+    zero = header_crc16(bytes(10))
+    low, high = (
+        [header_crc16(bytes(8) + number.to_bytes(2, order)) ^ zero for number in range(256)]
+        for order in ("little", "big")
+    )
+    table = array("H")
+    # A row at a time, as one number of 256 digits, since 65536 single ones delay every import.
+    row = int.from_bytes(array("H", low).tobytes(), sys.byteorder)
+    ones = int.from_bytes(array("H", [1] * 256).tobytes(), sys.byteorder)
+    for share in high:
+        table.frombytes((row ^ share * ones).to_bytes(512, sys.byteorder))
+    return table
+
+
 # CRC16 is affine: the checksum of a header is that of its first eight bytes (with a zero sequence
 # number behind them) xor a value that depends on the sequence number alone. The first eight bytes
-# repeat from frame to frame, so the decoder remembers their part and adds the two looked up here.
-_zero = _crc16(bytes(10))
-SEQUENCE_CRC16_LOW = [_crc16(bytes(8) + bytes((value, 0))) ^ _zero for value in range(256)]
-SEQUENCE_CRC16_HIGH = [_crc16(bytes(8) + bytes((0, value))) ^ _zero for value in range(256)]
+# repeat from frame to frame, so the decoder remembers their part and adds the one looked up here.
+SEQUENCE_CRC16 = _sequence_crc16()
 
 
 def header_crc16_of_word(word: bytes) -> int:
     """CRC16 of a header whose first eight bytes are ``word`` and whose sequence number is 0."""
-    return _crc16(word + b"\0\0")
+    return header_crc16(word + b"\0\0")
 
 
 def sequence_crc16(sequence: int) -> int:
     """What a sequence number adds (by xor) to :func:`header_crc16_of_word`."""
-    return SEQUENCE_CRC16_LOW[sequence & 0xFF] ^ SEQUENCE_CRC16_HIGH[sequence >> 8]
+    return SEQUENCE_CRC16[sequence]

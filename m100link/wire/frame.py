@@ -10,9 +10,8 @@ An empty payload makes a frame of the header alone, without a CRC32.
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterator
 from enum import StrEnum
-from functools import lru_cache
 from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
@@ -21,14 +20,11 @@ from m100link.errors import PayloadTooLarge, UsageError
 from m100link.wire.cipher import BLOCK_SIZE, Cipher
 from m100link.wire.crc import (
     FRAME_RESIDUE,
-    HEADER_RESIDUE,
     ZLIB_START,
-    frame_crc32,
-    header_crc16,
     header_crc16_of_word,
 )
-from m100link.wire.crc import SEQUENCE_CRC16_HIGH as _HIGH
-from m100link.wire.crc import SEQUENCE_CRC16_LOW as _LOW
+from m100link.wire.crc import SEQUENCE_CRC16 as _SEQUENCE_CRC16
+from m100link.wire.hunt import HEADER_SIZE, SOF, right_headers
 
 __all__ = [
     "HEADER_SIZE",
@@ -43,19 +39,17 @@ __all__ = [
     "encode_frame",
 ]
 
-SOF = 0xAA
-HEADER_SIZE = 12
 CRC32_SIZE = 4
 OVERHEAD = HEADER_SIZE + CRC32_SIZE
 MAX_FRAME_SIZE = 1023
 MAX_DATA_SIZE = MAX_FRAME_SIZE - OVERHEAD
 MAX_SESSION = 31
 
-_HEADER = Struct("<QHH")  # first eight bytes, sequence number, CRC16
-_unpack_header = _HEADER.unpack_from
+_HEADER = Struct("<QHH")  # the word (the first eight bytes), sequence number, CRC16
+_unpack_header, _pack_header = _HEADER.unpack_from, _HEADER.pack
+_pack_crc32 = Struct("<I").pack
+_PAYLOAD = slice(HEADER_SIZE, -CRC32_SIZE)
 _new = tuple.__new__
-_WORD = Struct("<Q")
-_CRC32 = Struct("<I")
 
 
 class Frame(NamedTuple):
@@ -91,6 +85,13 @@ class Discard(StrEnum):
     TRUNCATED = "truncated"
 
 
+_CACHE_LIMIT = 4096  # kinds of headers that are remembered, in each direction
+
+# By size of the data, session, ack and padding (0: plain) the word of a header and the CRC16 of the
+# word with sequence number 0: a program sends few kinds of frames, and those again and again.
+_beginnings: dict[tuple[int, int, bool, int], tuple[int, int]] = {}
+
+
 def encode_frame(
     data: bytes,
     *,
@@ -113,73 +114,75 @@ def encode_frame(
         PayloadTooLarge: The frame would not fit into the 10 bits of its length field.
         UsageError: Session or sequence number out of range.
     """
-    if not 0 <= session <= MAX_SESSION:
-        raise UsageError(f"session {session} does not exist", remedy="sessions are 0 to 31")
     if not 0 <= sequence <= 0xFFFF:
         raise UsageError(f"sequence number {sequence} does not fit into 16 bits")
-    padding = encryption = 0
+    padding = 0
     if cipher is not None and data:
         data, padding = cipher.encrypt(data)
-        encryption = 1
-    length = len(data) + OVERHEAD if data else HEADER_SIZE
-    if length > MAX_FRAME_SIZE:
-        limit = MAX_DATA_SIZE // BLOCK_SIZE * BLOCK_SIZE - 1 if padding else MAX_DATA_SIZE
-        raise PayloadTooLarge(
-            f"{len(data) - padding} bytes of data do not fit into one frame",
-            cause=f"a frame carries at most {limit} bytes{' encrypted' if padding else ''}",
-            remedy="split the data",
-        )
-    word = SOF | length << 8 | (session | is_ack << 5) << 24 | (padding | encryption << 5) << 32
-    crc16 = _crc16_of_word(word) ^ _LOW[sequence & 0xFF] ^ _HIGH[sequence >> 8]
-    header = _HEADER.pack(word, sequence, crc16)
+    kind = (len(data), session, is_ack, padding)
+    word, crc16 = _beginnings.get(kind) or _begin(*kind)
+    header = _pack_header(word, sequence, crc16 ^ _SEQUENCE_CRC16[sequence])
     if not data:
         return header
     body = header + data
-    return body + _CRC32.pack(frame_crc32(body))
+    return body + _pack_crc32(crc32(body, ZLIB_START) ^ 0xFFFFFFFF)
 
 
-@lru_cache(maxsize=4096)
-def _crc16_of_word(word: int) -> int:
-    # The first eight bytes of a header are the same for every frame of a kind.
-    return header_crc16_of_word(_WORD.pack(word))
+def _begin(size: int, session: int, is_ack: bool, padding: int) -> tuple[int, int]:
+    """Word and CRC16 of a kind of frame, checked and remembered."""
+    if not 0 <= session <= MAX_SESSION:
+        raise UsageError(f"session {session} does not exist", remedy="sessions are 0 to 31")
+    length = size + OVERHEAD if size else HEADER_SIZE
+    if length > MAX_FRAME_SIZE:
+        limit = MAX_DATA_SIZE // BLOCK_SIZE * BLOCK_SIZE - 1 if padding else MAX_DATA_SIZE
+        raise PayloadTooLarge(
+            f"{size - padding} bytes of data do not fit into one frame",
+            cause=f"a frame carries at most {limit} bytes{' encrypted' if padding else ''}",
+            remedy="split the data",
+        )
+    encryption = 1 if padding else 0
+    word = SOF | length << 8 | (session | is_ack << 5) << 24 | (padding | encryption << 5) << 32
+    if len(_beginnings) >= _CACHE_LIMIT:
+        _beginnings.clear()
+    begun = word, header_crc16_of_word(word.to_bytes(8, "little"))
+    _beginnings[size, session, is_ack, padding] = begun
+    return begun
 
 
-class _Header(NamedTuple):
-    """What a header says but for its sequence number, remembered so that repeats cost one lookup.
-
-    ``discard`` is None for a usable header. ``crc`` is the CRC16 with sequence number 0.
-    """
-
-    crc: int
-    length: int
-    session: int
-    is_ack: bool
-    encrypted: bool
-    padding: int
-    discard: Discard | None
+# What a header says but for its sequence number, remembered so that repeats cost one lookup: its
+# CRC16 with sequence number 0, length, session, is_ack, encrypted, padding, and what stands between
+# the bytes and the payload: nothing, a key (NO_KEY), or padding that cannot be (PADDING).
+# Plain tuples: the interpreter takes those apart several times as fast as named ones.
+_Header = tuple[int, int, int, bool, bool, int, Discard | None]
 
 
-def _parse_header(raw: bytes) -> _Header:
-    length = raw[1] | (raw[2] & 0x03) << 8
-    discard: Discard | None = None
-    if raw[2] >> 2:
-        discard = Discard.VERSION
-    elif raw[3] >> 6 or raw[5] or raw[6] or raw[7]:
-        discard = Discard.RESERVED_BITS
-    elif length < OVERHEAD and length != HEADER_SIZE:
-        discard = Discard.LENGTH
-    return _Header(
-        header_crc16_of_word(raw[:8]),
-        length,
-        raw[3] & 0x1F,
-        bool(raw[3] & 0x20),
-        bool(raw[4] >> 5),  # DJI's codec takes any value but 0 for AES
-        raw[4] & 0x1F,
-        discard,
-    )
+def _parse_word(word: int) -> _Header:
+    """Read the word of a header that has no fault."""
+    length = word >> 8 & 0x3FF
+    encrypted = bool(word >> 37 & 0x07)  # DJI's codec takes any value but 0 for AES
+    padding = word >> 32 & 0x1F
+    size = max(0, length - OVERHEAD)
+    obstacle: Discard | None = None
+    if padding > min(size, BLOCK_SIZE):
+        obstacle = Discard.PADDING
+    elif encrypted and size:
+        obstacle = Discard.NO_KEY  # padding alone means nothing, DJI's codec ignores it too
+    crc16 = header_crc16_of_word(word.to_bytes(8, "little"))
+    return crc16, length, word >> 24 & 0x1F, bool(word >> 29 & 1), encrypted, padding, obstacle
 
 
-_CACHE_LIMIT = 4096
+def _fault_of(word: int) -> Discard | None:
+    """Why a header with a right CRC16 begins no frame, if so."""
+    if word & 0xFC0000:
+        return Discard.VERSION
+    if word & 0xFFFFFF00_C0000000:
+        return Discard.RESERVED_BITS
+    length = word >> 8 & 0x3FF
+    return Discard.LENGTH if length < OVERHEAD and length != HEADER_SIZE else None
+
+
+def _is_intact(frame: bytes) -> bool:
+    return crc32(frame, ZLIB_START) == FRAME_RESIDUE or len(frame) == HEADER_SIZE
 
 
 class FrameDecoder:
@@ -189,8 +192,8 @@ class FrameDecoder:
     from the next byte, inside the failed frame too, so no valid frame is lost; like DJI's codec it
     keeps at most one incomplete frame (1022 bytes) between calls. Nothing that is fed in raises.
 
-    Cost is linear in the input: a start byte costs one header check, and a header with a good
-    CRC16 at most one CRC32 over 1023 bytes.
+    Cost is linear in the input: what cannot begin a frame is passed over many bytes at a time, and
+    a header with a good CRC16 costs at most one CRC32 over 1023 bytes.
 
     Args:
         cipher: Decrypts frame data. Without one, encrypted frames are counted and passed over.
@@ -205,8 +208,8 @@ class FrameDecoder:
 
     __slots__ = (
         "_headers",
+        "_kept",
         "_missing",
-        "_parts",
         "bytes",
         "cipher",
         "discarded_bytes",
@@ -220,131 +223,144 @@ class FrameDecoder:
         self.discarded_bytes = 0
         self.frames = 0
         self.bytes = 0
-        self._parts: list[bytes] = []
-        self._missing = 0  # bytes without which the kept parts cannot become a frame
-        self._headers: dict[int, _Header] = {}
+        self._kept = b""  # what may begin a frame that is not all here, at most 1022 bytes
+        self._missing = 0  # bytes without which that cannot become a frame
+        self._headers: dict[int, _Header] = {}  # by word; only those without a fault
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take the next bytes of the stream; returns the frames that they complete."""
+        # Every frame of every link passes here, so this is written for speed: one loop, few calls,
+        # and nothing looked at that the next line would find out anyway. The bytes before a header
+        # need no test: a word that is remembered begins with a start byte.
         size = len(data)
         self.bytes += size
-        if self._missing > size:
-            # Joining only when something can come of it keeps dribbled reads linear.
-            self._missing -= size
-            self._parts.append(bytes(data))
-            return []
-        if self._parts:
-            self._parts.append(data)
-            data = self._take_parts()
-        return self._scan(data)
+        if self._kept:
+            data = self._kept + data
+            if size < self._missing:  # nothing can come of it yet
+                self._kept = data
+                self._missing -= size
+                return []
+            self._kept = b""
+            size = len(data)
+        frames: list[Frame] = []
+        headers = self._headers
+        last = size - HEADER_SIZE  # the last place where a whole header may stand
+        right: Iterator[int] | None = None
+        position = 0
+        while position <= last:
+            word, sequence, crc16 = _unpack_header(data, position)
+            header = headers.get(word)
+            if header is None or header[0] ^ _SEQUENCE_CRC16[sequence] != crc16:
+                if right is None:
+                    right = right_headers(data, position, last + 1)
+                position = self._hunt(data, position, right, last + 1)
+                continue
+            _, length, session, is_ack, encrypted, padding, obstacle = header
+            end = position + length
+            if end > size:
+                break
+            frame = data[position:end]
+            if crc32(frame, ZLIB_START) != FRAME_RESIDUE and length != HEADER_SIZE:
+                position = self._reject(Discard.FRAME_CRC, data, position)
+                continue
+            payload = frame[_PAYLOAD]
+            if obstacle is not None:
+                cipher = self.cipher
+                if cipher is None or obstacle is Discard.PADDING:
+                    # An intact frame for which there is no key is passed over whole; one whose
+                    # padding cannot be is not a frame, so the search goes on inside it.
+                    if obstacle is Discard.NO_KEY:
+                        position += self._discard(obstacle, length)
+                    else:
+                        position = self._reject(obstacle, data, position)
+                    continue
+                payload = cipher.decrypt(payload)[: length - OVERHEAD - padding]
+            # Frame(…) would go through a constructor in Python, at twice the cost.
+            frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
+            position = end
+        if position < size:
+            self._keep(data, position, size)
+        if frames:
+            self.frames += len(frames)
+        return frames
 
     def close(self) -> list[Frame]:
         """End of the stream: give up on an incomplete frame and look inside it."""
         frames: list[Frame] = []
-        while self._parts:
-            self.discards[Discard.TRUNCATED] += 1
-            self.discarded_bytes += 1
-            frames += self._scan(self._take_parts()[1:])
+        while self._kept:
+            self._discard(Discard.TRUNCATED, 1)
+            rest, self._kept = self._kept[1:], b""
+            self.bytes -= len(rest)  # they were counted when they came
+            frames += self.feed(rest)
         return frames
 
     @property
     def pending(self) -> int:
         """Bytes kept because they may begin a frame, at most 1022."""
-        return sum(map(len, self._parts))
+        return len(self._kept)
 
-    def _take_parts(self) -> bytes:
-        data = b"".join(self._parts)
-        self._parts.clear()
-        self._missing = 0
-        return data
+    def _keep(self, data: bytes, position: int, size: int) -> None:
+        """Keep what may begin a frame: from there on a good header, or the start of any."""
+        if size - position >= HEADER_SIZE:
+            end = position + (data[position + 1] | data[position + 2] << 8)
+        else:
+            start = data.find(SOF, position)
+            if start < 0:
+                self.discarded_bytes += size - position
+                return
+            self.discarded_bytes += start - position
+            position, end = start, start + HEADER_SIZE
+        self._kept = data[position:]
+        self._missing = end - size
 
-    def _scan(self, data: bytes) -> list[Frame]:
-        # Every frame of every link passes here, so this is written for speed: one loop, few calls.
-        frames: list[Frame] = []
-        headers = self._headers
-        size = len(data)
-        position = end = delivered = false_starts = 0
-        while position < size:
-            if data[position] != SOF:
-                position = data.find(SOF, position)
-                if position < 0:
-                    position = size
-                    break
-            end = position + HEADER_SIZE
-            if end > size:
-                break
-            word, sequence, crc16 = _unpack_header(data, position)
-            header = headers.get(word) or self._read_header(word, data[position:end])
-            if header is None or header[0] ^ _LOW[sequence & 0xFF] ^ _HIGH[sequence >> 8] != crc16:
-                skipped = _flood(data, position) if word == _FLOOD_WORD else 1
-                false_starts += skipped
-                position += skipped
-                continue
-            _, length, session, is_ack, encrypted, padding, discard = header
-            if discard is not None:
-                self.discards[discard] += 1
-                position += 1
-                continue
-            end = position + length
-            if end > size:
-                break
-            frame = data[position:end]
-            if length > HEADER_SIZE and crc32(frame, ZLIB_START) != FRAME_RESIDUE:
-                self.discards[Discard.FRAME_CRC] += 1
-                position += 1
-                continue
-            payload = frame[HEADER_SIZE:-CRC32_SIZE]
-            if encrypted or padding:
-                discard, payload = self._open(payload, encrypted, padding)
-                if discard is not None:
-                    self.discards[discard] += 1
-                    # An intact frame for which there is no key is passed over whole; one whose
-                    # padding cannot be is not a frame, so the search goes on inside it.
-                    position = end if discard is Discard.NO_KEY else position + 1
-                    continue
-            # Frame(…) would go through a constructor in Python, at twice the cost.
-            frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
-            delivered += length
-            position = end
-        if position < size:
-            self._parts.append(data[position:])
-            self._missing = end - size
-        if false_starts:
-            self.discards[Discard.HEADER_CRC] += false_starts
-        self.discarded_bytes += position - delivered
-        self.frames += len(frames)
-        return frames
+    def _discard(self, cause: Discard, size: int) -> int:
+        """Count a fault and the bytes that are passed over for it; returns their number."""
+        self.discards[cause] += 1
+        self.discarded_bytes += size
+        return size
 
-    def _read_header(self, word: int, raw: bytes) -> _Header | None:
-        """What a header says, remembered; None when its CRC16 is wrong."""
-        if header_crc16(raw) != HEADER_RESIDUE:
-            return None
-        if len(self._headers) >= _CACHE_LIMIT:
-            self._headers.clear()
-        header = self._headers[word] = _parse_header(raw)
-        return header
+    def _reject(self, cause: Discard, data: bytes, position: int) -> int:
+        """Count a start byte that begins no frame; returns the place of the next, or the end."""
+        start = data.find(SOF, position + 1)
+        return position + self._discard(cause, (len(data) if start < 0 else start) - position)
 
-    def _open(self, payload: bytes, encrypted: bool, padding: int) -> tuple[Discard | None, bytes]:
-        """Decrypt and remove the padding, or say why that cannot be."""
-        if padding > BLOCK_SIZE or padding > len(payload):
-            return Discard.PADDING, payload
-        if not encrypted or not payload:
-            return None, payload  # padding means nothing here, DJI's codec ignores it too
-        if self.cipher is None:
-            return Discard.NO_KEY, payload
-        return None, self.cipher.decrypt(payload)[: len(payload) - padding]
+    def _hunt(self, data: bytes, position: int, right: Iterator[int], end: int) -> int:
+        """Find the next header behind which a frame may be, and remember what it says.
 
+        What is passed over is counted: each start byte by the fault of what it begins.
 
-_FLOOD_WORD = int.from_bytes(bytes([SOF] * 8), "little")
-_after_flood = re.compile(b"[^\xaa]").search
+        Args:
+            data: What to search.
+            position: Where to begin.
+            right: The places of headers with a right CRC16, those that were not looked at before.
+            end: The first place where there is no room for a header.
 
+        Returns:
+            Its place, ``end`` when there is none.
+        """
+        for place in right:
+            if place < position:
+                continue  # inside a frame
+            self._count_false_starts(data, position, place)
+            word, *_ = _unpack_header(data, place)
+            fault = _fault_of(word)
+            if fault is None:
+                length = word >> 8 & 0x3FF
+                frame = data[place : place + length]
+                if len(frame) < length or _is_intact(frame):
+                    self._remember(word)
+                    return place
+                fault = Discard.FRAME_CRC
+            position = place + self._discard(fault, 1)
+        self._count_false_starts(data, position, end)
+        return end
 
-def _flood(data: bytes, position: int) -> int:
-    """How many of the start bytes that follow each other from here begin no header.
+    def _count_false_starts(self, data: bytes, begin: int, end: int) -> None:
+        self.discards[Discard.HEADER_CRC] += data.count(SOF, begin, end)
+        self.discarded_bytes += end - begin
 
-    Twelve start bytes in a row are not a header (their CRC16 is wrong), so where a line floods with
-    them only the last eleven are worth a look.
-    """
-    after = _after_flood(data, position)
-    run = (after.start() if after else len(data)) - position
-    return max(1, run - HEADER_SIZE + 1)
+    def _remember(self, word: int) -> None:
+        if word not in self._headers:
+            if len(self._headers) >= _CACHE_LIMIT:
+                self._headers.clear()
+            self._headers[word] = _parse_word(word)

@@ -64,6 +64,14 @@ def test_a_header_checksum_is_that_of_its_word_xor_that_of_its_sequence(
     assert apart == crc.header_crc16(word + sequence.to_bytes(2, "little"))
 
 
+def test_the_shares_of_all_sequence_numbers_are_in_the_table() -> None:
+    none = support.crc16(bytes(10))
+    for sequence in (*range(0, 0x10000, 251), 0xFFFF):
+        alone = support.crc16(bytes(8) + sequence.to_bytes(2, "little"))
+        assert crc.sequence_crc16(sequence) == alone ^ none
+    assert len(crc.SEQUENCE_CRC16) == 0x10000
+
+
 def _crcmod_without_extension(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A second copy of crcmod's module, loaded as where its C extension was not built."""
     monkeypatch.setitem(sys.modules, "crcmod._crcfunext", None)

@@ -224,6 +224,9 @@ HOSTILE = {
 }
 
 
+SCAN = FrameDecoder.feed.__code__  # where it comes to its list of frames, it scans its data
+
+
 class Meter:
     """Counts work instead of time: calls made, bytes looked at, bytes under a CRC32."""
 
@@ -246,7 +249,7 @@ class Meter:
     def _profile(self, frame: FrameType, event: str, argument: object) -> None:
         if event in ("call", "c_call"):
             self.calls += 1
-        if event == "call" and frame.f_code.co_name == "_scan":
+        if event == "return" and frame.f_code is SCAN and "frames" in frame.f_locals:
             self.scanned += len(frame.f_locals["data"])
 
 
