@@ -77,6 +77,7 @@ def run_all(arguments: Sequence[str] | None = None) -> int:
     whole = report.result(
         [row for one in results for row in one["rows"]],
         [cost for one in results for cost in one["costs"]],
+        before=asked.beside,
     )
     print(json.dumps(whole, indent=1) if asked.json else report.table(whole))
     return int(any("failed" in one for one in results))

@@ -276,7 +276,7 @@ def measure(
         figures, missing = found.figures(row, "ours")
         before = found.figures(row, "before")[0] if "before" in places else None
         lines.append(report.row_result(program.name, row, figures, before or None, missing))
-    return report.result(lines, found.costs(program.name))
+    return report.result(lines, found.costs(program.name), before=beside)
 
 
 # -- the command line ------------------------------------------------------------------------------

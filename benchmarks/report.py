@@ -17,6 +17,9 @@ from benchmarks.rows import Goal, Quartiles, Row, quartiles
 SCHEMA = 1
 """Version of the JSON; raised when a reader must change."""
 
+LOAD = os.getloadavg()[0]
+"""Processes that wanted a CPU before there was anything to measure."""
+
 UNITS = (("s", 1.0), ("ms", 1e3), ("µs", 1e6), ("ns", 1e9))
 
 
@@ -31,8 +34,22 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def environment() -> dict[str, Any]:
-    """What the figures depend on, and nothing that names the machine."""
+def commit(tree: Path) -> str | None:
+    """Which state of the project a checkout has."""
+    command = ["git", "-C", str(tree), "describe", "--always", "--dirty"]
+    try:
+        asked = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return asked.stdout.strip()
+
+
+def environment(before: Path | None = None) -> dict[str, Any]:
+    """What the figures depend on, and nothing that names the machine.
+
+    Args:
+        before: The other tree.
+    """
     found = compiler()
     version = ""
     if found is not None:
@@ -47,7 +64,9 @@ def environment() -> dict[str, Any]:
         "compiler": f"{Path(found).name} {version.strip()}".strip() if found else None,
         "pymavlink": importlib.util.find_spec("pymavlink") is not None,
         "fastcrc": importlib.util.find_spec("fastcrc") is not None,
-        "load": round(os.getloadavg()[0], 1),
+        "commit": commit(Path(__file__).parent),
+        "before": None if before is None else commit(before) or "of another tree",
+        "load": round(LOAD, 1),
     }
 
 
@@ -85,11 +104,16 @@ def row_result(
     }
 
 
-def result(rows: Iterable[dict[str, Any]], costs: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """The whole, ready for JSON."""
+def result(
+    rows: Iterable[dict[str, Any]],
+    costs: Iterable[dict[str, Any]],
+    *,
+    before: Path | None = None,
+) -> dict[str, Any]:
+    """The whole, ready for JSON; ``before`` is the other tree."""
     return {
         "schema": SCHEMA,
-        "environment": environment(),
+        "environment": environment(before),
         "rows": list(rows),
         "costs": list(costs),
     }

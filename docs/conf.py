@@ -8,6 +8,7 @@ from pathlib import Path
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "_ext"))
+sys.path.append(str(DOCS.parent))  # benchmarks; the package is the installed one, if there is one
 metadata = tomllib.loads((DOCS.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 project = metadata["name"]
@@ -23,6 +24,7 @@ extensions = [
     "pictures",
     "public_names",
     "tables",
+    "figures",
 ]
 exclude_patterns = ["_build"]
 # `Frame` is two things: m100link.Frame (ground or body) and m100link.wire.Frame (bytes). A bare

@@ -54,7 +54,8 @@ def test_costs_are_told_in_the_unit_that_fits() -> None:
 def test_the_environment_names_no_machine() -> None:
     found = report.environment()
     assert found.keys() == {
-        *("date", "cpu", "cores", "system", "python", "compiler", "pymavlink", "fastcrc", "load")
+        *("date", "cpu", "cores", "system", "python", "compiler", "pymavlink", "fastcrc", "load"),
+        *("commit", "before"),
     }
     assert "/" not in "".join(map(str, found.values()))
 
