@@ -72,16 +72,6 @@ class LinkStatistics:
     expired: int
 
 
-class _Pending:
-    """A request that somebody awaits."""
-
-    __slots__ = ("future", "name")
-
-    def __init__(self, future: asyncio.Future[bytes], name: str) -> None:
-        self.future = future
-        self.name = name
-
-
 def _ignore(*_: object) -> None:
     """The default of the callbacks."""
 
@@ -113,8 +103,9 @@ class Link(asyncio.Protocol):
         self.name = "link"
         # None until the line is open; what becomes of it then is in _failure.
         self._transport: asyncio.Transport | None = None
-        # Who waits for which ack, by the token of the session's request.
-        self._pending: dict[int, _Pending] = {}
+        # Who waits for which ack, and the word for it in errors, by the token of the session's
+        # request.
+        self._pending: dict[int, tuple[asyncio.Future[bytes], str]] = {}
         # The one timer of all requests; it stands at the earliest repeat or end of a wait.
         self._timer: asyncio.TimerHandle | None = None
         # False while the transport's buffer is full: pushes are dropped then, never queued.
@@ -200,17 +191,20 @@ class Link(asyncio.Protocol):
             UsageError: See :meth:`Sender.request`.
         """
         self._check_open()
+        now = self._loop.time()
         token = self._endpoint.request(
             data,
-            now=self._loop.time(),
+            now=now,
             mode=mode,
             encrypted=encrypted,
             timeout=timeout,
             tries=tries,
         )
         future: asyncio.Future[bytes] = self._loop.create_future()
-        self._pending[token] = _Pending(future, name)
+        self._pending[token] = future, name
         self._flush()
+        if self._timer is None or self._timer.when() > now + timeout:
+            self._set_timer()
         try:
             return await future
         finally:
@@ -288,6 +282,7 @@ class Link(asyncio.Protocol):
         self._dispatch(iter(self._endpoint.receive_data(data, now)), now)
         if self._endpoint.has_output:  # rarely: most of what arrives is telemetry
             self._flush()
+            self._set_timer()
 
     def pause_writing(self) -> None:
         """The other end does not drain."""
@@ -334,26 +329,24 @@ class Link(asyncio.Protocol):
                             _excerpt(event.data),
                         )
                     self.on_received(event, now)
-                else:
+                elif isinstance(event, (Acked, Expired)):
                     self._resolve(event)
         except BaseException:
             # Whoever took an event raised. What came behind it was read and is nobody's to lose.
             self._loop.call_soon(self._dispatch, events, now)
             raise
 
-    def _resolve(self, event: Event) -> None:
+    def _resolve(self, event: Acked | Expired) -> None:
         """A request came to its end."""
-        match event:
-            case Acked(token, payload, _):
-                pending = self._pending.get(token)
-                if pending is not None and not pending.future.done():
-                    pending.future.set_result(payload)
-            case Expired(token, session, sequence, tries):
-                pending = self._pending.get(token)
-                if pending is not None and not pending.future.done():
-                    pending.future.set_exception(
-                        self._timeout(pending.name, session, sequence, tries)
-                    )
+        pending = self._pending.get(event.token)
+        if pending is None or pending[0].done():
+            return  # nobody waits for it any more
+        future, name = pending
+        if isinstance(event, Acked):
+            future.set_result(event.payload)
+        else:
+            error = self._timeout(name, event.session, event.sequence, event.tries)
+            future.set_exception(error)
 
     def _timeout(self, name: str, session: int, sequence: int, tries: int) -> AckTimeout:
         cause = "the frame or its ack was lost, or the aircraft ignores the command"
@@ -372,7 +365,7 @@ class Link(asyncio.Protocol):
         )
 
     def _flush(self) -> None:
-        """Write what is ready and keep the one timer right."""
+        """Write what is ready."""
         transport = self._transport
         debug = _logger.isEnabledFor(logging.DEBUG)
         for wire in self._endpoint.output():
@@ -384,6 +377,9 @@ class Link(asyncio.Protocol):
             self._bytes_sent += len(wire)
             self._frames_sent += 1
             transport.write(wire)
+
+    def _set_timer(self) -> None:
+        """Keep the one timer right, after anything that may have sent a request."""
         wakeup = self._endpoint.next_wakeup()
         if wakeup is None or self._failure is not None:
             return
@@ -397,9 +393,12 @@ class Link(asyncio.Protocol):
 
     def _on_timer(self) -> None:
         self._timer = None
-        now = self._loop.time()
-        self._dispatch(iter(self._endpoint.handle_timer(now)), now)
-        self._flush()
+        try:
+            now = self._loop.time()
+            self._dispatch(iter(self._endpoint.handle_timer(now)), now)
+            self._flush()
+        finally:  # Ctrl-C, too: without a timer no request would ever end
+            self._set_timer()
 
     async def _drain(self) -> None:
         """Give written bytes a bounded time to leave."""
@@ -422,9 +421,9 @@ class Link(asyncio.Protocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        for pending in list(self._pending.values()):
-            if not pending.future.done():
-                pending.future.set_exception(error.again())
+        for future, _ in list(self._pending.values()):
+            if not future.done():
+                future.set_exception(error.again())
         if not self._connected.done():
             self._connected.set_exception(error.again())
             self._connected.exception()  # read, so that nobody is told it never was

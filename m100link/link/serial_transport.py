@@ -64,26 +64,17 @@ class PortState(Enum):
     """The port is given back."""
 
 
-class _Unsent:
-    """Accepted bytes, and how many of them the system has taken.
+_OPEN = PortState.OPEN
 
-    Attributes:
-        data: The bytes.
-        taken: What ``os.write`` of ``data`` returned; nothing before it did.
-    """
-
-    __slots__ = ("data", "taken")
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-        self.taken: list[int] = []
-
-    def rest(self) -> bytes:
-        """What the system has not taken."""
-        return self.data[self.taken[0] :] if self.taken else self.data
+# Accepted bytes, and what os.write of them returned, once it did.
+_Unsent = tuple[bytes, list[int]]
+_NOTHING: _Unsent = (b"", [])
 
 
-_NOTHING = _Unsent(b"")
+def _rest(unsent: _Unsent) -> bytes:
+    """What the system has not taken."""
+    data, taken = unsent
+    return data[taken[0] :] if taken else data
 
 
 class SerialTransport(asyncio.Transport):
@@ -134,7 +125,7 @@ class SerialTransport(asyncio.Transport):
     # -- reading ---------------------------------------------------------------------------------
 
     def _on_readable(self) -> None:
-        if self.state is not PortState.OPEN:
+        if self.state is not _OPEN:
             return  # its end is on its way
         try:
             if not self._arrived:  # a turn that was cut off comes first
@@ -156,7 +147,7 @@ class SerialTransport(asyncio.Transport):
             self._end(error)
 
     def _deliver(self) -> None:
-        while self._arrived and self.is_reading():
+        while self._arrived and self._is_reading and self.state is _OPEN:
             if not self._arrived[0]:
                 self._end(OSError(errno.EIO, "the device hung up"))
                 return
@@ -164,18 +155,18 @@ class SerialTransport(asyncio.Transport):
 
     def is_reading(self) -> bool:
         """Whether the protocol gets bytes."""
-        return self._is_reading and self.state is PortState.OPEN
+        return self._is_reading and self.state is _OPEN
 
     def pause_reading(self) -> None:
         """Deliver nothing until :meth:`resume_reading`."""
         self._is_reading = False
-        if self.state is PortState.OPEN:
+        if self.state is _OPEN:
             self._loop.remove_reader(self._fd)
 
     def resume_reading(self) -> None:
         """Deliver again."""
         self._is_reading = True
-        if self.state is PortState.OPEN:
+        if self.state is _OPEN:
             self._loop.add_reader(self._fd, self._on_readable)
             if self._arrived:
                 self._loop.call_soon(self._deliver)
@@ -184,14 +175,14 @@ class SerialTransport(asyncio.Transport):
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
         """Send, at once if the line takes it; nothing happens once it is closed."""
-        if self.state is not PortState.OPEN or not data:
+        if self.state is not _OPEN or not data:
             return
-        waiting = self._unsent.rest()
+        waiting = b"" if self._unsent is _NOTHING else _rest(self._unsent)
         if len(waiting) + len(data) > _MOST_UNSENT:
             self.dropped += 1
             return
         try:
-            self._unsent = _Unsent(waiting + bytes(data))
+            self._unsent = (waiting + bytes(data), [])
             if not waiting:
                 self._send()
             if self._unsent is not _NOTHING:
@@ -203,27 +194,30 @@ class SerialTransport(asyncio.Transport):
 
     def _send(self) -> None:
         """Give the system what it takes."""
+        data, taken = self._unsent
         try:
             # As in _read: how much was taken is known by the next instruction.
-            unsent = self._unsent
-            unsent.taken.extend(map(os.write, (self._fd,), (unsent.data,)))
+            taken.extend(map(os.write, (self._fd,), (data,)))
         except (BlockingIOError, InterruptedError):
             return
         except OSError as error:
             self._end(error)
             return
-        self._settle()
+        if taken[0] == len(data):
+            self._unsent = _NOTHING
+        else:
+            self._settle()
 
     def _settle(self) -> None:
         """Forget what the system has taken."""
-        rest = self._unsent.rest()
-        self._unsent = _Unsent(rest) if rest else _NOTHING
+        rest = _rest(self._unsent)
+        self._unsent = (rest, []) if rest else _NOTHING
 
     def _wait_for_room(self) -> None:
         if self.state is PortState.ENDING:
             return
         self._loop.add_writer(self._fd, self._on_writable)
-        if len(self._unsent.data) > HIGH_WATER and not self._is_protocol_paused:
+        if len(self._unsent[0]) > HIGH_WATER and not self._is_protocol_paused:
             self._is_protocol_paused = True
             self._protocol.pause_writing()
 
@@ -233,7 +227,7 @@ class SerialTransport(asyncio.Transport):
         self._settle()  # a turn that was cut off did not
         if self._unsent is not _NOTHING:
             self._send()
-        if self._is_protocol_paused and len(self._unsent.data) <= _LOW_WATER:
+        if self._is_protocol_paused and len(self._unsent[0]) <= _LOW_WATER:
             self._resume_protocol()
         if self._unsent is _NOTHING:
             # Last, because until here whatever cuts this off is made up for by the next call.
@@ -252,7 +246,7 @@ class SerialTransport(asyncio.Transport):
 
     def get_write_buffer_size(self) -> int:
         """Bytes that were accepted and are not with the system."""
-        return len(self._unsent.rest())
+        return len(_rest(self._unsent))
 
     def can_write_eof(self) -> bool:
         """Never: a serial line has no end."""

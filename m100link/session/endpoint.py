@@ -106,12 +106,10 @@ class Endpoint:
     @property
     def has_output(self) -> bool:
         """Whether :meth:`output` has frames."""
-        return bool(self._pushed) or self.sender.has_output or self.receiver.has_output
+        return bool(self._pushed or self.sender.output or self.receiver.output)
 
     def output(self) -> Iterator[bytes]:
         """Take the frames to write: acks first, then requests, then pushes."""
-        for source in (self.receiver.next_output, self.sender.next_output):
-            while (wire := source()) is not None:
-                yield wire
-        while self._pushed:
-            yield self._pushed.popleft()
+        for waiting in (self.receiver.output, self.sender.output, self._pushed):
+            while waiting:
+                yield waiting.popleft()

@@ -42,6 +42,7 @@ class Receiver:
 
     Attributes:
         cipher: Encrypts acks that ask for it. May be set at any time.
+        output: Frames to write, oldest first; whoever writes takes them out.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class Receiver:
         self.forget_after = forget_after
         self.statistics = statistics or SessionStatistics()
         self._memories: dict[int, _Memory] = {}  # per session; none is a state of its own
-        self._output: deque[bytes] = deque()
+        self.output: deque[bytes] = deque()
 
     def receive_command(self, frame: Frame, now: float) -> Frame | None:
         """Take a command frame; None when it repeats one that was delivered before."""
@@ -65,7 +66,7 @@ class Receiver:
                     self.statistics.unanswered_repeats += 1
                 else:
                     self.statistics.repeated_commands += 1
-                    self._output.append(memory.wire)
+                    self.output.append(memory.wire)
                 return None
             self._memories[frame.session] = _Memory(frame.sequence)
         self.statistics.commands += 1
@@ -112,17 +113,12 @@ class Receiver:
                 return
             memory.wire = wire
             memory.stored_at = now
-        self._output.append(wire)
+        self.output.append(wire)
 
     def forget(self) -> None:
         """Lose all memory, as at power-on."""
         self._memories.clear()
 
-    @property
-    def has_output(self) -> bool:
-        """Whether there are bytes to write."""
-        return bool(self._output)
-
     def next_output(self) -> bytes | None:
         """The next bytes to write, oldest first."""
-        return self._output.popleft() if self._output else None
+        return self.output.popleft() if self.output else None

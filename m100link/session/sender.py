@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from dataclasses import dataclass
+from heapq import heappop, heappush
 
 from m100link.errors import UsageError
 from m100link.session.events import Acked, Expired, SessionMode, SessionStatistics
@@ -20,6 +21,7 @@ NO_ACK_SESSION = 0
 ACK_ONCE_SESSION = 1
 RELIABLE_SESSIONS = range(2, MAX_SESSION + 1)
 
+_ALWAYS_FITS = 991  # bytes of data that are not too many for a frame, encrypted or not
 _REMEMBERED_UNANSWERED = 1024  # numbers per session that went unanswered one after the other
 _REMEMBERED = 256  # finished requests whose acks are still told apart from foreign ones
 
@@ -67,6 +69,7 @@ class Sender:
 
     Attributes:
         cipher: Encrypts requests that ask for it. May be set at any time.
+        output: Frames to write, oldest first; whoever writes takes them out.
     """
 
     def __init__(
@@ -80,12 +83,12 @@ class Sender:
         self._in_flight: dict[tuple[int, int], _Request] = {}
         self._by_token: dict[int, _Request] = {}  # those whose end somebody waits for
         self._waiting: OrderedDict[int, _Request] = OrderedDict()  # for a session, oldest first
-        self._free = list(RELIABLE_SESSIONS)
+        self._free = list(RELIABLE_SESSIONS)  # a heap: the lowest comes first
         # Per session the numbers that the other end may have an ack stored for.
         self._taken: dict[int, set[int]] = {}
         # What ended lately, and whether by an ack: a second ack of it is not a foreign one.
         self._finished: OrderedDict[tuple[int, int], bool] = OrderedDict()
-        self._output: deque[bytes] = deque()
+        self.output: deque[bytes] = deque()
         self._events: deque[Expired] = deque()
 
     def push(self, data: bytes, *, encrypted: bool = False) -> bytes:
@@ -141,17 +144,18 @@ class Sender:
                 cause="its receiver stores no ack and would execute a repeat again",
                 remedy="use tries=1, or SessionMode.RELIABLE",
             )
-        # Encoded once here, so that a payload that cannot be sent fails before it takes a session.
         cipher = self._cipher_for(encrypted)
-        encode_frame(data, session=0, sequence=0, cipher=cipher)
+        if len(data) > _ALWAYS_FITS:  # what cannot be sent fails before it takes a session
+            encode_frame(data, session=0, sequence=0, cipher=cipher)
         self._tokens += 1
         request = _Request(self._tokens, data, mode, cipher, timeout, tries)
-        self._by_token[request.token] = request
         if mode is SessionMode.ACK_ONCE:
             self._begin(request, ACK_ONCE_SESSION, now)
+        elif self._free and not self._waiting:
+            self._begin_reliable(request, now)
         else:
             self._waiting[request.token] = request
-            self._begin_waiting(now)
+        self._by_token[request.token] = request
         return request.token
 
     def abandon(self, token: int) -> None:
@@ -169,7 +173,8 @@ class Sender:
 
     def receive_ack(self, frame: Frame, now: float) -> Acked | None:
         """Take an ack frame; None (and a count) when it answers nothing that is open."""
-        address = (frame.session, frame.sequence)
+        session, _, sequence, encrypted, _, data = frame
+        address = (session, sequence)
         request = self._in_flight.get(address)
         if request is None:
             was_answered = self._finished.get(address)
@@ -181,13 +186,15 @@ class Sender:
                 self.statistics.late_acks += 1
             return None
         self._retire(request, was_answered=True)
-        self._taken[frame.session] = {frame.sequence}
-        self._begin_waiting(now)
+        self._taken[session] = {sequence}
+        if self._waiting:
+            self._begin_waiting(now)
         if request.is_abandoned:
             self.statistics.late_acks += 1
             return None
         self.statistics.acks += 1
-        return Acked(request.token, frame.data, frame.encrypted)
+        # Acked(…) would go through a constructor in Python, at twice the cost.
+        return tuple.__new__(Acked, (request.token, data, encrypted))
 
     def next_wakeup(self) -> float | None:
         """Time of the earliest deadline, None when nothing is open."""
@@ -213,12 +220,7 @@ class Sender:
 
     def next_output(self) -> bytes | None:
         """The next bytes to write, oldest first."""
-        return self._output.popleft() if self._output else None
-
-    @property
-    def has_output(self) -> bool:
-        """Whether there are bytes to write."""
-        return bool(self._output)
+        return self.output.popleft() if self.output else None
 
     @property
     def busy_sessions(self) -> int:
@@ -242,9 +244,11 @@ class Sender:
     def _begin_waiting(self, now: float) -> None:
         while self._waiting and self._free:
             _, request = self._waiting.popitem(last=False)
-            session = min(self._free)
-            self._free.remove(session)
-            self._begin(request, session, now)
+            self._begin_reliable(request, now)
+
+    def _begin_reliable(self, request: _Request, now: float) -> None:
+        self._begin(request, self._free[0], now)
+        heappop(self._free)
 
     def _begin(self, request: _Request, session: int, now: float) -> None:
         request.session = session
@@ -264,7 +268,7 @@ class Sender:
         request.tries_left -= 1
         request.deadline = now + request.timeout
         self.statistics.transmissions += 1
-        self._output.append(request.wire)
+        self.output.append(request.wire)
 
     def _retire(self, request: _Request, *, was_answered: bool) -> None:
         address = (request.session, request.sequence)
@@ -274,7 +278,7 @@ class Sender:
         if len(self._finished) > _REMEMBERED:
             self._finished.popitem(last=False)
         if request.mode is SessionMode.RELIABLE:
-            self._free.append(request.session)
+            heappush(self._free, request.session)
 
     def _next_sequence(self, session: int) -> int:
         """One counter for all sessions, but no number that the other end may remember.
