@@ -30,7 +30,10 @@ from benchmarks.rows import (
 )
 
 SEED = 2015
-PROGRAMS = ("frames", "hostile", "consumer", "fleet", "imports", "virtual_aircraft", "station")
+PROGRAMS = (
+    *("frames", "hostile", "consumer", "fleet", "imports", "virtual_aircraft", "station"),
+    "request",
+)
 ROOT = Path(__file__).parent.parent
 
 # The package comes from the other tree, what measures it from this one.
