@@ -3,185 +3,182 @@
 ::
 
     nox -s mutation -- wire session link flight
+    nox -s mutation -- flight --module guards.py
+    nox -s mutation -- flight --sample 100 --seed 7
 
-A copy of the tree is changed in one place at a time (cosmic-ray makes the changes) and the tests of
-that room are run. Changes that no test notices are survivors. Those that cannot matter stand with
-their reason in ``tests/mutation_survivors.toml``; any other fails the session, and so does a reason
-that explains nothing any more. It takes minutes to hours, so it is a session of its own.
+The code of a room is changed in one place at a time, and the tests that run the changed line are
+run against it, those of the mirrored test file first. Changes that no test notices are survivors.
+Those that cannot matter stand with their reason in ``tests/mutation_survivors.toml``; any other
+fails the session, and so does a reason that explains nothing any more.
+
+cosmic-ray makes the changes; no file is written. Tests that start programs of their own see no
+change: those marked ``pty`` are left out.
 """
 
 from __future__ import annotations
 
-import ast
-import json
-import shlex
-import shutil
-import subprocess
+import argparse
+import os
+import random
 import sys
 import tempfile
 import tomllib
-from collections import defaultdict
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosmic_ray.work_db import WorkDB, use_db
-from cosmic_ray.work_item import (
-    MutationSpec,
-    TestOutcome,
-    WorkerOutcome,
-    WorkItem,
-    WorkResult,
-)
+from hypothesis import Phase, settings
 
-ROOT = Path(__file__).parent.parent
+from tests.mutation_changes import ROOT, Change, changes_of, text_of
+from tests.mutation_trials import Trials
+
 EXPLAINED = Path(__file__).with_name("mutation_survivors.toml")
 
-ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "wire": (("m100link/wire",), ("tests/wire",)),
-    "session": (("m100link/session",), ("tests/session",)),
-    "link": (("m100link/link",), ("tests/link", "-m", "not pty")),
-    "flight": (
-        (
-            "m100link/flight/control.py",
-            "m100link/flight/lifecycle.py",
-            "m100link/flight/setpoints.py",
-            "m100link/flight/signals.py",
-        ),
-        ("tests/flight", "-m", "not pty"),
-    ),
-}
-"""Room: the code that is changed, and what pytest runs for each change."""
+FLIGHT = (
+    "control lifecycle setpoints signals stop_path cancellation watchdog orbit pacing guards "
+    "handover authority tasks"
+)
 
-PER_PLACE = 2  # of the dozen other operators that one can become, so many tell enough
+
+def files_of(room: str) -> tuple[str, ...]:
+    """The code of a whole room."""
+    found = (ROOT / "m100link" / room).glob("*.py")
+    return tuple(sorted(str(path.relative_to(ROOT)) for path in found if path.stem != "__init__"))
+
+
+ROOMS: dict[str, tuple[str, ...]] = {
+    **{room: files_of(room) for room in ("wire", "session", "link")},
+    "flight": tuple(f"m100link/flight/{name}.py" for name in FLIGHT.split()),
+}
+"""Room: the code that is changed. Its tests are those of the folder of the same name."""
+
+# -- what is explained -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Survivor:
-    """A change that no test noticed."""
+class Explanation:
+    """Why no test needs to notice a change of a line.
+
+    Attributes:
+        module: The file.
+        source: The line, without its indentation.
+        operators: Beginnings of the names of the operators that are meant; () means all.
+        reason: For a reader.
+    """
 
     module: str
-    operator: str
-    line: int
     source: str
+    operators: tuple[str, ...]
+    reason: str
 
-    def __str__(self) -> str:
-        return f"{self.module}:{self.line}: {self.operator}: {self.source}"
-
-
-def ignored_lines(path: Path) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Spans in which a change means nothing: annotations, which nobody evaluates."""
-    spans = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        for name in ("annotation", "returns"):
-            found = getattr(node, name, None)
-            if isinstance(found, ast.expr):
-                start = (found.lineno, found.col_offset)
-                spans.append((start, (found.end_lineno or 0, found.end_col_offset or 0)))
-    return spans
-
-
-def choose(items: list[WorkItem], tree: Path) -> set[str]:
-    """Ids of the changes that are worth a run."""
-    annotations = {
-        str(m.module_path): ignored_lines(tree / m.module_path) for m in mutations(items)
-    }
-    per_place: dict[tuple[str, str, tuple[int, int]], int] = defaultdict(int)
-    chosen = set()
-    for item in items:
-        (mutation,) = item.mutations
-        module, place = str(mutation.module_path), tuple(mutation.start_pos)
-        if any(start <= place < end for start, end in annotations[module]):
-            continue
-        kind = mutation.operator_name.split("_")[0]
-        key = (module, kind, (place[0], place[1]))
-        per_place[key] += 1
-        if per_place[key] <= PER_PLACE:
-            chosen.add(item.job_id)
-    return chosen
-
-
-def mutations(items: list[WorkItem]) -> list[MutationSpec]:
-    """The one change of each item."""
-    return [item.mutations[0] for item in items]
-
-
-def run(room: str) -> list[Survivor]:
-    """Change the code of a room everywhere; returns what no test noticed."""
-    code, tests = ROOMS[room]
-    with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder) / "tree"
-        shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(".*", "_build", "__pycache__"))
-        command = shlex.join([sys.executable, "-m", "pytest", "-qxp", "no:cacheprovider", *tests])
-        config, session = Path(folder) / "config.toml", Path(folder) / "session.sqlite"
-        config.write_text(
-            f"""[cosmic-ray]
-module-path = {json.dumps(code)}
-timeout = 120.0
-excluded-modules = []
-test-command = {json.dumps(command)}
-[cosmic-ray.distributor]
-name = "local"
-""",
-            encoding="utf-8",
+    def fits(self, change: Change) -> bool:
+        """Whether it speaks of that change."""
+        return (change.module, change.source) == (self.module, self.source) and (
+            not self.operators or change.operator.startswith(self.operators)
         )
-        cosmic_ray = [str(Path(sys.executable).with_name("cosmic-ray"))]
-        subprocess.run([*cosmic_ray, "init", str(config), str(session)], cwd=tree, check=True)
-        with use_db(session, WorkDB.Mode.open) as jobs:
-            items = list(jobs.work_items)
-            chosen = choose(items, tree)
-            for item in items:
-                if item.job_id not in chosen:
-                    jobs.set_result(item.job_id, WorkResult(WorkerOutcome.SKIPPED))
-        print(f"{room}: {len(chosen)} changes of {len(items)}", flush=True)
-        subprocess.run([*cosmic_ray, "baseline", str(config)], cwd=tree, check=True)
-        subprocess.run([*cosmic_ray, "exec", str(config), str(session)], cwd=tree, check=True)
-        with use_db(session, WorkDB.Mode.open) as jobs:
-            results = dict(jobs.results)
-        return [
-            described(item, tree)
-            for item in items
-            if results[item.job_id].test_outcome is TestOutcome.SURVIVED
-        ]
+
+    def stands(self) -> bool:
+        """Whether the line is still there."""
+        return any(line.strip() == self.source for line in text_of(self.module).splitlines())
 
 
-def described(item: WorkItem, tree: Path) -> Survivor:
-    """What was changed, in words that outlive line numbers."""
-    (mutation,) = item.mutations
-    line = mutation.start_pos[0]
-    source = (tree / mutation.module_path).read_text(encoding="utf-8").splitlines()[line - 1]
-    operator = mutation.operator_name.removeprefix("core/")
-    return Survivor(str(mutation.module_path), operator, line, source.strip())
-
-
-def explained(rooms: list[str]) -> dict[tuple[str, str], str]:
-    """Reason per module and line of source."""
+def explanations(room: str) -> list[Explanation]:
+    """The list of a room, one per line of code."""
     table = tomllib.loads(EXPLAINED.read_text(encoding="utf-8"))
-    return {
-        (entry["module"], entry["source"]): entry["reason"]
-        for room in rooms
+    return [
+        Explanation(entry["module"], source, tuple(entry.get("operators", ())), entry["reason"])
         for entry in table.get(room, [])
-    }
+        for source in entry["lines"]
+    ]
 
 
-def main(rooms: list[str]) -> int:
+# -- the whole -------------------------------------------------------------------------------------
+
+
+def run(room: str, arguments: argparse.Namespace) -> bool:
+    """Try a room and say what was seen. Returns whether nothing is left to explain."""
+    modules = [name for name in ROOMS[room] if arguments.module in name]
+    changes = [change for module in modules for change in changes_of(module)]
+    print(f"{room}: {len(changes)} changes", end="")
+    if arguments.sample:
+        changes = random.Random(arguments.seed).sample(changes, min(arguments.sample, len(changes)))
+        print(f", {len(changes)} of them chosen by seed {arguments.seed}", end="")
+    print(flush=True)
+    known = explanations(room)
+    survivors: list[Change] = []
+
+    def on_end(change: Change, was_noticed: bool) -> None:
+        if not was_noticed:
+            survivors.append(change)
+            if not any(explanation.fits(change) for explanation in known):
+                print(f"unexplained: {change}", flush=True)
+
+    with tempfile.TemporaryDirectory() as folder:
+        trials = Trials(f"tests/{room}", Path(folder))
+        kept = f"{arguments.record}-{room}.json" if arguments.record else f"{folder}/record"
+        trials.record(ROOMS[room], Path(kept))
+        trials.try_all(changes, on_end)
+    return report(room, changes, survivors, known)
+
+
+def report(
+    room: str, tried: list[Change], survivors: list[Change], known: list[Explanation]
+) -> bool:
+    """The figures of a room, and what its list says in vain."""
+    unexplained = [
+        change for change in survivors if not any(reason.fits(change) for reason in known)
+    ]
+    modules = {change.module for change in tried}
+    vain = 0
+    for reason in known:
+        if not reason.stands():
+            print(f"explained, but no such line: {reason.module}: {reason.source}")
+        elif any(map(reason.fits, tried)) and not any(map(reason.fits, survivors)):
+            print(f"explained, but noticed by a test now: {reason.module}: {reason.source}")
+        else:
+            continue
+        vain += 1
+    counts = Counter(change.module for change in tried)
+    lived = Counter(change.module for change in survivors)
+    for module in sorted(modules):
+        print(f"  {module}: {counts[module]} tried, {lived[module]} survived")
+    killed = len(tried) - len(survivors)
+    print(
+        f"{room}: {killed} of {len(tried)} changes noticed ({killed / max(1, len(tried)):.1%}), "
+        f"{len(survivors)} survived, {len(unexplained)} of them unexplained",
+        flush=True,
+    )
+    return not unexplained and not vain
+
+
+def prepare() -> None:
+    """Import what every try needs but the project, and make chance repeat itself."""
+    for name in ("anyio", "cryptography.hazmat.primitives.ciphers", "serial_asyncio", "uvicorn"):
+        __import__(name)
+    # No test may pass by luck where it failed before, and a failure need not be made small.
+    phases = (Phase.explicit, Phase.generate)
+    settings.register_profile(
+        "mutation", deadline=None, max_examples=60, derandomize=True, database=None, phases=phases
+    )
+    os.environ["HYPOTHESIS_PROFILE"] = "mutation"
+    os.chdir(ROOT)
+
+
+def main() -> int:
     """Run the rooms named, all by default."""
-    rooms = rooms or list(ROOMS)
-    unknown = set(rooms) - set(ROOMS)
-    if unknown:
-        print(f"no room is called {unknown.pop()!r}: {', '.join(ROOMS)}")
-        return 2
-    reasons = explained(rooms)
-    survivors = [survivor for room in rooms for survivor in run(room)]
-    seen = {(survivor.module, survivor.source) for survivor in survivors}
-    unexplained = [s for s in survivors if (s.module, s.source) not in reasons]
-    stale = [place for place in reasons if place not in seen]
-    for survivor in unexplained:
-        print(f"survived: {survivor}")
-    for module, source in stale:
-        print(f"explained, but noticed by a test: {module}: {source}")
-    print(f"{len(survivors)} survivors, {len(unexplained)} of them unexplained")
-    return 1 if unexplained or stale else 0
+    parser = argparse.ArgumentParser(prog="nox -s mutation --", description=__doc__)
+    parser.add_argument("rooms", nargs="*", choices=[*ROOMS, []], help="all by default")
+    parser.add_argument("--module", default="", help="only files whose path contains this")
+    parser.add_argument("--sample", type=int, default=0, help="try so many changes per room")
+    parser.add_argument("--seed", type=int, default=0, help="which ones a sample has")
+    parser.add_argument(
+        "--record", help="keep at this path, for the next run of the same code, what runs what"
+    )
+    arguments = parser.parse_args()
+    prepare()
+    results = [run(room, arguments) for room in arguments.rooms or ROOMS]
+    return 0 if all(results) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

@@ -1,0 +1,331 @@
+"""How mutation testing tries a change: which tests, in which process, and how long at most."""
+
+from __future__ import annotations
+
+import gc
+import inspect
+import json
+import os
+import resource
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, SourceFileLoader
+from importlib.util import spec_from_file_location
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+
+import coverage
+import pytest
+
+from tests.mutation_changes import ROOT, Change, statement, text_of
+
+__all__ = ["Trials"]
+
+ENOUGH_S = 6.0
+"""Of tests for one change, beside the mirrored ones: lines that every flight runs would take the
+whole suite for each survivor."""
+
+Place = tuple[str, int]
+"""Qualified name and first line of a function."""
+
+
+class Trials:
+    """The tests of a room, run against one change after the other.
+
+    A change in the body of a function is tried in a copy (fork) of a process that has the project
+    imported and the tests collected. What an import runs (constants, tables, defaults, classes) is
+    tried in a copy of one that has imported nothing of the project yet.
+
+    Args:
+        folder: The tests.
+        scratch: A folder for output.
+    """
+
+    def __init__(self, folder: str, scratch: Path) -> None:
+        self._folder = folder
+        self._scratch = scratch
+        self._took: dict[str, float] = {}  # test, seconds of the processor; the fastest first
+        # Module, line, tests that run it; "" is the import.
+        self._lines: dict[str, dict[int, list[str]]] = {}
+
+    def record(self, modules: Sequence[str], kept: Path) -> None:
+        """Run all of them unchanged, twice: with a record, and in the order of later runs.
+
+        Args:
+            modules: Those that will be changed.
+            kept: Where the record stands or shall stand.
+        """
+        is_first = not kept.exists()
+        if is_first:
+            self._run_unchanged(Recorder(modules, kept))
+        seen = json.loads(kept.read_text(encoding="utf-8"))
+        took = seen["took"]
+        self._took = {name: took[name] for name in sorted(took, key=lambda name: took[name])}
+        self._lines = {
+            module: {int(line): names for line, names in lines.items()}
+            for module, lines in seen["lines"].items()
+        }
+        if is_first:
+            self._run_unchanged(Selection(self._took))
+
+    def _run_unchanged(self, plugin: object) -> None:
+        if status := self._run([self._folder], plugin, name="unchanged"):
+            text = (self._scratch / "unchanged").read_text(encoding="utf-8")
+            sys.exit(f"{self._folder} fails unchanged ({status}):\n{text}")
+
+    def try_all(self, changes: Sequence[Change], on_end: Callable[[Change, bool], None]) -> None:
+        """Try each; ``on_end`` is called with each and whether a test noticed it."""
+        results = self._scratch / "results"
+        results.touch()
+        self._run([self._folder], Bodies(changes, self, results), name="bodies")
+        ended = dict(json.loads(line) for line in results.read_text().splitlines())
+        for place, change in enumerate(changes):
+            noticed = ended.get(place)
+            on_end(change, self._notices(change) if noticed is None else noticed)
+
+    def _notices(self, change: Change) -> bool:
+        took = self.chosen(change)
+        if not took:
+            return False
+        files = sorted({name.partition("::")[0] for name in took})
+        return self._run(files, Selection(took), name="output", finder=Changed(change)) != 0
+
+    def tests_of(self, change: Change) -> set[str]:
+        """Tests that run the changed statement; "" among them says that its import does."""
+        lines = self._lines[change.module]
+        return {name for line in statement(change) for name in lines.get(line, [])}
+
+    def chosen(self, change: Change) -> dict[str, float]:
+        """Tests to run and their times: the mirrored ones first, then the fastest."""
+        names = self.tests_of(change)
+        if "" in names:
+            every = self._lines[change.module].values()
+            names = {name for found in every for name in found} - {""}
+        mirrored = f"{self._folder}/test_{Path(change.module).stem}"
+        chosen, spent = {}, 0.0
+        for name in sorted(
+            names, key=lambda name: (not name.startswith(mirrored), self._took[name])
+        ):
+            if not name.startswith(mirrored):
+                spent += self._took[name]
+            if spent <= ENOUGH_S:
+                chosen[name] = self._took[name]
+        return chosen
+
+    def _run(
+        self, files: Sequence[str], plugin: object, *, name: str, finder: Changed | None = None
+    ) -> int:
+        def run() -> int:
+            if finder is not None:
+                sys.meta_path.insert(0, finder)
+            options = ["-qxs", "-p", "no:cacheprovider", "-m", "not pty", "--timeout", "40"]
+            options += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]
+            return int(pytest.main([*options, *files], plugins=[plugin]))
+
+        return in_copy(run, self._scratch / name)
+
+
+def in_copy(work: Callable[[], int], output: Path) -> int:
+    """Work in a copy of this process; returns its exit status, negative for a signal."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    child = os.fork()
+    if child:
+        _, status = os.waitpid(child, 0)
+        return os.waitstatus_to_exitcode(status)
+    status = 2
+    try:
+        stream = os.open(output, os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
+        os.dup2(stream, 1)
+        os.dup2(stream, 2)
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        status = work()
+    except BaseException:  # noqa: BLE001 (nobody is behind this to raise it to)
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def limit_time(took: float) -> None:
+    """End this process when a test takes far longer than unchanged.
+
+    What counts is time of the processor: the load of the machine is not an endless loop.
+    """
+    limit = int(time.process_time() + 3 + 3 * took)
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))
+
+
+# -- plugins of pytest -----------------------------------------------------------------------------
+
+
+class Recorder:
+    """Which test runs which line, and how long each takes."""
+
+    def __init__(self, modules: Sequence[str], path: Path) -> None:
+        self._modules = modules
+        self._path = path
+        self._coverage = coverage.Coverage(
+            data_file=None, config_file=False, include=[str(ROOT / module) for module in modules]
+        )
+        self._coverage.start()
+        self._took: dict[str, float] = {}
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        self._coverage.switch_context(item.nodeid)
+        began_at = time.process_time()
+        result = yield
+        self._took[item.nodeid] = time.process_time() - began_at
+        self._coverage.switch_context("")
+        return result
+
+    def pytest_sessionfinish(self) -> None:
+        self._coverage.stop()
+        data = self._coverage.get_data()
+        lines = {module: data.contexts_by_lineno(str(ROOT / module)) for module in self._modules}
+        self._path.write_text(json.dumps({"took": self._took, "lines": lines}), encoding="utf-8")
+
+
+class Selection:
+    """Runs some tests, in an order.
+
+    Args:
+        took: Test, seconds that it takes unchanged.
+    """
+
+    def __init__(self, took: dict[str, float]) -> None:
+        self._took = took
+        self._places = {name: place for place, name in enumerate(took)}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = [item for item in items if item.nodeid in self._places]
+        items.sort(key=lambda item: self._places[item.nodeid])
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        limit_time(self._took[item.nodeid])
+        return (yield)
+
+
+class Bodies:
+    """Tries the changes that stand in bodies of functions, instead of running the tests once."""
+
+    def __init__(self, changes: Sequence[Change], trials: Trials, results: Path) -> None:
+        self._changes = changes
+        self._trials = trials
+        self._results = results
+        self._screen = os.fdopen(os.dup(1), "w")  # of who began this: output is kept from here on
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Writes place and outcome of each as a line of JSON."""
+        items = {item.nodeid: item for item in session.items}
+        output = self._results.with_name("output")
+        for place, change in enumerate(self._changes):
+            if not place % 100:
+                print(f"  {place} of {len(self._changes)}", file=self._screen, flush=True)
+            took = self._trials.chosen(change)
+            if "" in self._trials.tests_of(change):
+                continue
+            if took:
+                bodies = changed_bodies(change)
+                if bodies is None:
+                    continue
+                chosen = [(items[name], time_taken) for name, time_taken in took.items()]
+                noticed = in_copy(partial(self._try, bodies, chosen, session), output) != 0
+            else:
+                noticed = False
+            if not noticed:
+                print(f"  not noticed: {change}", file=self._screen, flush=True)
+            with self._results.open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps([place, noticed]) + "\n")
+        return True
+
+    @staticmethod
+    def _try(
+        bodies: dict[FunctionType, CodeType],
+        chosen: Sequence[tuple[pytest.Item, float]],
+        session: pytest.Session,
+    ) -> int:
+        for function, body in bodies.items():
+            function.__code__ = body
+        following = [item for item, _ in chosen[1:]]
+        for (item, took), after in zip(chosen, [*following, None], strict=True):
+            limit_time(took)
+            item.ihook.pytest_runtest_protocol(item=item, nextitem=after)
+            if session.testsfailed:
+                return 1
+        return 0
+
+
+# -- the change itself -----------------------------------------------------------------------------
+
+
+class ChangedModule(SourceFileLoader):
+    """Loads one module with its change."""
+
+    def __init__(self, change: Change) -> None:
+        name = change.module.removesuffix(".py").replace("/", ".")
+        super().__init__(name, str(ROOT / change.module))
+        self._code = compile(change.text(), self.path, "exec")
+
+    def get_code(self, fullname: str) -> CodeType:
+        return self._code
+
+
+class Changed(MetaPathFinder):
+    """Finds that module before anybody else does."""
+
+    def __init__(self, change: Change) -> None:
+        self._loader = ChangedModule(change)
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        loader = self._loader
+        found = name == loader.name
+        return spec_from_file_location(name, loader.path, loader=loader) if found else None
+
+
+def changed_bodies(change: Change) -> dict[FunctionType, CodeType] | None:
+    """The functions of the module and their bodies with the change; None if that is not all."""
+    path = str(ROOT / change.module)
+    before = codes(compile(text_of(change.module), path, "exec"))
+    after = codes(compile(change.text(), path, "exec"))
+    if before is None or after is None or before.keys() != after.keys():
+        return None
+    for place, code in before.items():
+        other = after[place]
+        if alone(code) != alone(other):
+            is_body = code.co_flags & inspect.CO_OPTIMIZED
+            if not is_body or code.co_freevars != other.co_freevars:
+                return None
+    return {
+        function: after[place]
+        for function in gc.get_objects()
+        if isinstance(function, FunctionType) and function.__code__.co_filename == path
+        if (place := (function.__code__.co_qualname, function.__code__.co_firstlineno)) in after
+    }
+
+
+def codes(code: CodeType) -> dict[Place, CodeType] | None:
+    """A code and all inside it; None when two cannot be told apart."""
+    found = {(code.co_qualname, code.co_firstlineno): code}
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            inside = codes(constant)
+            if inside is None or inside.keys() & found.keys():
+                return None
+            found |= inside
+    return found
+
+
+def alone(code: CodeType) -> tuple[object, ...]:
+    """What a code does, without those inside it."""
+    constants = [None if isinstance(c, CodeType) else repr(c) for c in code.co_consts]
+    return code.co_code, code.co_names, code.co_varnames, constants

@@ -1,0 +1,16 @@
+from collections.abc import Iterable, Sequence
+
+from cosmic_ray.ast import Node
+
+class Example:
+    def __init__(self, pre_mutation_code: str, post_mutation_code: str) -> None: ...
+
+class Operator:
+    @classmethod
+    def arguments(cls) -> Sequence[object]: ...
+    @classmethod
+    def examples(cls) -> Iterable[Example]: ...
+    def mutation_positions(
+        self, node: Node
+    ) -> Iterable[tuple[tuple[int, int], tuple[int, int]]]: ...
+    def mutate(self, node: Node, index: int) -> Node | None: ...

@@ -1,0 +1,6 @@
+from collections.abc import Iterable
+
+from cosmic_ray.operators.operator import Operator
+
+def operator_names() -> Iterable[str]: ...
+def get_operator(name: str) -> type[Operator]: ...
