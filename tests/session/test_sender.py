@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from m100link.errors import PayloadTooLarge, UsageError
@@ -227,6 +229,15 @@ def test_the_next_wakeup_is_the_earliest_deadline() -> None:
     assert sender.next_wakeup() == 2
 
 
+def test_all_that_is_due_is_repeated_at_once() -> None:
+    sender = Sender()
+    for data in (b"first", b"second", b"third"):
+        sender.request(data, now=0, timeout=1)
+    assert len(sent(sender)) == 3
+    sender.handle_timer(1)
+    assert [frame.data for frame in sent(sender)] == [b"first", b"second", b"third"]
+
+
 def test_a_late_timer_repeats_once_and_counts_anew() -> None:
     sender = Sender()
     sender.request(b"x", now=0, timeout=1, tries=3)
@@ -289,6 +300,30 @@ def test_what_the_sender_remembers_of_finished_requests_is_bounded() -> None:
         (frame,) = sent(sender)
         sender.receive_ack(ack(frame), 0)
     assert len(sender._finished) <= 256
+
+
+def test_of_finished_requests_the_oldest_are_forgotten_first() -> None:
+    sender = Sender()
+    frames = []
+    for _ in range(2000):
+        sender.request(b"x", now=0)
+        frames += sent(sender)
+        sender.receive_ack(ack(frames[-1]), 0)
+    sender.receive_ack(ack(frames[-1]), 0)
+    assert (sender.statistics.duplicate_acks, sender.statistics.foreign_acks) == (1, 0)
+    sender.receive_ack(ack(frames[0]), 0)
+    assert (sender.statistics.duplicate_acks, sender.statistics.foreign_acks) == (1, 1)
+
+
+def test_the_data_of_a_finished_request_is_let_go() -> None:
+    sender = Sender()
+    data = bytes(range(100))
+    before = sys.getrefcount(data)
+    for _ in range(100):
+        sender.request(data, now=0)
+        (frame,) = sent(sender)
+        sender.receive_ack(ack(frame), 0)
+    assert sys.getrefcount(data) == before
 
 
 # -- giving up -------------------------------------------------------------------------------------
