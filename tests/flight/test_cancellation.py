@@ -164,6 +164,47 @@ async def test_a_cancellation_of_somebody_else_is_let_through() -> None:
     assert block.was_ours is False
 
 
+async def test_a_cancellation_that_the_program_swallowed_before_does_not_hide_ours() -> None:
+    block = Block()
+
+    async def program() -> None:
+        try:
+            await asyncio.sleep(10)
+        except asyncio.CancelledError:
+            pass  # and nobody calls uncancel(): the request stays counted
+        async with block:
+            block.program.cancel()
+            await asyncio.sleep(10)
+
+    task = asyncio.create_task(program())
+    await asyncio.sleep(0.1)
+    task.cancel()
+    await task
+    assert block.was_ours
+
+
+async def test_it_is_taken_back_once() -> None:
+    """The next cancellation of the task is somebody else's."""
+    block = Block()
+
+    async def program() -> None:
+        async with block:
+            block.program.cancel()
+            await asyncio.sleep(10)
+        try:
+            await asyncio.sleep(10)
+        except asyncio.CancelledError as error:
+            assert not block.program.take_back(error)
+            raise
+
+    task = asyncio.create_task(program())
+    await asyncio.sleep(0.1)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert task.cancelling() == 1
+
+
 async def test_it_works_inside_a_timeout_and_around_one() -> None:
     async with asyncio.timeout(5.0), Block() as block, asyncio.timeout(5.0):
         block.program.cancel()
