@@ -122,7 +122,7 @@ class Trials:
         def run() -> int:
             if finder is not None:
                 sys.meta_path.insert(0, finder)
-            options = ["-qxs", "-p", "no:cacheprovider", "-m", "not pty", "--timeout", "40"]
+            options = ["-qxs", "-p", "no:cacheprovider", "-m", "not pty"]
             options += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]
             return int(pytest.main([*options, *files], plugins=[plugin]))
 
@@ -152,11 +152,12 @@ def in_copy(work: Callable[[], int], output: Path) -> int:
         os._exit(status)
 
 
-def limit_time(took: float) -> None:
-    """End this process when a test takes far longer than unchanged.
+def limit_time(item: pytest.Item, took: float) -> None:
+    """End this process when a test computes far longer than unchanged, or waits for ever.
 
     What counts is time of the processor: the load of the machine is not an endless loop.
     """
+    item.add_marker(pytest.mark.timeout(8 + 20 * took))
     limit = int(time.process_time() + 3 + 3 * took)
     resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))
 
@@ -207,9 +208,9 @@ class Selection:
         items[:] = [item for item in items if item.nodeid in self._places]
         items.sort(key=lambda item: self._places[item.nodeid])
 
-    @pytest.hookimpl(wrapper=True)
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        limit_time(self._took[item.nodeid])
+        limit_time(item, self._took[item.nodeid])
         return (yield)
 
 
@@ -256,7 +257,7 @@ class Bodies:
             function.__code__ = body
         following = [item for item, _ in chosen[1:]]
         for (item, took), after in zip(chosen, [*following, None], strict=True):
-            limit_time(took)
+            limit_time(item, took)
             item.ihook.pytest_runtest_protocol(item=item, nextitem=after)
             if session.testsfailed:
                 return 1
