@@ -25,9 +25,17 @@ from tests.mutation_changes import ROOT, Change, statement, text_of
 
 __all__ = ["Trials"]
 
-ENOUGH_S = 6.0
-"""Of tests for one change, beside the mirrored ones: lines that every flight runs would take the
-whole suite for each survivor."""
+ENOUGH_S = 12.0
+"""Of tests for one change, beside the mirrored ones, as long as they take while coverage is
+recorded (a third without): lines that every flight runs would take the whole suite otherwise."""
+
+PARTNERS = {
+    "control": ("control_ends",),
+    "lifecycle": ("control_ends", "stop_path"),
+    "stop_path": ("control_ends",),
+    "frame": ("frame_properties",),
+}
+"""Module, tests beside its own that are about it."""
 
 Place = tuple[str, int]
 """Qualified name and first line of a function."""
@@ -105,16 +113,20 @@ class Trials:
         if "" in names:
             every = self._lines[change.module].values()
             names = {name for found in every for name in found} - {""}
-        mirrored = f"{self._folder}/test_{Path(change.module).stem}"
-        chosen, spent = {}, 0.0
-        for name in sorted(
-            names, key=lambda name: (not name.startswith(mirrored), self._took[name])
-        ):
-            if not name.startswith(mirrored):
-                spent += self._took[name]
+        stem = Path(change.module).stem
+        mirrored = tuple(
+            f"{self._folder}/test_{name}.py" for name in (stem, *PARTNERS.get(stem, ()))
+        )
+        own = [name for name in names if name.startswith(mirrored)]
+        # One of each family of parameters says more than many of the fastest one.
+        slowest_first = [name for name in reversed(self._took) if name in names]
+        families = {name.partition("[")[0]: name for name in slowest_first}
+        chosen, spent = sorted(own, key=self._took.__getitem__), 0.0
+        for name in sorted(set(families.values()).difference(own), key=self._took.__getitem__):
+            spent += self._took[name]
             if spent <= ENOUGH_S:
-                chosen[name] = self._took[name]
-        return chosen
+                chosen.append(name)
+        return {name: self._took[name] for name in chosen}
 
     def _run(
         self, files: Sequence[str], plugin: object, *, name: str, finder: Changed | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 
 import anyio
 import pytest
@@ -168,10 +169,9 @@ async def test_a_cancellation_that_the_program_swallowed_before_does_not_hide_ou
     block = Block()
 
     async def program() -> None:
-        try:
+        with contextlib.suppress(asyncio.CancelledError):
             await asyncio.sleep(10)
-        except asyncio.CancelledError:
-            pass  # and nobody calls uncancel(): the request stays counted
+        # Nobody called uncancel(): that request stays counted.
         async with block:
             block.program.cancel()
             await asyncio.sleep(10)
@@ -191,17 +191,14 @@ async def test_it_is_taken_back_once() -> None:
         async with block:
             block.program.cancel()
             await asyncio.sleep(10)
-        try:
+        with pytest.raises(asyncio.CancelledError) as caught:
             await asyncio.sleep(10)
-        except asyncio.CancelledError as error:
-            assert not block.program.take_back(error)
-            raise
+        assert not block.program.take_back(caught.value)
 
     task = asyncio.create_task(program())
     await asyncio.sleep(0.1)
     task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
+    await task
     assert task.cancelling() == 1
 
 
