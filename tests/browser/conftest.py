@@ -23,9 +23,27 @@ CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.whic
 ARGUMENTS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def anyio_backend() -> str:
     return "asyncio"
+
+
+@pytest.fixture(scope="session")
+async def browser() -> AsyncIterator[Any]:
+    """Chromium, started once; each test has a context of its own in it."""
+    if CHROMIUM is None:
+        pytest.skip("there is no chromium: apt-get install chromium, or set CHROMIUM")
+    async with playwright.async_playwright() as started:
+        running = await started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield running
+        await running.close()
+
+
+@pytest.fixture(scope="session")
+async def address() -> AsyncIterator[str]:
+    """The address of a console for tests that need no page."""
+    async with running_console() as (report, _):
+        yield report["console"]
 
 
 class Watch:
@@ -60,18 +78,18 @@ class Watch:
 
 
 class Console:
-    """A running console, a browser, and what the page did that it should not."""
+    """A running console, its context of a browser, and what a page did that it should not."""
 
-    def __init__(self, url: str, process: asyncio.subprocess.Process, browser: Any) -> None:
+    def __init__(self, url: str, process: asyncio.subprocess.Process, context: Any) -> None:
         self.url = url
         self.process = process
-        self.browser = browser
+        self.context = context
         self.foreign: list[str] = []
         self.errors: list[str] = []
         self.watch: Watch
 
     async def open(self, script: str = "") -> Any:
-        page = await self.browser.new_page(viewport={"width": 1500, "height": 1100})
+        page = await self.context.new_page()
         page.on("request", self._note_request)
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         if script:
@@ -114,7 +132,7 @@ async def running_console(*options: str) -> AsyncIterator[tuple[dict[str, Any], 
     assert process.stdout is not None
     assert process.stderr is not None
     try:
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(PATIENCE):
             line = await process.stdout.readline()
         assert line, (await process.stderr.read()).decode()
         yield json.loads(line), process
@@ -134,21 +152,26 @@ async def running_console(*options: str) -> AsyncIterator[tuple[dict[str, Any], 
 
 
 @contextlib.asynccontextmanager
-async def console_in_browser(*options: str) -> AsyncIterator[Console]:
-    if CHROMIUM is None:
-        pytest.skip("there is no chromium: apt-get install chromium, or set CHROMIUM")
+async def context_of(browser: Any) -> AsyncIterator[Any]:
+    """A context of the browser, with nothing that another test left."""
+    context = await browser.new_context(viewport={"width": 1500, "height": 1100})
+    context.set_default_timeout(1000 * PATIENCE)
+    yield context
+    await context.close()
+
+
+@contextlib.asynccontextmanager
+async def console_in_browser(browser: Any, *options: str) -> AsyncIterator[Console]:
     async with (
         running_console(*options) as (report, process),
-        playwright.async_playwright() as started,
+        context_of(browser) as context,
         connect(report["rosbridge"][0]) as socket,
     ):
-        browser = await started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        console = Console(report["console"], process, browser)
+        console = Console(report["console"], process, context)
         console.watch = Watch(socket)
         watching = asyncio.create_task(console.watch.run())
         await until(lambda: len(console.watch.newest) == 4)
         yield console
-        await browser.close()
         watching.cancel()
         await asyncio.gather(watching, return_exceptions=True)
         assert console.errors == []
@@ -156,6 +179,6 @@ async def console_in_browser(*options: str) -> AsyncIterator[Console]:
 
 
 @pytest.fixture
-async def console() -> AsyncIterator[Console]:
-    async with console_in_browser() as one:
+async def console(browser: Any) -> AsyncIterator[Console]:
+    async with console_in_browser(browser) as one:
         yield one

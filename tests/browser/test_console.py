@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
+import signal
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -12,16 +14,14 @@ from typing import Any
 import pytest
 
 from tests.browser.conftest import (
-    ARGUMENTS,
-    CHROMIUM,
     Console,
     console_in_browser,
-    playwright,
+    context_of,
     running_console,
     until,
 )
 
-pytestmark = [pytest.mark.anyio, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.anyio]
 
 
 async def press(page: Any, name: str) -> None:
@@ -93,7 +93,7 @@ async def test_a_whole_mission_by_clicks_and_keys(console: Console) -> None:
     await page.keyboard.up("w")
     await until(lambda: is_still(console))
     await hold(page, "land")
-    await until(lambda: watch.status == 1, within=40)
+    await until(lambda: watch.status == 1)
     await page.wait_for_function("document.querySelector('#task').textContent === ''")
     await press(page, "release")
     await banner(page, "Nobody has control")
@@ -190,7 +190,7 @@ async def test_a_key_whose_release_is_not_told_stops(console: Console) -> None:
     await page.keyboard.down("w")
     await until(lambda: console.watch.speed[1] > 0.5)
     await page.keyboard.down("Meta")  # macOS sends no keyup from now on
-    await until(lambda: is_still(console), within=6.0)
+    await until(lambda: is_still(console), within=20.0)
     assert await page.evaluate("window.m100.steering.held.size") == 0
 
 
@@ -234,7 +234,7 @@ async def test_two_tabs_and_a_take_over(console: Console) -> None:
     assert is_still(console)
     await press(first, "stop")  # anybody may stop
     await hold(second, "land")
-    await until(lambda: console.watch.status == 1, within=40)
+    await until(lambda: console.watch.status == 1)
 
 
 async def test_fields_grey_out_by_age_each_in_its_time(console: Console) -> None:
@@ -253,10 +253,17 @@ async def test_fields_grey_out_by_age_each_in_its_time(console: Console) -> None
     await page.wait_for_selector(field.format("height") + ":not(.stale)")
 
 
+def child_of(process: int) -> int:
+    [child] = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    return int(child)
+
+
 async def test_everything_greys_when_the_station_is_gone(console: Console) -> None:
     page = await console.open()
+    front = child_of(console.process.pid)
     console.process.kill()
     await page.wait_for_function("document.body.classList.contains('station-lost')")
+    os.kill(front, signal.SIGTERM)  # by itself it would say so for a minute
     console.watch.newest.clear()
 
 
@@ -310,10 +317,10 @@ async def test_the_stick_on_the_screen_flies_while_it_is_held(console: Console) 
     await until(lambda: is_still(console))
 
 
-async def test_map_tiles_come_from_a_folder(tmp_path: Path) -> None:
+async def test_map_tiles_come_from_a_folder(browser: Any, tmp_path: Path) -> None:
     for zoom in range(10, 20):
         (tmp_path / str(zoom)).mkdir()  # no tile at all is no error either
-    async with console_in_browser("--tiles", str(tmp_path)) as console:
+    async with console_in_browser(browser, "--tiles", str(tmp_path)) as console:
         page = await console.open()
         await page.wait_for_function("window.m100.track.images.size > 0")
         path = await page.evaluate("[...window.m100.track.images.keys()][0]")
@@ -328,9 +335,9 @@ async def test_map_tiles_come_from_a_folder(tmp_path: Path) -> None:
     "headers", [{"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"}]
 )
 async def test_the_console_is_not_for_pages_from_elsewhere(
-    console: Console, headers: dict[str, str]
+    address: str, headers: dict[str, str]
 ) -> None:
-    request = urllib.request.Request(console.url, headers=headers)
+    request = urllib.request.Request(address, headers=headers)
     with pytest.raises(urllib.error.HTTPError) as caught:
         await asyncio.to_thread(urllib.request.urlopen, request)
     assert caught.value.code == 403
@@ -339,7 +346,7 @@ async def test_the_console_is_not_for_pages_from_elsewhere(
 
 async def test_a_page_elsewhere_cannot_show_the_console_in_a_frame(console: Console) -> None:
     # Seen by the user: a game. Clicked by the user: take-off, in an invisible frame above it.
-    page = await console.browser.new_page()
+    page = await console.context.new_page()
     asked = []
     page.on("response", lambda answer: asked.append((answer.url, answer.status)))
     trap = f"<button>play</button><iframe style='opacity:0' src='{console.url}'></iframe>"
@@ -353,10 +360,10 @@ async def test_a_page_elsewhere_cannot_show_the_console_in_a_frame(console: Cons
     assert not any("startConsole" in text for text in shown)
 
 
-async def test_what_the_console_answers_forbids_frames(console: Console) -> None:
+async def test_what_the_console_answers_forbids_frames(address: str) -> None:
     for path in ("", "console/console.js", "none"):
         try:
-            answer = await asyncio.to_thread(urllib.request.urlopen, console.url + path)
+            answer = await asyncio.to_thread(urllib.request.urlopen, address + path)
         except urllib.error.HTTPError as error:
             answer = error
         with answer:
@@ -364,27 +371,28 @@ async def test_what_the_console_answers_forbids_frames(console: Console) -> None
             assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
 
 
-async def test_a_token_stands_neither_in_the_address_nor_on_a_command_line(tmp_path: Path) -> None:
+async def test_a_token_stands_neither_in_the_address_nor_on_a_command_line(
+    browser: Any, tmp_path: Path
+) -> None:
     token = "0123456789abcdefXY"
     path = tmp_path / "token"
     path.write_text(token)
     path.chmod(0o600)
     async with (
         running_console("--token-file", str(path)) as (report, _),
-        playwright.async_playwright() as started,
+        context_of(browser) as context,
+        context_of(browser) as elsewhere,
     ):
         url = report["console"]
         assert token not in url
-        browser = await started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        page = await browser.new_page()
-        await page.context.add_cookies([{"name": "json", "value": '{"a":1}', "url": url}])
+        page = await context.new_page()
+        await context.add_cookies([{"name": "json", "value": '{"a":1}', "url": url}])
         await page.goto(url)
         await page.wait_for_function("window.m100 && window.m100.socket.heardAt > 0")
         assert page.url == url.partition("?")[0]
-        assert token not in str(await page.context.cookies())
+        assert token not in str(await context.cookies())
         assert (await page.reload()).ok
-        other = await (await browser.new_context()).new_page()
+        other = await elsewhere.new_page()
         assert (await other.goto(url)).status == 403  # used already
         assert (await other.goto(f"{page.url}?token={token}")).ok
         assert other.url == page.url
-        await browser.close()
