@@ -1,24 +1,27 @@
 """What `nox` runs. Every session reads its packages from the dependency groups of pyproject.toml.
 
-`nox` alone runs the sessions that must be green: lint, types, docs, examples, interop, browser and
-tests. They use the Python that runs nox. `nox --list` names the others.
+`nox` alone runs `check`: all kinds of checks that must be green (lint, types, docs, examples,
+interop, browser, tests) in one environment, side by side. `nox -s lint` runs one kind in an
+environment of its own. They use the Python that runs nox. `nox --list` names the others.
 """
 
 from __future__ import annotations
 
 import concurrent.futures
+import os
 import re
 import subprocess
 import tarfile
+import time
 import zipfile
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 
 import nox
+from nox.command import CommandFailed
 
 nox.needs_version = ">=2025.2.9"
-# Tests come last, so that a run ends with what they have to say.
-nox.options.sessions = ["lint", "types", "docs", "examples", "interop", "browser", "tests"]
+nox.options.sessions = ["check"]
 nox.options.reuse_venv = "yes"
 
 PYPROJECT = nox.project.load_toml("pyproject.toml")
@@ -28,7 +31,6 @@ DOCS_OUTPUT = "docs/_build"
 # Branch coverage that `nox -s coverage` asks for, in percent.
 COVERED = {"m100link/wire": 100, "m100link/session": 100, "m100link/protocol": 100, "m100link": 93}
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
-PARALLEL = ("-n", "2", "--dist", "worksteal")
 
 
 def group(*names: str) -> list[str]:
@@ -41,75 +43,136 @@ def existing(*names: str) -> list[str]:
     return [name for name in names if Path(name).exists()]
 
 
+def workers(count: int) -> tuple[str, ...]:
+    """Options of pytest for so many processes; none of them keeps a cache that another writes."""
+    return "-n", str(count), "--dist", "worksteal", "-p", "no:cacheprovider"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of check: what it needs and what it runs.
+
+    Attributes:
+        commands: By title. None depends on another, so they may run in any order or side by side.
+        groups: Dependency groups that it needs.
+        package: Whether it needs the package itself, installed as users install it.
+    """
+
+    commands: dict[str, tuple[str, ...]]
+    groups: tuple[str, ...] = ()
+    package: bool = True
+
+
+def pytest(*arguments: str) -> tuple[str, ...]:
+    """A run of pytest on the installed package.
+
+    Appending the tree to the path instead of prepending it leaves `import m100link` to that one.
+    """
+    return "pytest", "--import-mode=append", *arguments
+
+
+def sphinx(builder: str) -> tuple[str, ...]:
+    """A build of the manual in which every warning is an error."""
+    options = ("--nitpicky", "--fail-on-warning", "--keep-going", "--quiet")
+    return "sphinx-build", *options, "-b", builder, "docs", f"{DOCS_OUTPUT}/{builder}"
+
+
+OWN_SESSIONS = ("--ignore=tests/interop", "--ignore=tests/browser")
+CHECKED = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
+PROGRAMS = sorted(str(path) for path in Path("examples").glob("*.py"))
+
+# In the order in which `nox` begins them: what takes longest, first.
+KINDS = {
+    "browser": Kind({"browser": pytest(*workers(3), "tests/browser")}, groups=("test", "browser")),
+    "tests": Kind(
+        {
+            "tests": pytest(*OWN_SESSIONS, *workers(2), "-m", "not pty"),
+            # They keep real time and mostly wait.
+            "tests (pty)": pytest(*OWN_SESSIONS, *workers(4), "-m", "pty"),
+        },
+        groups=("test",),
+    ),
+    "interop": Kind({"interop": pytest("tests/interop")}, groups=("test", "interop")),
+    "types": Kind(
+        {"mypy": ("mypy", *CHECKED), "pyright": ("pyright",)},
+        groups=("types", "test", "docs", "bench", "browser", "interop"),
+    ),
+    # m100link.testing needs pytest.
+    "docs": Kind(
+        {f"docs ({builder})": sphinx(builder) for builder in ("html", "doctest")},
+        groups=("docs", "test"),
+    ),
+    "examples": Kind({program: ("python", "-W", "error", program) for program in PROGRAMS}),
+    "lint": Kind(
+        {
+            "ruff check": ("ruff", "check", "."),
+            "ruff format": ("ruff", "format", "--check", "."),
+            "lint-imports": ("lint-imports",),
+        },
+        groups=("lint",),
+        package=False,
+    ),
+}
+
+
 @nox.session
+def check(session: nox.Session) -> None:
+    """All kinds of checks in one environment, side by side; all end, whichever of them fails."""
+    install(session, PACKAGE, *group(*sorted({name for k in KINDS.values() for name in k.groups})))
+    run_all(session, {title: c for kind in KINDS.values() for title, c in kind.commands.items()})
+
+
+@nox.session(default=False)
 def lint(session: nox.Session) -> None:
     """Style, formatting, and the arrows of the architecture."""
-    session.install(*group("lint"))
-    session.run("ruff", "check", ".")
-    session.run("ruff", "format", "--check", ".")
-    session.run("lint-imports")
+    run_kind(session, "lint")
 
 
-@nox.session
+@nox.session(default=False)
 def types(session: nox.Session) -> None:
     """mypy --strict and pyright."""
-    session.install("-e", PACKAGE, *group("types", "test", "docs", "bench", "browser", "interop"))
-    checked = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
-    session.run("mypy", *checked)
-    session.run("pyright", "--pythonpath", f"{session.bin}/python")
+    run_kind(session, "types")
 
 
-@nox.session
+@nox.session(default=False)
 def docs(session: nox.Session) -> None:
     """The manual: every warning is an error, every example in it is run."""
-    session.install(PACKAGE, *group("docs", "test"))  # m100link.testing needs pytest
-    options = ("--nitpicky", "--fail-on-warning", "--keep-going", "--quiet")
-    for builder in ("html", "doctest"):
-        session.run("sphinx-build", *options, "-b", builder, "docs", f"{DOCS_OUTPUT}/{builder}")
+    run_kind(session, "docs")
 
 
-@nox.session
+@nox.session(default=False)
 def examples(session: nox.Session) -> None:
     """Every example program flies, against a virtual aircraft."""
-    session.install(PACKAGE)
-    programs = sorted(Path("examples").glob("*.py"))
-    # They fly in real time and mostly wait: side by side they take as long as the longest.
-    with concurrent.futures.ThreadPoolExecutor(len(programs)) as pool:
-        ends = list(pool.map(partial(fly, f"{session.bin}/python"), programs))
-    for program, (status, output) in zip(programs, ends, strict=True):
-        session.log(f"{program}: exit status {status}\n{output}")
-    if any(status for status, _ in ends):
-        session.error("an example failed")
+    run_kind(session, "examples")
 
 
-def fly(python: str, program: Path) -> tuple[int, str]:
-    """Exit status of an example program, and the end of what it printed."""
-    ended = subprocess.run(
-        [python, "-W", "error", str(program)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=180,
-        check=False,
-    )
-    return ended.returncode, "\n".join(ended.stdout.splitlines()[-4:])
+@nox.session(default=False)
+def interop(session: nox.Session) -> None:
+    """The ground station and clients that others wrote: roslibpy, and roslib where node is."""
+    run_kind(session, "interop")
 
 
-@nox.session
+@nox.session(default=False)
+def browser(session: nox.Session) -> None:
+    """The console in Chromium; skipped with a reason where there is none."""
+    run_kind(session, "browser")
+
+
+@nox.session(default=False)
 def tests(session: nox.Session) -> None:
-    """The test suite on the installed package.
-
-    What keeps real time over a pseudo-terminal mostly waits, what runs on virtual time never does:
-    each kind has the processors to itself.
-    """
-    run_tests(session, *PARALLEL, "-m", "pty")
-    run_tests(session, *PARALLEL, "-m", "not pty")
+    """The test suite. `-- tests/session -x` gives pytest its arguments."""
+    if session.posargs:
+        install(session, PACKAGE, *group("test"))
+        session.run(*pytest(*session.posargs))
+    else:
+        run_kind(session, "tests")
 
 
 @nox.session(default=False)
 def coverage(session: nox.Session) -> None:
     """The test suite with branch coverage, which takes twice as long, and whether it suffices."""
-    run_tests(session, "--cov", "--cov-report=")
+    install(session, PACKAGE, *group("test"))
+    session.run(*pytest(*OWN_SESSIONS, "--cov", "--cov-report=", *session.posargs))
     for part, percent in COVERED.items():
         session.log(f"{part}: at least {percent} %")
         session.run("coverage", "report", f"--include=*/{part}/*", f"--fail-under={percent}")
@@ -118,7 +181,8 @@ def coverage(session: nox.Session) -> None:
 @nox.session(python=["3.11", "3.12", "3.13", "3.14"], default=False)
 def pythons(session: nox.Session) -> None:
     """The test suite on other Pythons, where they are installed."""
-    run_tests(session)
+    install(session, PACKAGE, *group("test"))
+    run_all(session, KINDS["tests"].commands)
 
 
 @nox.session(default=False)
@@ -126,30 +190,63 @@ def minimum(session: nox.Session) -> None:
     """The test suite on the lowest versions that pyproject.toml allows."""
     declared = [*PYPROJECT["project"]["dependencies"], *(one for e in EXTRAS.values() for one in e)]
     lowest = [re.sub(r">=\s*", "==", requirement) for requirement in declared]
-    run_tests(session, constrained_to=lowest)
+    install(session, PACKAGE, *group("test"), *lowest)
+    run_all(session, KINDS["tests"].commands)
 
 
-def run_tests(session: nox.Session, *options: str, constrained_to: list[str] | None = None) -> None:
-    """Install as a user would, with the extras, and run pytest."""
-    session.install(PACKAGE, *group("test"), *(constrained_to or []))
-    # Appending the tree to the path instead of prepending it leaves `import m100link` to the
-    # installed package.
-    own_sessions = ("--ignore=tests/interop", "--ignore=tests/browser")
-    session.run("pytest", "--import-mode=append", *own_sessions, *options, *session.posargs)
+def run_kind(session: nox.Session, name: str) -> None:
+    """One kind of check in an environment of its own."""
+    kind = KINDS[name]
+    install(session, *([PACKAGE] if kind.package else []), *group(*kind.groups))
+    run_all(session, kind.commands)
 
 
-@nox.session
-def interop(session: nox.Session) -> None:
-    """The ground station and clients that others wrote: roslibpy, and roslib where node is."""
-    session.install(PACKAGE, *group("test", "interop"))
-    session.run("pytest", "--import-mode=append", "tests/interop", *session.posargs)
+def install(session: nox.Session, *requirements: str) -> None:
+    """Install with uv, which takes a tenth of pip's time, or with pip where uv cannot be had."""
+    afresh = ("--reinstall-package", "m100link")  # uv takes a tree for old that has the old version
+    if session.venv_backend == "uv":
+        session.install(*afresh, *requirements)
+        return
+    try:
+        session.run("python", "-m", "pip", "install", "--quiet", "uv")
+        environment = ("--python", str(Path(session.bin) / "python"))
+        session.run("uv", "pip", "install", "--quiet", *environment, *afresh, *requirements)
+    except CommandFailed:
+        session.log("uv does not work here: pip takes its place")
+        session.install(*requirements)
 
 
-@nox.session
-def browser(session: nox.Session) -> None:
-    """The console in Chromium; skipped with a reason where there is none."""
-    session.install(PACKAGE, *group("test", "browser"))
-    session.run("pytest", "--import-mode=append", *PARALLEL, "tests/browser", *session.posargs)
+def run_all(session: nox.Session, commands: dict[str, tuple[str, ...]]) -> None:
+    """Run commands side by side and print what each said when it ends; fail at the end."""
+    ended: dict[str, tuple[int, float]] = {}
+    # Half of them wait for aircraft and browsers most of the time.
+    with concurrent.futures.ThreadPoolExecutor(2 + (os.cpu_count() or 1)) as pool:
+        running = {pool.submit(run_one, session, *line): title for title, line in commands.items()}
+        for done in concurrent.futures.as_completed(running):
+            title, (status, seconds, output) = running[done], done.result()
+            ended[title] = status, seconds
+            session.log(f"{title}: exit status {status} after {seconds:.0f} s\n{output}")
+    for title, (status, seconds) in ended.items():
+        session.log(f"{'FAILED' if status else 'passed'} {seconds:4.0f} s  {title}")
+    failed = [title for title, (status, _) in ended.items() if status]
+    if failed:
+        session.error(f"failed: {', '.join(failed)}")
+
+
+def run_one(session: nox.Session, program: str, *arguments: str) -> tuple[int, float, str]:
+    """Exit status of a program of the session's environment, its seconds, and what it printed."""
+    begun = time.monotonic()
+    place = Path(session.bin)
+    ended = subprocess.run(
+        [place / program, *arguments],
+        env=os.environ | {"PATH": f"{place}{os.pathsep}{os.environ['PATH']}"},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    return ended.returncode, time.monotonic() - begun, ended.stdout.rstrip()
 
 
 @nox.session(default=False)
