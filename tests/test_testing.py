@@ -95,7 +95,6 @@ def test_virtual_port_may_be_closed_twice() -> None:
     port.close()
 
 
-@pytest.mark.timeout(180)  # a whole suite of its own
 def test_the_example_project_passes_its_own_suite() -> None:
     ended = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error"],
@@ -104,7 +103,7 @@ def test_the_example_project_passes_its_own_suite() -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=150,
+        timeout=2 * PATIENCE,
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "5 passed" in ended.stdout

@@ -26,8 +26,9 @@ from tests.station.web.test_server import (
     station,
     until,
 )
+from tests.waiting import PATIENCE, kept_waiting
 
-pytestmark = [pytest.mark.anyio, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.anyio]
 
 SECONDS = 3.0
 ATTACKS = ["large_arrays", "half_open", "idle_sockets", "orders", "greedy_readers"]
@@ -45,17 +46,25 @@ async def flying(**options: Any) -> AsyncIterator[tuple[Running, ClientConnectio
         await opened(one, pilot)
         await publish(pilot, "/sdk_request_cmd", "std_msgs/Float32", data=4)
         await until(lambda: bool(one.bridge.agent.state.task))
-        await until(lambda: not one.bridge.agent.state.task, within=30)
+        await until(lambda: not one.bridge.agent.state.task)
         topic = {"topic": "/sdk_request_ctrl", "type": "geometry_msgs/Quaternion"}
         await send(pilot, "advertise", **topic)
         yield one, pilot
 
 
 async def fly(one: Running, pilot: ClientConnection, attacker: asyncio.subprocess.Process) -> float:
-    """Hold a key until the attack has ended; returns the longest time without a movement frame."""
+    """Hold a key until the attack has ended; returns the longest time without a movement frame.
+
+    The attackers take the processor, and so may others: time for which we were ready to run does
+    not count.
+    """
     assert one.virtual is not None
     loop, counters = asyncio.get_running_loop(), one.virtual.autopilot.counters
-    longest, moved_at, count = 0.0, loop.time(), counters.movements
+
+    def now() -> float:
+        return loop.time() - kept_waiting()
+
+    longest, moved_at, count = 0.0, now(), counters.movements
     key = json.dumps({"op": "publish", "topic": "/sdk_request_ctrl", "msg": {"z": 1.0}})
     next_key = loop.time()
     while attacker.returncode is None:
@@ -65,8 +74,8 @@ async def fly(one: Running, pilot: ClientConnection, attacker: asyncio.subproces
         await asyncio.sleep(0.002)
         if counters.movements != count:
             count = counters.movements
-            longest, moved_at = max(longest, loop.time() - moved_at), loop.time()
-        assert loop.time() - moved_at < 2.0, "no movement frame for two seconds"
+            longest, moved_at = max(longest, now() - moved_at), now()
+        assert now() - moved_at < 2.0, "no movement frame for two seconds"
     return longest
 
 
@@ -86,7 +95,7 @@ async def test_the_pilot_flies_on_through_every_attack() -> None:
             assert one.agent.desk.holder(one.agent.now) is not None, name
             # What happened before can still be read.
             assert notes[-1].number - before < 60, name
-            # A setpoint lasts 0.7 s at most; the machine may have other work.
+            # A setpoint lasts 0.7 s at most.
             assert gap < 0.5, name
 
 
@@ -104,11 +113,11 @@ async def test_whoever_is_welcome_gets_in(name: str) -> None:
     async with station(max_clients=8) as one:
         attacker = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", f"tests.attacks.{name}", str(one.ports[0])),
-            *("--seconds", "30"),
+            *("--seconds", str(PATIENCE)),
         )
         try:
             await asyncio.sleep(3.0)
-            async with asyncio.timeout(25):
+            async with asyncio.timeout(PATIENCE / 2):
                 while not await gets_in(one):  # noqa: ASYNC110 - it tries again
                     await asyncio.sleep(0.1)
         finally:

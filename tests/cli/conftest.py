@@ -86,7 +86,7 @@ def app(key_file: Path) -> list[str]:
     return ["--app-id", str(DEMO_APP_ID), "--key-file", str(key_file)]
 
 
-def process(*arguments: str, timeout: float = 60.0, stdin: str = "") -> Outcome:
+def process(*arguments: str, timeout: float = PATIENCE, stdin: str = "") -> Outcome:
     """Run a command as users do."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("M100LINK_")}
     done = subprocess.run(

@@ -15,7 +15,7 @@ import pytest
 from tests.cli.conftest import ROOT, Outcome, process
 from tests.waiting import PATIENCE
 
-pytestmark = [pytest.mark.pty, pytest.mark.timeout(180)]  # a flight, on a busy machine
+pytestmark = [pytest.mark.pty]
 
 
 def demo(*arguments: str) -> Outcome:

@@ -9,7 +9,7 @@ from m100link.cli.outcome import ExitCode
 from tests.cli.conftest import Simulator, process
 
 # Several programs in a row fly in real time: more than the usual time-out on a busy machine.
-pytestmark = [pytest.mark.pty, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.pty]
 
 
 def test_take_off_fly_and_land_from_the_shell(simulator: Simulator, app: list[str]) -> None:

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.waiting import PATIENCE
+
 pytest.importorskip("cyclopts")
 pytest.importorskip("uvicorn")
 from cryptography import x509
@@ -95,7 +97,7 @@ async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) ->
         await client.send(json.dumps(call))
         assert json.loads(await client.recv())["values"]["result"] is True
         process.send_signal(number)
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(PATIENCE):
             _, talk = await process.communicate()
     assert process.returncode == 0
     assert b"control authority released" in talk

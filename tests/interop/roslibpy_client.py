@@ -15,7 +15,7 @@ import roslibpy
 
 def main(host: str, port: int) -> None:
     ros = roslibpy.Ros(host, port)
-    ros.run(timeout=30)
+    ros.run(timeout=120)
     seen: dict[str, Any] = {"connected": ros.is_connected, "topics": ros.get_topics()}
     seen["type"] = ros.get_topic_type("/dji_sdk/imu")
     seen["services"] = ros.get_services()
@@ -31,7 +31,7 @@ def main(host: str, port: int) -> None:
 
     def call(name: str, kind: str, **request: Any) -> Any:
         service = roslibpy.Service(ros, name, kind)
-        return dict(service.call(roslibpy.ServiceRequest(request), timeout=30))
+        return dict(service.call(roslibpy.ServiceRequest(request), timeout=120))
 
     seen["activation"] = call("/dji_sdk/activation", "dji_sdk/Activation")
     seen["authority"] = call(

@@ -20,7 +20,6 @@ pytest.importorskip("starlette", reason="the extra `station` is not installed")
 pytest.importorskip("roslibpy", reason="roslibpy is not installed: nox -s interop")
 
 HERE = Path(__file__).parent
-pytestmark = [pytest.mark.timeout(180)]
 
 NAMES_OF_2015 = {
     *("/sdk_request_cmd", "/nav_open_close_request", "/sdk_request_ctrl", "/sdk_request_ctrl_mode"),
@@ -54,7 +53,7 @@ def station() -> Iterator[str]:
 
 def run(*command: str, cwd: Path | None = None) -> Any:
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, cwd=cwd, check=False
+        command, capture_output=True, text=True, timeout=2 * PATIENCE, cwd=cwd, check=False
     )
     assert done.returncode == 0, done.stderr + done.stdout
     return json.loads(done.stdout.strip().splitlines()[-1])

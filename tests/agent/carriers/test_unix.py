@@ -22,6 +22,7 @@ from m100link.agent.carriers.unix import (
 )
 from m100link.agent.messages import MAX_SIZE, Event, Message, Note, Telemetry, encode
 from m100link.errors import PortFailed, PortNotFound
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -44,7 +45,7 @@ class End:
 
 
 async def until(predicate: Callable[[], bool]) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE):
         while not predicate():  # noqa: ASYNC110 - a socket has no event for it
             await asyncio.sleep(0.001)
 
@@ -100,7 +101,7 @@ async def test_what_is_not_a_message_ends_the_connection(data: bytes) -> None:
             raw.connect(str(path))
             raw.setblocking(False)
             raw.send(data)
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(PATIENCE):
                 while await loop.sock_recv(raw, 1000):
                     pass
         assert agent.inbox == []

@@ -18,6 +18,7 @@ from websockets.asyncio.client import connect
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
 from m100link.station.run import Running, running
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -39,13 +40,13 @@ async def station(**options: Any) -> AsyncIterator[Running]:
         yield one
 
 
-async def until(predicate: Callable[[], bool], within: float = 30.0) -> None:
+async def until(predicate: Callable[[], bool], within: float = PATIENCE) -> None:
     async with asyncio.timeout(within):
         while not predicate():  # noqa: ASYNC110 - polls what has no event
             await asyncio.sleep(0.005)
 
 
-async def ask(port: int, request: str, within: float = 30.0) -> str:
+async def ask(port: int, request: str, within: float = PATIENCE) -> str:
     """Bytes out as they stand, head of the answer in lower case back."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     try:
@@ -141,7 +142,7 @@ async def test_a_request_has_to_come_in_time(begin: bytes, monkeypatch: pytest.M
                     await writer.drain()
 
         dripping = asyncio.create_task(drip())
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(PATIENCE):
             with contextlib.suppress(ConnectionError):
                 while await reader.read(1000):
                     pass

@@ -25,6 +25,7 @@ from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import Settings
 from m100link.station.ros.client import Client
 from m100link.station.run import Running, running
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -44,7 +45,7 @@ async def station(**options: Any) -> AsyncIterator[Running]:
         yield one
 
 
-async def until(predicate: Callable[[], bool], within: float = 30.0) -> None:
+async def until(predicate: Callable[[], bool], within: float = PATIENCE) -> None:
     async with asyncio.timeout(within):
         while not predicate():  # noqa: ASYNC110 - polls what has no event
             await asyncio.sleep(0.005)
@@ -63,7 +64,7 @@ async def publish(client: ClientConnection, topic: str, kind: str, **message: An
     await send(client, "publish", topic=topic, msg=message)
 
 
-async def receive(client: ClientConnection, within: float = 30.0) -> Any:
+async def receive(client: ClientConnection, within: float = PATIENCE) -> Any:
     async with asyncio.timeout(within):
         return json.loads(await client.recv())
 
@@ -82,7 +83,7 @@ async def test_a_client_sees_telemetry_and_flies() -> None:
             assert (await receive(watcher))["msg"] == {"data": 1.0}
             await opened(one, pilot)
             await publish(pilot, "/sdk_request_cmd", "std_msgs/Float32", data=4)
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(PATIENCE):
                 while (await receive(watcher))["msg"] != {"data": 3.0}:
                     pass
         await until(lambda: not one.agent.holding.has_authority)
@@ -242,7 +243,7 @@ async def test_who_does_not_read_is_disconnected_and_costs_little_until_then() -
             tracemalloc.start()
             before = tracemalloc.get_traced_memory()[0]
             received = 0
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(PATIENCE):
                 while (
                     len(one.bridge.graph.sessions) == 2
                 ):  # who does not read does not answer pings
