@@ -277,10 +277,12 @@ class Link(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Bytes from the line."""
-        now = self._loop.time()
-        self.last_received_at = now
-        self._dispatch(iter(self._endpoint.receive_data(data, now)), now)
-        if self._endpoint.has_output:  # rarely: most of what arrives is telemetry
+        now = self.last_received_at = self._loop.time()
+        endpoint = self._endpoint
+        events = endpoint.receive_data(data, now)
+        if events:
+            self._dispatch(iter(events), now)
+        if not endpoint.only_pushes and endpoint.has_output:
             self._flush()
             self._set_timer()
 

@@ -20,6 +20,9 @@ class Endpoint:
     Args:
         first_sequence: See :class:`~m100link.session.Sender`.
         forget_after: See :class:`~m100link.session.Receiver`.
+
+    Attributes:
+        only_pushes: The last bytes brought nothing but pushes, which leave nothing to write.
     """
 
     def __init__(self, *, first_sequence: int = 0, forget_after: float | None = None) -> None:
@@ -27,6 +30,7 @@ class Endpoint:
         self.decoder = FrameDecoder()
         self.sender = Sender(first_sequence=first_sequence, statistics=self.statistics)
         self.receiver = Receiver(forget_after=forget_after, statistics=self.statistics)
+        self.only_pushes = True
         self._pushed: deque[bytes] = deque()
 
     @property
@@ -46,7 +50,9 @@ class Endpoint:
         frames = self.decoder.feed(data)
         for frame in frames:
             if frame.session or frame.is_ack:
+                self.only_pushes = False
                 return self._sort_out(frames, now)
+        self.only_pushes = True
         self.statistics.commands += len(frames)
         return frames
 

@@ -23,7 +23,7 @@ __all__ = [
 ]
 
 _TOLERANCE_S = 1e-6  # a value exactly one interval after the last is not early
-_ANY = -1  # all kinds
+_ANY, _NONE = -1, 0  # kinds of values
 
 T = TypeVar("T")
 
@@ -70,7 +70,7 @@ class Queue(Generic[T]):
     """Values that wait for one consumer: what the reader of the line fills.
 
     Attributes:
-        wanted: Kinds of values that are queued, a bit for each.
+        wanted: Kinds of values that are queued, a bit for each; none once the stream has ended.
         values: What waits, oldest first.
         waiter: Resolved when there is something to take; None while nobody waits for it. The
             hub keeps a waiting consumer alive by it, as nothing else needs to.
@@ -102,8 +102,8 @@ class Queue(Generic[T]):
         self.thinned = 0
 
     def put(self, value: T, now: float) -> None:
-        """Queue a value, as the policy says. Called by the reader; never waits, never raises."""
-        if self.error is not None or self.is_closed or (self._min_interval and self._thins(now)):
+        """Queue a wanted value, as the policy says. Called by the reader; never waits or raises."""
+        if self._min_interval and self._thins(now):
             return
         self.received += 1
         values = self.values
@@ -142,7 +142,13 @@ class Queue(Generic[T]):
         """End the stream with an error, after what is queued."""
         if self.error is None:
             self.error = error
+            self.wanted = _NONE
             self.wake()
+
+    def close(self) -> None:
+        """Nobody takes values any more. Marks only: it is called in whichever thread."""
+        self.is_closed = True
+        self.wanted = _NONE
 
     def wake(self) -> None:
         """Let the consumer look."""
@@ -185,13 +191,13 @@ class Subscription(Generic[T]):
         """Stop receiving. May be called any number of times."""
         queue = self._queue
         if not queue.is_closed:
-            queue.is_closed = True
+            queue.close()
             queue.values.clear()
             queue.wake()
 
     def __del__(self) -> None:
-        # In whichever thread and at whichever moment: a mark, on which the hub acts in its own.
-        self._queue.is_closed = True
+        # In whichever thread and at whichever moment: marks, on which the hub acts in its own.
+        self._queue.close()
 
     async def __aenter__(self) -> Self:
         return self
@@ -225,7 +231,7 @@ class Hub(Generic[T]):
     """Gives each value to every subscription.
 
     It holds the queues and not the subscriptions: those belong to their consumers, and a queue
-    whose subscription is gone is dropped with the next value.
+    that has ended, or whose subscription is gone, is dropped with the next value.
     """
 
     def __init__(self) -> None:
@@ -244,19 +250,19 @@ class Hub(Generic[T]):
         queue: Queue[T] = Queue(policy, min_interval=min_interval, wanted=wanted)
         if self._error is not None:
             queue.fail(self._error)
-        self._queues = (*(other for other in self._queues if not other.is_closed), queue)
+        self._queues = (*(other for other in self._queues if other.wanted), queue)
         return Subscription(queue)
 
     def publish(self, value: T, now: float, kinds: int = _ANY) -> None:
         """Queue the value wherever one of its kinds is wanted."""
-        is_any_closed = False
+        has_any_ended = False
         for queue in self._queues:
-            if queue.is_closed:
-                is_any_closed = True
-            elif queue.wanted & kinds:
+            if queue.wanted & kinds:
                 queue.put(value, now)
-        if is_any_closed:
-            self._queues = tuple(queue for queue in self._queues if not queue.is_closed)
+            elif not queue.wanted:
+                has_any_ended = True
+        if has_any_ended:
+            self._queues = tuple(queue for queue in self._queues if queue.wanted)
 
     def fail(self, error: M100Error) -> None:
         """End every subscription, present and future, with the error."""
