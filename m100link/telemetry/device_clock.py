@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from operator import mul, sub
 from typing import NamedTuple
 
 __all__ = ["DeviceClock", "HostTime"]
@@ -88,6 +89,7 @@ class DeviceClock:
         self._arrivals: list[tuple[float, float]] = []  # device time and offset, one per read
         self._arrivals_since = 0.0
         self._seconds: deque[_Second] = deque(maxlen=_SECONDS)
+        self._latest = -math.inf  # the latest of their offsets
         self._late: list[_Second] = []  # seconds outside the bound since the last one within
         self._backlog = 0.0  # the worst lateness of what waited
         self._backlog_at = -math.inf
@@ -175,30 +177,33 @@ class DeviceClock:
             # A second that this one shows to have been late from end to end says nothing.
             slack = second.width + 1.0 / self.tick_hz
             latest = offset + slack
-            kept = [
-                earlier
-                for earlier in self._seconds
-                if earlier[1] <= latest + _MAX_SKEW * abs(device - earlier[0])
-            ]
-            self._seconds = deque([*kept, second], maxlen=_SECONDS)
+            if self._latest > latest:
+                kept = [
+                    earlier
+                    for earlier in self._seconds
+                    if earlier.offset <= latest + _MAX_SKEW * abs(device - earlier.device)
+                ]
+                self._seconds = deque(kept, maxlen=_SECONDS)
+            self._seconds.append(second)
         self._late = []
         self._fit()
 
     def _fit(self) -> None:
         """Least squares through the earliest arrival of each second."""
         devices, offsets, widths = zip(*self._seconds, strict=True)
-        points = list(zip(devices, offsets, strict=True))
-        count = len(points)
+        count = len(devices)
         mean_x, mean_y = sum(devices) / count, sum(offsets) / count
         slope = 0.0
         if count >= _FIT_COUNT:
-            square = sum([(x - mean_x) ** 2 for x in devices])
-            product = sum([(x - mean_x) * (y - mean_y) for x, y in points])
+            aside = [x - mean_x for x in devices]
+            square = sum([x**2 for x in aside])
+            product = sum(map(mul, aside, [y - mean_y for y in offsets]))
             slope = max(-_MAX_SKEW, min(_MAX_SKEW, product / square))
         intercept = mean_y - slope * mean_x
-        residual = max([abs(y - (intercept + slope * x)) for x, y in points])
+        residual = max(map(abs, map(sub, offsets, [intercept + slope * x for x in devices])))
         self._slope, self._intercept = slope, intercept
         self._spread = residual + sum(widths) / count + 1.0 / self.tick_hz
+        self._latest = max(offsets)
         last, drift = devices[-1], self._drift()
         self._floor = (self._intercept - self._spread + drift * last, self._slope - drift)
 
