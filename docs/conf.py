@@ -48,13 +48,14 @@ python_maximum_signature_line_length = 88
 nitpicky = True
 nitpick_ignore_regex = [
     # The standard library and the packages that m100link stands on.
-    (r"py:.*", r"(asyncio|collections|dataclasses|enum|pathlib|struct|typing)(\..*)?"),
+    (r"py:.*", r"(asyncio|collections|contextlib|dataclasses|enum|pathlib|struct|typing)(\..*)?"),
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
     (r"py:class", r"(Path|Random)"),
     # Attributes are described by their class, they are not entries of their own.
     (r"py:attr", r"state"),
     # Programs get a Control or a Subscription from the aircraft and never make one.
     (r"py:class", r"m100link\.flight\.(tasks\.Commander|guidance\.Flyer|lifecycle\.BlockClaim)"),
+    (r"py:class", r"m100link\.sync\.portal\.Portal"),
     (r"py:class", r"m100link\.(flight\.guards\.GuardKeeper|telemetry\.subscription\.Queue)"),
     # Type variables.
     (r"py:class", r"m100link\.[\w.]+\.[RT]"),

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     # For type checkers and editors, which read one file and run nothing: mypy, pyright and jedi see
     # plain imports. A stub beside this file would be a second list to keep, and would hide it.
-    from m100link import errors
+    from m100link import errors, sync
     from m100link.activation import ActivationProgress
     from m100link.aircraft import Aircraft, connect
     from m100link.errors import (
@@ -209,6 +209,7 @@ __all__ = [
     "__version__",
     "connect",
     "errors",
+    "sync",
 ]
 
 # Where the names are, in the order of the layers: to look into one loads what it loads anyway.
@@ -235,12 +236,15 @@ _ROOMS = (
     "aircraft",
 )
 
+# Not looked into: it has the same names again.
+_OTHER_ROOMS = ("sync",)
+
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name
 
     def __getattr__(name: str) -> object:
         """Load a room by its name, or a public name from the room that has it, and keep it."""
-        if any(room.partition(".")[0] == name for room in _ROOMS):
+        if any(room.partition(".")[0] == name for room in (*_ROOMS, *_OTHER_ROOMS)):
             return import_module(f"{__name__}.{name}")
         if name in __all__:
             for room in _ROOMS:

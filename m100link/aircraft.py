@@ -168,7 +168,7 @@ class Aircraft:
         encrypted: bool | None = None,
         refusal: type[CommandRefused] = CommandRefused,
     ) -> A:
-        """Send any request and return what its ack says: see :meth:`Requests.execute`."""
+        """Send any request and return what its ack says: see ``m100link.requests``."""
         return await self._requests.execute(
             request, timeout=timeout, tries=tries, encrypted=encrypted, refusal=refusal
         )

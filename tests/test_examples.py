@@ -18,7 +18,9 @@ from types import ModuleType
 
 import pytest
 
-from m100link.sim import VirtualClockEventLoop
+from m100link.sim import LockstepEventLoop, VirtualClockEventLoop
+from m100link.sync import aircraft as sync_aircraft
+from m100link.sync.portal import Portal
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 PROGRAMS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -33,11 +35,6 @@ def load(name: str) -> ModuleType:
     return module
 
 
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    return Run(capsys)
-
-
 class Run:
     """Runs an example; what it printed is the answer."""
 
@@ -50,8 +47,38 @@ class Run:
         return self._capsys.readouterr().out
 
 
+class Lockstep(Run):
+    """Runs an example without ``async``: its aircraft's time passes while it waits."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(capsys)
+        monkeypatch.setattr(sync_aircraft, "Portal", lambda: Portal(LockstepEventLoop))
+
+    def __call__(self, name: str, *arguments: str) -> str:
+        load(name).main(*arguments)
+        return self._capsys.readouterr().out
+
+
+@pytest.fixture
+def run(
+    request: pytest.FixtureRequest,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Run:
+    return Lockstep(capsys, monkeypatch) if hasattr(request, "param") else Run(capsys)
+
+
 FIRMWARE_URLS = ["sim://", "sim://?firmware=2.3", "sim://?firmware=3.1"]
 each_firmware = pytest.mark.parametrize("url", FIRMWARE_URLS)
+
+
+@each_firmware
+@pytest.mark.parametrize("run", [Lockstep], indirect=True)
+def test_without_await(run: Lockstep, url: str) -> None:
+    text = run("without_await", url)
+    assert "authority none" in text
+    assert text.count(" m north, ") == 3
+    assert text.endswith("landed\n")
 
 
 def test_every_example_is_tested_here() -> None:
@@ -69,7 +96,7 @@ def test_each_example_is_short_says_how_to_run_it_and_takes_a_url(name: str) -> 
     assert f"python examples/{name}.py /dev/ttyUSB0" in documentation
     assert len(source.splitlines()) <= 90
     assert "sys.argv" in source
-    assert "asyncio.run(main(" in source
+    assert "asyncio.run(main(" in source or "without_await" in name
 
 
 @each_firmware

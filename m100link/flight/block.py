@@ -86,6 +86,11 @@ class ControlBlock:
         """Where it is in its life."""
         return self._life.state
 
+    @property
+    def is_flying(self) -> bool:
+        """Whether it was entered, and nothing has ended it."""
+        return self._life.state in (BlockState.ENTERING, BlockState.FLYING, BlockState.PAUSED)
+
     # -- in and out ------------------------------------------------------------------------------
 
     async def enter(self) -> None:

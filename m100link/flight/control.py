@@ -151,6 +151,20 @@ class Control:
         """
         await self._block.release()
 
+    @property
+    def is_flying(self) -> bool:
+        """Whether control was asked for, and nothing has ended it."""
+        return self._block.is_flying
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the stop path has ended."""
+        return self._block.state is BlockState.OVER
+
+    def interrupt(self) -> None:
+        """Begin the stop path and do not wait for its end: what a signal does."""
+        self._block.end(StopCause.SIGNALLED)
+
     # -- setpoints -------------------------------------------------------------------------------
 
     @property

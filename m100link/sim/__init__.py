@@ -6,7 +6,12 @@ to test suites.
 """
 
 from m100link.sim.autopilot import Autopilot
-from m100link.sim.clock import ScaledEventLoop, VirtualClockEventLoop, loop_factory
+from m100link.sim.clock import (
+    LockstepEventLoop,
+    ScaledEventLoop,
+    VirtualClockEventLoop,
+    loop_factory,
+)
 from m100link.sim.commands import Counters, LastCommand
 from m100link.sim.line import NO_FAULTS, Line, LineFaults
 from m100link.sim.ports.driver import Driver, open_sim
@@ -47,6 +52,7 @@ __all__ = [
     "LastCommand",
     "Line",
     "LineFaults",
+    "LockstepEventLoop",
     "LogEntry",
     "MobileApp",
     "PilotRemote",

@@ -18,7 +18,13 @@ import selectors
 import time
 from collections.abc import Callable
 
-__all__ = ["ScaledEventLoop", "VirtualClockEventLoop", "loop_factory", "virtual_clock_loop"]
+__all__ = [
+    "LockstepEventLoop",
+    "ScaledEventLoop",
+    "VirtualClockEventLoop",
+    "loop_factory",
+    "virtual_clock_loop",
+]
 
 _Events = list[tuple[selectors.SelectorKey, int]]
 
@@ -67,6 +73,7 @@ class _JumpingSelector(selectors.DefaultSelector):
     """Instead of waiting, lets the clock jump over the time it was asked to wait."""
 
     now = 0.0
+    waiters = 0  # only where time stands still without one
     _unpolled = 0
 
     def select(self, timeout: float | None = None) -> _Events:
@@ -88,13 +95,42 @@ class _JumpingSelector(selectors.DefaultSelector):
 class VirtualClockEventLoop(asyncio.SelectorEventLoop):
     """An event loop without waiting: idle, its time jumps to the next timer. It starts at 0."""
 
+    _selector_class = _JumpingSelector
+
     def __init__(self) -> None:
-        self._jumping = _JumpingSelector()
+        self._jumping = self._selector_class()
         super().__init__(self._jumping)
 
     def time(self) -> float:
         """Virtual seconds since the loop was made."""
         return self._jumping.now
+
+
+class _LockstepSelector(_JumpingSelector):
+    """Jumps while somebody waits for what will be; otherwise it sleeps until somebody does."""
+
+    def select(self, timeout: float | None = None) -> _Events:
+        if self.waiters == 0 and timeout != 0.0:
+            return selectors.DefaultSelector.select(self, None)
+        return super().select(timeout)
+
+
+class LockstepEventLoop(VirtualClockEventLoop):
+    """A virtual clock for a program in another thread: it stands still unless that one waits.
+
+    What the program does between two calls takes no time, however long it takes. So a flight from
+    another thread is as exact and repeatable as one on the virtual clock.
+    """
+
+    _selector_class = _LockstepSelector
+
+    def begin_waiting(self) -> None:
+        """From here on time passes. Call it in the loop's own thread."""
+        self._jumping.waiters += 1
+
+    def end_waiting(self) -> None:
+        """Time stands still again, when everybody who waited has called this."""
+        self._jumping.waiters -= 1
 
 
 def virtual_clock_loop() -> asyncio.AbstractEventLoop:

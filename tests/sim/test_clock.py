@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 
 import pytest
 
-from m100link.sim import ScaledEventLoop, VirtualClockEventLoop, loop_factory
+from m100link.sim import LockstepEventLoop, ScaledEventLoop, VirtualClockEventLoop, loop_factory
 
 
 async def sleeper(seconds: float, count: int = 1) -> float:
@@ -30,6 +31,26 @@ def test_virtual_time_jumps_and_is_exact() -> None:
     elapsed, real = run(VirtualClockEventLoop(), 3600.0, count=100)
     assert elapsed == pytest.approx(360_000.0)
     assert real < elapsed / 10_000
+
+
+def test_in_lockstep_time_passes_only_while_somebody_waits() -> None:
+    async def main() -> list[float]:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, LockstepEventLoop)
+        times = []
+        loop.begin_waiting()
+        await asyncio.sleep(100.0)
+        times.append(loop.time())
+        loop.end_waiting()
+        # Nobody waits: only what another thread brings wakes it, and no time has passed.
+        waker = threading.Timer(0.05, loop.call_soon_threadsafe, [loop.begin_waiting])
+        waker.start()
+        await asyncio.sleep(1.0)
+        times.append(loop.time())
+        return times
+
+    with asyncio.Runner(loop_factory=LockstepEventLoop) as runner:
+        assert runner.run(main()) == [100.0, 101.0]
 
 
 def test_virtual_time_begins_at_zero_and_keeps_the_order_of_timers() -> None:

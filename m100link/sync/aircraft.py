@@ -1,0 +1,309 @@
+"""The aircraft without ``await``. Written by ``python -m tests.sync_source``: do not edit.
+
+It has the one with ``await`` and hands every call to the thread in which that lives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from m100link import aircraft as aio
+from m100link.activation import ActivationProgress
+from m100link.errors import CommandRefused
+from m100link.flight.authority import Authority
+from m100link.flight.block import PauseAction
+from m100link.flight.guards import Guards
+from m100link.flight.stop_path import StopAction
+from m100link.link.link import Link, LinkStatistics
+from m100link.protocol.command import Request
+from m100link.protocol.commands.activation import Credentials, Version
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.sync.control import Control
+from m100link.sync.portal import Portal
+from m100link.sync.subscription import Subscription
+from m100link.telemetry.device_clock import DeviceClock
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
+from m100link.telemetry.subscription import Policy
+
+__all__ = ["Aircraft", "connect"]
+
+A = TypeVar("A")
+
+
+class Aircraft:
+    """A connected aircraft without ``await``. Get one from :func:`connect`.
+
+    It lives in a thread of its own: telemetry is taken, setpoints are repeated and expire, and the
+    stop path runs whatever the thread that called does meanwhile. May be used by several threads.
+    """
+
+    def __init__(self, portal: Portal, aircraft: aio.Aircraft) -> None:
+        self._portal = portal
+        self._aircraft = aircraft
+        self.close = portal.close_after(aircraft.aclose)
+        """End the control block that runs, then close the line. May be called again."""
+
+    def __repr__(self) -> str:
+        return repr(self._aircraft)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def authority(self) -> Authority:
+        """Who controls the aircraft, as far as this program knows."""
+        return self._aircraft.authority
+
+    def statistics(self) -> LinkStatistics:
+        """Counters of the link."""
+        return self._portal.call(self._aircraft.statistics)
+
+    @property
+    def firmware(self) -> FirmwareProfile:
+        """The firmware profile in use."""
+        return self._aircraft.firmware
+
+    @property
+    def is_activated(self) -> bool:
+        """Whether this program activated the aircraft, and so has its key in use."""
+        return self._aircraft.is_activated
+
+    def version(self) -> Version:
+        """Ask for the version (document 2.2.1.1). Needs no activation.
+
+        It chooses the firmware profile, unless one is forced or a control block is flying.
+
+        Raises:
+            AckTimeout, LinkError, BadAck: See each class.
+        """
+        return self._portal.wait(lambda _: self._aircraft.version())
+
+    def activate(
+        self,
+        credentials: Credentials,
+        *,
+        timeout: float = 60.0,
+        progress: Callable[[ActivationProgress], None] | None = None,
+    ) -> Version:
+        """Activate the aircraft for an app (document 2.2.1.2).
+
+        Gets the version first, because the request depends on the firmware. "New device" means
+        that the aircraft asks DJI's server: the attempt is repeated every two seconds. An
+        aircraft that is active already answers with success. From then on commands of set 0x01
+        are encrypted.
+
+        Args:
+            credentials: App id, key and level.
+            timeout: Seconds for the whole of it.
+            progress: Called after each attempt.
+
+        Returns:
+            The version of the aircraft.
+
+        Raises:
+            ActivationRefused: With code, cause and remedy.
+            AckTimeout, LinkError: See each class.
+        """
+        return self._portal.wait(
+            lambda caller: self._aircraft.activate(
+                credentials, timeout=timeout, progress=caller.callback(progress)
+            )
+        )
+
+    def use_key(self, credentials: Credentials) -> None:
+        """Encrypt with this key without activating: for a second program on an active aircraft."""
+        return self._portal.call(self._aircraft.use_key, credentials)
+
+    def execute(
+        self,
+        request: Request[A],
+        *,
+        timeout: float = 0.5,
+        tries: int = 3,
+        encrypted: bool | None = None,
+        refusal: type[CommandRefused] = CommandRefused,
+    ) -> A:
+        """Send any request and return what its ack says: see ``m100link.requests``."""
+        return self._portal.wait(
+            lambda _: self._aircraft.execute(
+                request, timeout=timeout, tries=tries, encrypted=encrypted, refusal=refusal
+            )
+        )
+
+    def control(
+        self,
+        *,
+        stop: StopAction = "hover",
+        on_pause: PauseAction = "raise",
+        guards: Guards | None = None,
+        handle_signals: bool = True,
+    ) -> Control:
+        """Control authority for a block: ``with aircraft.control() as control``.
+
+        Args:
+            stop: What to do when the block ends in any way: ``"hover"`` or ``"land"``.
+            on_pause: When the pilot takes the aircraft: ``"raise"`` ends the block with
+                :class:`AuthorityLost`; ``"wait"`` keeps it, see :meth:`Control.wait_resumable`.
+            guards: Safety guards; all on by default.
+            handle_signals: Let Ctrl-C, SIGTERM and SIGHUP (a closed terminal) take the stop path
+                before they end the program.
+
+        Raises (on entering):
+            UsageError: Another control block of this program is running; the firmware is unknown.
+            AuthorityRefused: With cause and remedy.
+            NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
+        """
+        return Control(
+            self._portal,
+            self._portal.call(
+                self._aircraft.control,
+                stop=stop,
+                on_pause=on_pause,
+                guards=guards,
+                handle_signals=handle_signals,
+            ),
+            handle_signals=handle_signals,
+        )
+
+    def release_authority(self) -> bool:
+        """Give control authority back that an earlier program left; a control block does it itself.
+
+        The aircraft hovers and the pilot flies on. What goes wrong is logged, not raised.
+
+        Returns:
+            Whether the aircraft said that it has it back.
+        """
+        return self._portal.wait(lambda _: self._aircraft.release_authority())
+
+    def telemetry(
+        self,
+        *records: type[Any],
+        policy: Policy | None = None,
+        rate_hz: float | None = None,
+        timeout: float | None = None,
+    ) -> Subscription[Sample]:
+        """Subscribe: ``with aircraft.telemetry(Attitude) as samples:``, then iterate.
+
+        Args:
+            records: Record classes; packages with none of them are left out. None at all: every
+                package.
+            policy: ``Latest()`` by default, ``Newest(n)`` or ``Lossless(n)``.
+            rate_hz: At most so many samples per second.
+            timeout: Seconds that iterating waits for a value; None: for ever.
+
+        Raises (while iterating):
+            LinkLost, LinkClosed: The line is gone; queued samples come first.
+            TelemetryOverflow: A ``Lossless`` consumer fell behind.
+        """
+        subscription = self._portal.call(
+            self._aircraft.telemetry, *records, policy=policy, rate_hz=rate_hz
+        )
+        return Subscription(self._portal, subscription, timeout)
+
+    @property
+    def state(self) -> AircraftState:
+        """Newest value and age of every telemetry item."""
+        return self._aircraft.state
+
+    @property
+    def telemetry_mismatches(self) -> int:
+        """Telemetry packages refused because they do not fit the firmware profile."""
+        return self._aircraft.telemetry_mismatches
+
+    @property
+    def device_clock(self) -> DeviceClock:
+        """Relates the aircraft's tick to this computer's time, with offset, skew, uncertainty."""
+        return self._aircraft.device_clock
+
+    def wait_for(
+        self,
+        predicate: Callable[[AircraftState], bool],
+        *,
+        timeout: float | None = None,
+        what: str = "the condition",
+    ) -> None:
+        """Wait until the predicate of :attr:`state` is true; it is tried at every package.
+
+        Raises:
+            TelemetryStalled: It was not in time.
+            LinkLost, LinkClosed: The line is gone.
+        """
+        return self._portal.wait(
+            lambda _: self._aircraft.wait_for(predicate, timeout=timeout, what=what)
+        )
+
+    def send_to_mobile(self, data: bytes) -> None:
+        """Send 1 to 100 bytes to the app on the mobile device (document 2.2.1.3).
+
+        Raises:
+            PayloadTooLarge, UsageError: Too many bytes, or none.
+            NotActivated, AckTimeout, LinkError: See each class.
+        """
+        return self._portal.wait(lambda _: self._aircraft.send_to_mobile(data))
+
+    def from_mobile(
+        self, *, policy: Policy | None = None, timeout: float | None = None
+    ) -> Subscription[bytes]:
+        """Data from the app on the mobile device, 1 to 100 bytes each (document 2.2.3.3).
+
+        Iterating waits up to ``timeout`` seconds for a value; None: for ever.
+        """
+        subscription = self._portal.call(self._aircraft.from_mobile, policy=policy)
+        return Subscription(self._portal, subscription, timeout)
+
+
+def connect(
+    line: str | Link,
+    *,
+    firmware: str | FirmwareProfile | None = None,
+    baud_rate: int | None = None,
+    timeout: float = 3.0,
+) -> Aircraft:
+    """Connect to an aircraft for the time of a block.
+
+    ::
+
+        with m100link.sync.connect("serial:///dev/ttyUSB0:230400") as aircraft:
+            print(aircraft.version())
+
+    At a prompt, or in a service, ``aircraft = m100link.sync.connect(...)`` connects until
+    :meth:`Aircraft.close`.
+
+    Args:
+        line: ``serial:///dev/ttyUSB0:230400``, a bare device path, ``tcp://host:port``, ``sim://``,
+            or a link that is open already.
+        firmware: Force a profile by name; by default the version answer chooses it.
+        baud_rate: Rate when the URL has none; 230400 by default.
+        timeout: Seconds until an aircraft has to answer.
+
+    Raises:
+        BadURL, UsageError: A wrong string or profile name.
+        PortNotFound, PortPermissionDenied, PortBusy, PortFailed: The port cannot be opened.
+        SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
+    """
+    portal = Portal()
+    try:
+        aircraft = portal.wait(
+            lambda _: _connected(
+                aio.connect(line, firmware=firmware, baud_rate=baud_rate, timeout=timeout)
+            )
+        )
+    except BaseException:
+        portal.close()
+        raise
+    return Aircraft(portal, aircraft)
+
+
+async def _connected(connecting: aio.Connecting) -> aio.Aircraft:
+    return await connecting

@@ -1,0 +1,436 @@
+"""The control block without ``await``. Written by ``python -m tests.sync_source``: do not edit.
+
+It has the one with ``await`` and hands every call to the thread in which that lives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from m100link.errors import M100Error
+from m100link.flight import control as aio
+from m100link.flight.guidance import Arrival, Progress
+from m100link.flight.pacing import MAX_RATE_HZ, Tick
+from m100link.flight.setpoints import SETPOINT_LIFETIME
+from m100link.flight.tasks import TaskListener
+from m100link.protocol.setpoint import Setpoint
+from m100link.sync.portal import Portal
+from m100link.sync.signals import SIGNALS
+from m100link.sync.steering import Hold, Ticks, asked
+from m100link.telemetry.state import AircraftState
+
+__all__ = ["Control"]
+
+
+class Control:
+    """Control of the aircraft without ``await``: ``with aircraft.control() as control:``.
+
+    Leaving takes the stop path, after an error, Ctrl-C and SIGTERM too. What would cancel a block
+    with ``await`` is raised here by the call that waits, or by the next one.
+    """
+
+    def __init__(self, portal: Portal, control: aio.Control, *, handle_signals: bool) -> None:
+        self._portal = portal
+        self._control = control
+        self._handles_signals = handle_signals
+
+    def __repr__(self) -> str:
+        return repr(self._control)
+
+    def __enter__(self) -> Self:
+        return self.obtain()
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        try:
+            self.release()
+        except M100Error:
+            if exc is None:
+                raise
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether nothing has ended it."""
+        return self._control.is_flying
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its stop path has ended."""
+        return self._control.is_over
+
+    def interrupt(self) -> None:
+        """Begin the stop path without waiting for its end: for signal handlers, other threads."""
+        self._portal.soon(self._control.interrupt)
+
+    def obtain(self) -> Self:
+        """Obtain authority without a block: at a prompt, in a notebook, in a service.
+
+        ::
+
+            control = aircraft.control().obtain()
+            ...
+            control.release()
+
+        What would end a block ends this too, by the same stop path: lost authority, a lost line,
+        stalled telemetry, Ctrl-C, closing the aircraft. There is no block to be cancelled then:
+        what waits in a call of this object raises the reason at once, otherwise the next call
+        does. A program that forgets :meth:`release` keeps the aircraft until it disconnects or
+        ends; its setpoints expire all the same, and the aircraft hovers.
+
+        Returns:
+            This object.
+
+        Raises: as ``aircraft.control()`` on entering.
+        """
+        if self._handles_signals:
+            SIGNALS.join(self)
+        try:
+            self._portal.wait(lambda _: self._control.obtain())
+        except BaseException:
+            SIGNALS.leave(self)
+            raise
+        return self
+
+    def release(self) -> None:
+        """Take the stop path and give authority back: what leaving a block does.
+
+        May be called any number of times, and on what was never obtained.
+
+        Raises:
+            M100Error: What ended it before, unless a call has raised that.
+        """
+        try:
+            self._portal.wait(lambda _: self._control.release())
+        finally:
+            SIGNALS.leave(self)
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether setpoints are obeyed."""
+        return self._control.has_authority
+
+    @property
+    def is_paused(self) -> bool:
+        """With ``on_pause="wait"``: the pilot took the aircraft and :meth:`resume` is needed."""
+        return self._control.is_paused
+
+    @property
+    def state(self) -> AircraftState:
+        """Telemetry of the aircraft."""
+        return self._control.state
+
+    @property
+    def setpoints_sent(self) -> int:
+        """Movement frames sent in this block, neutrals included."""
+        return self._control.setpoints_sent
+
+    @property
+    def setpoints_expired(self) -> int:
+        """Setpoints that the program did not renew in time."""
+        return self._control.setpoints_expired
+
+    def send(
+        self,
+        setpoint: Setpoint,
+        *,
+        lifetime: float = SETPOINT_LIFETIME,
+        rate_hz: float = MAX_RATE_HZ,
+        allow_long_lifetime: bool = False,
+    ) -> None:
+        """Send a setpoint now, and repeat it until it is renewed or expires.
+
+        Args:
+            setpoint: What to fly.
+            lifetime: Seconds after which it is not repeated any more; then the mode's neutral is
+                sent for 0.3 s, then nothing. At most 1 s, unless ``allow_long_lifetime``.
+            rate_hz: Repetitions per second, at most 50; another setpoint and the neutral do not
+                wait for it.
+            allow_long_lifetime: Allow more than 1 s: a program that hangs flies on for that long.
+
+        The guards are asked before each frame. One that refuses later replaces the setpoint by its
+        neutral; the next call raises the refusal.
+
+        Raises:
+            NoAuthority: Authority is not held, is paused, or a task is flying the aircraft.
+            GuardRefused: A guard said no; nothing was sent.
+            UsageError: The lifetime does not end, or is longer than allowed; or a closed loop is
+                flying.
+            BadSetpoint: The firmware cannot express it.
+        """
+        return self._portal.call(
+            self._control.send,
+            setpoint,
+            lifetime=lifetime,
+            rate_hz=rate_hz,
+            allow_long_lifetime=allow_long_lifetime,
+        )
+
+    def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticks:
+        """Ticks for a control loop in the caller's own task.
+
+        Raises:
+            UsageError: Not within 0 to 50 Hz.
+        """
+        return Ticks(self._portal, self._portal.call(self._control.ticks, rate_hz))
+
+    def hold(
+        self,
+        setpoint: Setpoint,
+        *,
+        rate_hz: float = MAX_RATE_HZ,
+        lifetime: float = SETPOINT_LIFETIME,
+        allow_long_lifetime: bool = False,
+    ) -> Hold:
+        """A task keeps sending a setpoint while the block runs and renews it by :meth:`Hold.set`.
+
+        On the way out the mode's neutral is sent.
+
+        Args:
+            setpoint: The first setpoint.
+            rate_hz: Repetitions per second, at most 50.
+            lifetime: Seconds that each setpoint lasts when it is not renewed.
+            allow_long_lifetime: Allow more than 1 s.
+
+        Raises:
+            NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
+            GuardRefused: On the way out, when a guard ended the setpoint that was held last.
+        """
+        return Hold(
+            self._portal,
+            self._control.hold(
+                setpoint,
+                rate_hz=rate_hz,
+                lifetime=lifetime,
+                allow_long_lifetime=allow_long_lifetime,
+            ),
+        )
+
+    def follow(
+        self,
+        source: Callable[[Tick], Setpoint | None],
+        *,
+        rate_hz: float = MAX_RATE_HZ,
+        lifetime: float | None = None,
+        allow_long_lifetime: bool = False,
+    ) -> None:
+        """Send what a source gives until it ends, then the mode's neutral.
+
+        Args:
+            source: A callable that gets each :class:`Tick` and returns a setpoint, or None to end.
+            rate_hz: Ticks per second for a callable.
+            lifetime: Seconds that each setpoint lasts when the next one does not come; by default
+                0.2 s, or two ticks where these are longer.
+            allow_long_lifetime: Allow more than 1 s, as a rate below 2 Hz needs it.
+
+        Raises:
+            NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
+        """
+        self._portal.wait(
+            lambda caller: self._control.follow(
+                asked(caller, source, self._control.ticks(rate_hz)),
+                rate_hz=rate_hz,
+                lifetime=lifetime,
+                allow_long_lifetime=allow_long_lifetime,
+            )
+        )
+
+    def stop(self) -> None:
+        """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers.
+
+        A closed loop that is flying in another task ends with :class:`NotObserved`. A program that
+        goes on sending setpoints flies on.
+        """
+        return self._portal.wait(lambda _: self._control.stop())
+
+    def wait_resumable(self) -> None:
+        """With ``on_pause="wait"``: wait until the pilot has given the aircraft back."""
+        return self._portal.wait(lambda _: self._control.wait_resumable())
+
+    def resume(self) -> None:
+        """With ``on_pause="wait"``: setpoints may be sent again.
+
+        The pilot's return to F gives authority back without a request, but nothing flies before
+        the program says so here.
+
+        Raises:
+            NoAuthority: The pilot has not given the aircraft back.
+        """
+        return self._portal.call(self._control.resume)
+
+    def fly_to(
+        self,
+        *,
+        north: float | None = None,
+        east: float | None = None,
+        up: float | None = None,
+        latitude_deg: float | None = None,
+        longitude_deg: float | None = None,
+        height: float | None = None,
+        yaw_deg: float | None = None,
+        tolerance_m: float = 0.5,
+        timeout: float = 120.0,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Fly to an offset from here, or to a place, and hover there.
+
+        Args:
+            north: With ``east`` and ``up``: metres from where the aircraft is now.
+            east: See ``north``.
+            up: See ``north``.
+            latitude_deg: With ``longitude_deg`` and ``height``: a place, WGS 84.
+            longitude_deg: See ``latitude_deg``.
+            height: Metres above the take-off point.
+            yaw_deg: Heading to fly with; by default the present one.
+            tolerance_m: Distance and height error that count as arrived.
+            timeout: Seconds until it gives up, hovering.
+            progress: Called at each tick.
+
+        Raises:
+            NotObserved: It did not arrive in time and hovers where it is, or it was stopped or
+                landed.
+            TelemetryStalled: Position or attitude do not arrive.
+            GuardRefused: The target lies outside the envelope, or as :meth:`Control.send`.
+            UsageError: The target is none, the aircraft stands on the ground, or another closed
+                loop is flying.
+            NoAuthority: See :meth:`Control.send`.
+        """
+        return self._portal.wait(
+            lambda caller: self._control.fly_to(
+                north=north,
+                east=east,
+                up=up,
+                latitude_deg=latitude_deg,
+                longitude_deg=longitude_deg,
+                height=height,
+                yaw_deg=yaw_deg,
+                tolerance_m=tolerance_m,
+                timeout=timeout,
+                progress=caller.callback(progress),
+            )
+        )
+
+    def climb_to(
+        self,
+        height: float,
+        *,
+        tolerance_m: float = 0.3,
+        timeout: float = 60.0,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Climb or descend in place to a height above the take-off point, m.
+
+        Raises: as :meth:`fly_to`.
+        """
+        return self._portal.wait(
+            lambda caller: self._control.climb_to(
+                height, tolerance_m=tolerance_m, timeout=timeout, progress=caller.callback(progress)
+            )
+        )
+
+    def turn_to(
+        self,
+        yaw_deg: float,
+        *,
+        tolerance_deg: float = 2.0,
+        timeout: float = 30.0,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Turn in place to a heading, −180 to 180°, 0 north, 90 east.
+
+        Raises: as :meth:`fly_to`.
+        """
+        return self._portal.wait(
+            lambda caller: self._control.turn_to(
+                yaw_deg,
+                tolerance_deg=tolerance_deg,
+                timeout=timeout,
+                progress=caller.callback(progress),
+            )
+        )
+
+    def orbit(
+        self,
+        *,
+        center_north: float,
+        center_east: float,
+        speed: float = 2.0,
+        turns: float = 1.0,
+        clockwise: bool = True,
+        timeout: float = 300.0,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Fly a circle around a point, looking at it.
+
+        The circle goes through where the aircraft is now. It turns to the centre first, then
+        accelerates along the circle.
+
+        Args:
+            center_north: Metres from here to the centre, north; with ``center_east`` 1 m or more.
+            center_east: Metres from here to the centre, east.
+            speed: Along the circle, up to 10 m/s; at most 0.7/s times the radius, and v²/r at most
+                3.6 m/s², a tilt of 20°.
+            turns: How many, more than 0.
+            clockwise: Seen from above.
+            timeout: Seconds until it gives up, hovering.
+            progress: Called at each tick.
+
+        Raises: as :meth:`fly_to`.
+        """
+        return self._portal.wait(
+            lambda caller: self._control.orbit(
+                center_north=center_north,
+                center_east=center_east,
+                speed=speed,
+                turns=turns,
+                clockwise=clockwise,
+                timeout=timeout,
+                progress=caller.callback(progress),
+            )
+        )
+
+    def take_off(
+        self, *, timeout: float | None = None, progress: TaskListener | None = None
+    ) -> None:
+        """Start the motors and climb to about 1.2 m.
+
+        Done when the aircraft reports success, or telemetry shows it in the air at 1 m or more;
+        the ack alone proves nothing.
+
+        Args:
+            timeout: Seconds to wait after the aircraft accepted; 20 by default.
+            progress: Called about four times a second.
+
+        Raises:
+            NoAuthority: Authority is not held.
+            GuardRefused: Battery below its floor; battery or position did not come within 1.5 s.
+            TaskRefused, TaskFailed: With the situation that explains it.
+            NotObserved: Neither success nor failure showed in time.
+            AckTimeout: Nobody knows whether it began.
+        """
+        return self._portal.wait(
+            lambda caller: self._control.take_off(
+                timeout=timeout, progress=caller.callback(progress)
+            )
+        )
+
+    def land(self, *, timeout: float | None = None, progress: TaskListener | None = None) -> None:
+        """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors."""
+        return self._portal.wait(
+            lambda caller: self._control.land(timeout=timeout, progress=caller.callback(progress))
+        )
+
+    def go_home(
+        self, *, timeout: float | None = None, progress: TaskListener | None = None
+    ) -> None:
+        """Fly to the home point and land; 300 s. See :meth:`take_off` for the errors."""
+        return self._portal.wait(
+            lambda caller: self._control.go_home(
+                timeout=timeout, progress=caller.callback(progress)
+            )
+        )

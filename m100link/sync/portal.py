@@ -1,0 +1,180 @@
+"""The thread in which the aircraft of a program without ``await`` lives."""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import queue
+import threading
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
+from contextlib import ExitStack
+from functools import partial
+from typing import Any, ParamSpec, TypeVar
+
+from anyio.from_thread import start_blocking_portal
+
+from m100link.errors import UsageError
+from m100link.sim.clock import LockstepEventLoop
+
+__all__ = ["Caller", "Portal"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+T = TypeVar("T")
+
+
+class Caller:
+    """The thread that waits for a call: callbacks of the call run in it, not beside the aircraft.
+
+    A callback that takes long delays nobody but the thread that gave it.
+
+    Args:
+        clock: Stands still while nobody waits; None: time passes by itself.
+    """
+
+    def __init__(self, clock: LockstepEventLoop | None) -> None:
+        self._clock = clock
+        self._inbox: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
+
+    def begin_waiting(self) -> None:
+        """The aircraft's time passes."""
+        if self._clock is not None:
+            self._clock.begin_waiting()
+
+    def end_waiting(self) -> None:
+        """The thread has something to do, which takes no time of the aircraft."""
+        if self._clock is not None:
+            self._clock.end_waiting()
+
+    def callback(self, function: Callable[[T], None] | None) -> Callable[[T], None] | None:
+        """``function``, to be called by the event loop and run here."""
+        if function is None:
+            return None
+        return lambda value: self._inbox.put(partial(function, value))
+
+    async def ask(self, function: Callable[[T], R], value: T) -> R:
+        """Run ``function`` here, and return what it returns."""
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[R] = loop.create_future()
+
+        def give(result: R) -> None:
+            if not answer.done():  # the call may have been cancelled meanwhile
+                answer.set_result(result)
+
+        self._inbox.put(lambda: loop.call_soon_threadsafe(give, function(value)))
+        self.end_waiting()
+        try:
+            return await answer
+        finally:
+            self.begin_waiting()
+
+    def serve(self, ended: Future[Any]) -> None:
+        """Run callbacks until the call has ended. Raises what a callback raises."""
+        ended.add_done_callback(lambda _: self._inbox.put(None))
+        while (callback := self._inbox.get()) is not None:
+            callback()
+
+
+class Portal:
+    """An event loop in a thread of its own, and the doors to it.
+
+    It closes when the program ends, if nobody did it before.
+
+    Args:
+        loop_factory: Makes the event loop; None: as asyncio does.
+
+    Attributes:
+        is_open: Whether calls are taken.
+    """
+
+    def __init__(self, loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None) -> None:
+        self._resources = ExitStack()
+        options = {"loop_factory": loop_factory}
+        portal = self._resources.enter_context(start_blocking_portal("asyncio", options))
+        self._loop: asyncio.AbstractEventLoop = portal.call(asyncio.get_running_loop)
+        self._thread = portal.call(threading.get_ident)
+        # Whose clock passes only while somebody waits; None: it does not ask.
+        self._lockstep = self._loop if isinstance(self._loop, LockstepEventLoop) else None
+        self.is_open = True
+
+    def soon(self, function: Callable[[], object]) -> None:
+        """Call it in the event loop, and do not wait for it. Allowed in a signal handler."""
+        if self.is_open:
+            self._loop.call_soon_threadsafe(function)
+
+    def call(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Call what does not wait in the event loop, and return what it returns.
+
+        Raises:
+            UsageError: The aircraft was closed, or this runs in its thread.
+        """
+        self._require_open()
+        done: Future[T] = Future()
+
+        def run() -> None:
+            try:
+                done.set_result(function(*args, **kwargs))
+            except BaseException as error:  # noqa: BLE001 (it belongs to the caller)
+                done.set_exception(error)
+
+        self._loop.call_soon_threadsafe(run)
+        return done.result()
+
+    def wait(self, make: Callable[[Caller], Coroutine[Any, Any, T]]) -> T:
+        """Await what ``make`` makes in the event loop. Ctrl-C cancels it.
+
+        Raises:
+            UsageError: The aircraft was closed, or this runs in its thread.
+        """
+        self._require_open()
+        caller = Caller(self._lockstep)
+        done: Future[T] = Future()
+        tasks: list[asyncio.Task[None]] = []  # kept: an event loop holds its tasks weakly
+
+        async def carry_out() -> None:
+            caller.begin_waiting()
+            try:
+                result = await make(caller)
+            except BaseException as error:  # noqa: BLE001 (it belongs to the caller)
+                caller.end_waiting()
+                done.set_exception(error)
+            else:
+                caller.end_waiting()
+                done.set_result(result)
+
+        self._loop.call_soon_threadsafe(lambda: tasks.append(self._loop.create_task(carry_out())))
+        try:
+            caller.serve(done)
+        except BaseException:
+            self.soon(lambda: [task.cancel() for task in tasks])
+            raise
+        return done.result()
+
+    def _require_open(self) -> None:
+        if not self.is_open:
+            raise UsageError("the aircraft was closed", remedy="connect() again")
+        if threading.get_ident() == self._thread:
+            raise UsageError(
+                "a call that waits was made in the thread of the aircraft, and would wait for ever",
+                remedy="in callbacks of the event loop use the API with await",
+            )
+
+    def close(self) -> None:
+        """End the thread. May be called any number of times."""
+        self.is_open = False
+        self._resources.close()
+
+    def close_after(self, close: Callable[[], Coroutine[Any, Any, None]]) -> Callable[[], None]:
+        """What awaits ``close`` and then closes this; the end of the program calls it too."""
+
+        def end() -> None:
+            atexit.unregister(end)
+            if self.is_open:
+                try:
+                    self.wait(lambda _: close())
+                finally:
+                    self.close()
+
+        atexit.register(end)
+        return end

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import ast
+import threading
+from collections.abc import Callable
+
+import pytest
+
+from m100link import (
+    Attitude,
+    Credentials,
+    LinkClosed,
+    M100Error,
+    PortNotFound,
+    Position,
+    TelemetryStalled,
+    UsageError,
+    sync,
+)
+from m100link.sync.subscription import Subscription
+from tests import sync_source
+
+Connect = Callable[[], sync.Aircraft]
+
+
+def statements(text: str) -> tuple[set[str], list[str]]:
+    """The imported names, and all the rest in its order; how either is written does not count."""
+    imported: set[str] = set()
+    rest: list[str] = []
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.ImportFrom):
+            imported |= {f"{node.module} {name.name} {name.asname}" for name in node.names}
+        else:
+            rest.append(ast.dump(node))
+    return imported, rest
+
+
+@pytest.mark.parametrize("name", sync_source.SOURCES)
+def test_what_is_written_by_the_generator_is_what_it_writes_now(name: str) -> None:
+    text = (sync_source.FOLDER / name).read_text(encoding="utf-8")
+    assert statements(text) == statements(sync_source.SOURCES[name]()), (
+        "the API with await has changed: python -m tests.sync_source"
+    )
+
+
+def test_an_aircraft_answers_and_closes(connect: Connect) -> None:
+    aircraft = connect()
+    assert aircraft.version().name.startswith("SDK")
+    assert aircraft.statistics().frames_received > 0
+    assert repr(aircraft).startswith("<Aircraft sim://")
+    assert aircraft.firmware.name == "1.0"
+    aircraft.close()
+    aircraft.close()
+    with pytest.raises(UsageError, match="was closed"):
+        aircraft.version()
+
+
+def test_a_port_that_is_not_there_is_told_and_leaves_no_thread(connect: Connect) -> None:
+    before = threading.active_count()
+    with pytest.raises(PortNotFound):
+        sync.connect("/dev/does-not-exist")
+    assert threading.active_count() == before
+
+
+def test_activation_reports_its_progress_here(connect: Connect) -> None:
+    aircraft = connect()
+    threads: list[int] = []
+    key = "00" * 32
+    try:
+        aircraft.activate(
+            Credentials(app_id=1, key=key),
+            timeout=5.0,
+            progress=lambda _: threads.append(threading.get_ident()),
+        )
+    except M100Error as error:  # who is refused was tried too
+        print(error)  # noqa: T201
+    assert threads
+    assert set(threads) == {threading.get_ident()}
+
+
+def test_telemetry_is_iterated(connect: Connect) -> None:
+    aircraft = connect()
+    with aircraft.telemetry(Attitude, Position, timeout=5.0) as samples:
+        for count, sample in enumerate(samples):
+            assert sample.attitude is not None or sample.position is not None
+            if count == 20:
+                break
+    assert samples.received > 20
+    assert list(samples) == []  # closed
+
+
+def test_a_stall_while_iterating_is_an_error(connect: Connect) -> None:
+    aircraft = connect()
+    with (
+        aircraft.from_mobile(timeout=0.5) as data,
+        pytest.raises(TelemetryStalled, match=r"0\.5 s"),
+    ):
+        next(iter(data))
+
+
+def test_waiting_for_a_state(connect: Connect) -> None:
+    aircraft = connect()
+    aircraft.wait_for(lambda state: state.battery is not None, timeout=5.0)
+    assert aircraft.state.battery is not None
+    with pytest.raises(TelemetryStalled, match="pigs"):
+        aircraft.wait_for(lambda state: False, timeout=0.2, what="pigs")
+
+
+def test_a_subscription_ends_with_the_line(connect: Connect) -> None:
+    aircraft = connect()
+    samples: Subscription[object] = aircraft.telemetry()  # type: ignore[assignment]  # of samples
+    assert samples.get(timeout=5.0)
+    other = threading.Thread(target=aircraft.close)
+    other.start()
+    with pytest.raises((LinkClosed, UsageError)):
+        for _ in samples:
+            pass
+    other.join()

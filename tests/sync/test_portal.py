@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from m100link import UsageError
+from m100link.sync.portal import Caller, Portal
+
+
+@pytest.fixture
+def portal() -> Iterator[Portal]:
+    opened = Portal()
+    yield opened
+    opened.close()
+
+
+def test_a_call_runs_in_the_thread_of_the_event_loop_and_returns(portal: Portal) -> None:
+    assert portal.call(threading.get_ident) != threading.get_ident()
+    assert portal.call(divmod, 7, 2) == (3, 1)
+
+
+def test_what_a_call_raises_comes_out(portal: Portal) -> None:
+    with pytest.raises(ZeroDivisionError):
+        portal.call(divmod, 7, 0)
+
+    async def fail() -> None:
+        await asyncio.sleep(0)
+        raise LookupError
+
+    with pytest.raises(LookupError):
+        portal.wait(lambda _: fail())
+    assert portal.call(int, "7") == 7
+
+
+def test_callbacks_run_in_the_thread_that_waits(portal: Portal) -> None:
+    heard: list[tuple[int, int]] = []
+
+    def hear(number: int) -> None:
+        heard.append((number, threading.get_ident()))
+
+    async def count(caller: Caller) -> str:
+        tell = caller.callback(hear)
+        assert tell is not None
+        for number in range(3):
+            tell(number)
+        assert caller.callback(None) is None
+        return "done"
+
+    assert portal.wait(count) == "done"
+    assert heard == [(number, threading.get_ident()) for number in range(3)]
+
+
+def test_a_question_is_answered_by_the_thread_that_waits(portal: Portal) -> None:
+    async def ask(caller: Caller) -> int:
+        return await caller.ask(lambda value: value + threading.get_ident(), 1)
+
+    assert portal.wait(ask) == 1 + threading.get_ident()
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, ZeroDivisionError])
+def test_what_a_callback_raises_cancels_the_call_and_comes_out(
+    portal: Portal, kind: type[BaseException]
+) -> None:
+    ended = threading.Event()
+
+    async def endless(caller: Caller) -> None:
+        def fail(_: None) -> None:
+            raise kind
+
+        tell = caller.callback(fail)
+        assert tell is not None
+        tell(None)
+        try:
+            await asyncio.sleep(3600)
+        finally:
+            ended.set()
+
+    with pytest.raises(kind):
+        portal.wait(endless)
+    assert ended.wait(10)
+
+
+def test_a_cancelled_call_is_not_taken_for_an_answer(portal: Portal) -> None:
+    async def cancelled() -> None:
+        raise asyncio.CancelledError
+
+    with pytest.raises(asyncio.CancelledError):
+        portal.wait(lambda _: cancelled())
+    assert portal.call(int, "7") == 7
+
+
+def test_after_the_end_every_door_says_so(portal: Portal) -> None:
+    portal.close()
+    portal.close()
+    for call in (lambda: portal.call(int), lambda: portal.wait(lambda _: asyncio.sleep(0))):
+        with pytest.raises(UsageError, match="was closed"):
+            call()
+    portal.soon(lambda: pytest.fail("called"))
+
+
+def test_a_call_in_the_thread_of_the_loop_would_wait_for_ever_and_is_refused(
+    portal: Portal,
+) -> None:
+    with pytest.raises(UsageError, match="in the thread of the aircraft"):
+        portal.call(portal.call, int)
+
+
+def test_closing_awaits_what_is_to_be_closed_once(portal: Portal) -> None:
+    closed: list[int] = []
+
+    async def close() -> None:
+        closed.append(threading.get_ident())
+
+    end = portal.close_after(close)
+    end()
+    end()
+    assert len(closed) == 1
+    assert closed[0] != threading.get_ident()
+
+
+PROGRAM = """
+import asyncio
+from m100link.sync.portal import Portal
+
+async def close():
+    await asyncio.sleep(0.05)
+    print("closed in order")
+
+portal = Portal()
+portal.close_after(close)
+print(portal.call(int, "7"))
+"""
+
+
+def test_a_program_that_closes_nothing_closes_at_its_end() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-W", "error", "-c", PROGRAM],
+        capture_output=True,
+        text=True,
+        timeout=50,
+        check=True,
+    )
+    assert ended.stdout.splitlines() == ["7", "closed in order"]
+    assert ended.stderr == ""

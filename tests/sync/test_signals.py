@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from m100link.sync.signals import SyncSignals
+
+
+class Block:
+    """A control block whose stop path is told when it ends."""
+
+    def __init__(self) -> None:
+        self.is_flying = True
+        self.is_over = False
+        self.interrupted = 0
+
+    def interrupt(self) -> None:
+        self.interrupted += 1
+        self.is_flying = False
+
+
+@pytest.fixture
+def watch() -> Iterator[SyncSignals]:
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    yield SyncSignals()
+    after = {number: signal.getsignal(number) for number in before}
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    assert after == before
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        (signal.SIGINT, KeyboardInterrupt),
+        (signal.SIGTERM, SystemExit),
+        (signal.SIGHUP, SystemExit),
+    ],
+)
+def test_a_signal_interrupts_every_block_and_the_program(
+    watch: SyncSignals, number: signal.Signals, kind: type[BaseException]
+) -> None:
+    blocks = [Block(), Block()]
+    for block in blocks:
+        watch.join(block)
+    with pytest.raises(kind) as caught:
+        signal.raise_signal(number)
+    if isinstance(caught.value, SystemExit):
+        assert caught.value.code == 128 + number
+    assert [block.interrupted for block in blocks] == [1, 1]
+    for block in blocks:
+        watch.leave(block)
+
+
+def test_while_the_stop_path_runs_a_signal_does_nothing(watch: SyncSignals) -> None:
+    block = Block()
+    watch.join(block)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    signal.raise_signal(signal.SIGINT)
+    signal.raise_signal(signal.SIGTERM)
+    assert block.interrupted == 1
+    watch.leave(block)
+
+
+def test_a_block_that_has_ended_does_not_keep_signals_from_acting(watch: SyncSignals) -> None:
+    block = Block()
+    watch.join(block)
+    block.is_flying, block.is_over = False, True
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert block.interrupted == 0
+    watch.leave(block)
+
+
+def test_a_second_block_goes_on_being_watched(watch: SyncSignals) -> None:
+    first, second = Block(), Block()
+    watch.join(first)
+    watch.join(second)
+    watch.leave(first)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert (first.interrupted, second.interrupted) == (0, 1)
+    watch.leave(second)
+
+
+def test_what_the_program_handles_itself_is_left_alone(watch: SyncSignals) -> None:
+    caught: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, frame: caught.append(number))
+    block = Block()
+    watch.join(block)
+    signal.raise_signal(signal.SIGTERM)
+    assert caught == [signal.SIGTERM]
+    assert block.interrupted == 0
+    watch.leave(block)
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_outside_the_main_thread_nothing_is_taken(watch: SyncSignals) -> None:
+    block = Block()
+    thread = threading.Thread(target=lambda: watch.join(block))
+    thread.start()
+    thread.join()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    watch.leave(block)
