@@ -177,9 +177,10 @@ def test_the_manuals_house_names_places_that_exist() -> None:
 TESTED_ELSEWHERE = {
     "activation.py": ("test_aircraft.py", "activating is one method of the aircraft"),
     "agent/activation.py": ("agent/test_agent.py", "a part that only the agent has"),
-    "agent/codec.py": ("agent/test_messages.py", "what is said, and how it is written down"),
+    "agent/codec.py": ("agent/test_message_bytes.py", "what is said, and how it is written down"),
     "agent/connect.py": ("agent/test_agent.py", "three lines that each open a connection"),
     "agent/connection.py": ("agent/test_agent.py", "a part that only the agent has"),
+    "agent/messages.py": ("agent/test_message_bytes.py", "each comes out as it went in"),
     "agent/patterns.py": ("station/ros/test_node_2015.py", "flown by the commands of 2015"),
     "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
     "protocol/records.py": ("protocol/test_packet.py", "records are what packages are read into"),

@@ -143,18 +143,16 @@ def _choice(kind: type[Enum]) -> _Codec:
     return lambda value: value.value, read
 
 
-def _codec(kind: Any, special: Mapping[type, _Codec]) -> _Codec:
-    if kind in special:
-        return special[kind]
+def _codec(kind: Any) -> _Codec:
     if kind in _PLAIN:
         return _PLAIN[kind]
     if isinstance(kind, types.UnionType):
         (one,) = (part for part in get_args(kind) if part is not type(None))
-        return _optional(_codec(one, special))
+        return _optional(_codec(one))
     if isinstance(kind, type) and issubclass(kind, Enum):
         return _choice(kind)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-        nested = Fields(kind, special)
+        nested = Fields(kind)
         return nested.write, nested.read
     if get_origin(kind) is Mapping:
         return _write_details, _read_details
@@ -166,15 +164,12 @@ class Fields:
 
     Args:
         kind: The dataclass.
-        special: Writer and reader of types that need their own.
     """
 
-    def __init__(self, kind: type[Any], special: Mapping[type, _Codec] = {}) -> None:
+    def __init__(self, kind: type[Any]) -> None:
         hints = get_type_hints(kind)
         self._kind = kind
-        self._codecs = {
-            field.name: _codec(hints[field.name], special) for field in dataclasses.fields(kind)
-        }
+        self._codecs = {field.name: _codec(hints[field.name]) for field in dataclasses.fields(kind)}
 
     def write(self, value: Any) -> dict[str, Any]:
         """The fields as JSON takes them.

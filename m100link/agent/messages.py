@@ -1,4 +1,4 @@
-"""What an agent and its fronts tell each other: a few typed messages, and their bytes.
+"""What an agent and its fronts tell each other: a few typed messages.
 
 A front is what strangers reach: rosbridge, the console, a bridge to other protocols. It owns
 nothing of the aircraft. What it knows comes in these messages, and what it wants goes out in them,
@@ -11,31 +11,19 @@ From the agent      Telemetry, FromMobile, Event, State, LeaseChanged, LeaseGran
 From a front        LeaseAsk, Steer, Ask, Note
 ==================  ========================================================================
 
-Bytes are JSON, one object for each message: its kind and its fields. Reading never raises anything
-but :class:`~m100link.agent.fault.MessageError`; what is longer than :data:`MAX_SIZE` is not read.
+What a carrier makes of them is in ``m100link.agent.message_bytes``.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
 
-from m100link.agent.codec import BadValue, Fields
-from m100link.agent.fault import Fault, MessageError
+from m100link.agent.fault import Fault
 from m100link.agent.lease import LeaseChange
-from m100link.protocol.setpoint import (
-    ControlMode,
-    Horizontal,
-    ReferenceFrame,
-    Setpoint,
-    Vertical,
-    Yaw,
-)
+from m100link.protocol.setpoint import Setpoint
 
 __all__ = [
-    "MAX_SIZE",
     "VERSION",
     "Action",
     "Activating",
@@ -58,15 +46,10 @@ __all__ = [
     "SteerRefused",
     "TakeOverOffered",
     "Telemetry",
-    "decode",
-    "encode",
 ]
 
-VERSION = 1
+VERSION = 2
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
-
-MAX_SIZE = 64 * 1024
-"""Longest message, bytes."""
 
 
 # -- both ways ------------------------------------------------------------------------------------
@@ -420,79 +403,3 @@ Message = (
     | Note
 )
 """Any of them."""
-
-
-# -- bytes ----------------------------------------------------------------------------------------
-
-
-def _write_setpoint(setpoint: Setpoint) -> list[float]:
-    flag = setpoint.mode.flag | setpoint.frame << 1 | setpoint.stable
-    return [flag, setpoint.x, setpoint.y, setpoint.z, setpoint.yaw]
-
-
-def _read_setpoint(value: Any) -> Setpoint:
-    if type(value) is not list or len(value) != 5:
-        raise BadValue("not a control flag and four numbers")
-    flag, *axes = value
-    if type(flag) is not int or not 0 <= flag <= 0xFF:
-        raise BadValue("not a control flag")
-    if any(type(one) not in (int, float) for one in axes):
-        raise BadValue("not four numbers")
-    try:
-        mode = ControlMode(Horizontal(flag >> 6), Vertical(flag >> 4 & 3), Yaw(flag >> 3 & 1))
-        x, y, z, yaw = axes
-        return Setpoint(mode, x, y, z, yaw, ReferenceFrame(flag >> 1 & 1), bool(flag & 1))
-    except (ValueError, OverflowError) as error:  # a flag without a mode, or a value out of range
-        raise BadValue(f"not a setpoint: {str(error)[:200]}") from None
-
-
-_KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in Message.__args__}
-_FIELDS = {
-    kind: Fields(kind, {Setpoint: (_write_setpoint, _read_setpoint)}) for kind in _KINDS.values()
-}
-
-
-def encode(message: Message) -> bytes:
-    """The bytes of a message, at most :data:`MAX_SIZE`.
-
-    Raises:
-        MessageError: A number in it is not finite, or it is too long. Long texts are cut.
-    """
-    kind = type(message)
-    try:
-        text = json.dumps(
-            {"kind": kind.__name__, **_FIELDS[kind].write(message)}, separators=(",", ":")
-        )
-    except BadValue as error:
-        raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
-    data = text.encode("ascii")
-    if len(data) > MAX_SIZE:
-        raise MessageError(f"{kind.__name__} would have {len(data)} bytes, at most {MAX_SIZE} go")
-    return data
-
-
-def decode(data: bytes) -> Message:
-    """The message of these bytes.
-
-    Raises:
-        MessageError: They are none.
-    """
-    if len(data) > MAX_SIZE:
-        raise MessageError(f"{len(data)} bytes are not a message: at most {MAX_SIZE} are")
-    try:
-        value = json.loads(data, parse_constant=_refuse)
-    except (ValueError, RecursionError):
-        raise MessageError("not a message: this is not JSON") from None
-    name = value.pop("kind", None) if isinstance(value, dict) else None
-    kind = _KINDS.get(name) if isinstance(name, str) else None
-    if kind is None:
-        raise MessageError("not a message: it names no kind that this version knows")
-    try:
-        message: Message = _FIELDS[kind].read(value)
-    except BadValue as error:
-        raise MessageError(f"not a message: {kind.__name__}: {error}") from None
-    return message
-
-
-def _refuse(text: str) -> float:
-    raise ValueError(f"{text} is not JSON")

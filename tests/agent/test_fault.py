@@ -7,7 +7,8 @@ import pytest
 from m100link import errors
 from m100link.agent.fault import Fault, MessageError
 from m100link.agent.lease import LeaseHeld
-from m100link.agent.messages import AuthorityTaken, decode, encode
+from m100link.agent.message_bytes import decode, encode
+from m100link.agent.messages import AuthorityTaken
 from m100link.errors import AuthorityLost, AuthorityRefused, GuardRefused, LossReason, M100Error
 
 ERRORS: list[M100Error] = [

@@ -9,7 +9,8 @@ import logging
 from collections import deque
 from collections.abc import Callable
 
-from m100link.agent.messages import Message, decode, encode
+from m100link.agent.message_bytes import decode, encode
+from m100link.agent.messages import Message
 
 __all__ = ["MemoryChannel", "memory_channels"]
 

@@ -17,7 +17,8 @@ from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
 from m100link.agent.fault import MessageError
-from m100link.agent.messages import MAX_SIZE, Goodbye, Message, Telemetry, decode, encode
+from m100link.agent.message_bytes import MAX_SIZE, decode, encode
+from m100link.agent.messages import Goodbye, Message, Telemetry
 from m100link.errors import PortFailed, PortNotFound
 
 __all__ = ["UnixChannel", "connect_unix", "private_directory", "serve_unix"]

@@ -20,7 +20,8 @@ from m100link.agent.carriers.unix import (
     private_directory,
     serve_unix,
 )
-from m100link.agent.messages import MAX_SIZE, Event, Message, Note, Telemetry, encode
+from m100link.agent.message_bytes import MAX_SIZE, encode
+from m100link.agent.messages import Event, Message, Note, Telemetry
 from m100link.errors import PortFailed, PortNotFound
 from tests.waiting import PATIENCE
 
