@@ -35,7 +35,7 @@ _LENGTH = struct.Struct("<I")
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: process, user, group
 
 
-class UnixChannel(asyncio.Protocol):
+class UnixChannel(asyncio.BufferedProtocol):
     """One end; see :class:`m100link.agent.carriers.Channel`.
 
     Args:
@@ -50,7 +50,10 @@ class UnixChannel(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None
-        self._received = bytearray()
+        # Room for the longest message, so that none of it is made anew for each.
+        self._received = bytearray(_LENGTH.size + MAX_SIZE)
+        self._space = memoryview(self._received)
+        self._filled = 0
         self._reason = ""
         self._is_lost = False
         self.dropped = 0
@@ -67,20 +70,28 @@ class UnixChannel(asyncio.Protocol):
         elif self._on_connected is not None:
             self._on_connected(self)
 
-    def data_received(self, data: bytes) -> None:
-        """Take bytes, hand on the messages that are whole."""
-        self._received += data
-        while len(self._received) >= _LENGTH.size and self._transport is not None:
-            (size,) = _LENGTH.unpack_from(self._received)
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Where the next bytes go: behind those of a message that is not whole."""
+        return self._space[self._filled :]
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Bytes came in: hand on the messages that are whole, keep the rest."""
+        self._filled += nbytes
+        begin = 0
+        while self._filled - begin >= _LENGTH.size and self._transport is not None:
+            (size,) = _LENGTH.unpack_from(self._received, begin)
             if size > MAX_SIZE:
                 self._refuse(f"a message of {size} bytes")
                 return
-            end = _LENGTH.size + size
-            if len(self._received) < end:
-                return
-            body = bytes(self._received[_LENGTH.size : end])
-            del self._received[:end]
+            end = begin + _LENGTH.size + size
+            if self._filled < end:
+                break
+            body = bytes(self._space[begin + _LENGTH.size : end])
+            begin = end
             self._take(body)
+        if begin:
+            self._space[: self._filled - begin] = self._space[begin : self._filled]
+            self._filled -= begin
 
     def _take(self, body: bytes) -> None:
         try:
