@@ -22,13 +22,17 @@ async def until(predicate: Callable[[], bool], within: float = PATIENCE) -> None
             await asyncio.sleep(0.01)
 
 
-def kept_waiting() -> float:
-    """Seconds for which this thread was ready to run while others ran; 0 where nobody counts.
+def kept_waiting(process: int | None = None) -> float:
+    """Seconds for which a thread was ready to run while others ran; 0 where nobody counts.
 
     What is left of a gap without them is what it would have been on a machine of its own.
+
+    Args:
+        process: Whose main thread; by default it is this thread.
     """
+    thread = "thread-self" if process is None else f"{process}/task/{process}"
     try:
-        counted = Path("/proc/thread-self/schedstat").read_text(encoding="ascii")
+        counted = Path(f"/proc/{thread}/schedstat").read_text(encoding="ascii")
     except OSError:
         return 0.0
     return int(counted.split()[1]) / 1e9
