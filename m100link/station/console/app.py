@@ -24,6 +24,7 @@ from m100link.station.console.page import Page
 from m100link.station.console.tab import Tab
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import Gate
+from m100link.station.web.turnstile import Turnstile
 
 if TYPE_CHECKING:
     from m100link.agent.client import AgentClient
@@ -135,7 +136,7 @@ def console_app(agent: AgentClient, settings: Settings, orders: Orders | None) -
     ui.page("/", title="m100link")(page)
     ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)
     return Gate(
-        app,
+        Turnstile(app, "/"),
         hosts=settings.host_names(),
         origins=settings.allow_origin,
         access=settings.access(),
