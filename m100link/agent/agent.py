@@ -16,20 +16,27 @@ from m100link.agent.activation import Activation
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.connection import Connect, Connection
 from m100link.agent.flying import Pattern
-from m100link.agent.holding import Holding, HoldingInput
+from m100link.agent.holding import Holding, HoldingInput, HoldingState
 from m100link.agent.journal import Journal
 from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft
+from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["Agent"]
+__all__ = ["LONGEST_KEPT", "Agent"]
+
+LONGEST_KEPT = 60.0
+"""Seconds that control authority is kept for nobody at most."""
 
 _LEASE_CHECK = 0.1
 _LONGEST_STEP = 0.3
 """Seconds between two looks at the lease; in what is longer than that this program did not run."""
+
+_LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
+"""How a lease ends when nobody wanted it to."""
 
 
 def _ignore() -> None:
@@ -43,6 +50,8 @@ class Agent:
         connect: Opens the aircraft.
         credentials: What activation needs; without them the aircraft can only be watched.
         lease_lifetime: Seconds that a lease lasts without renewal.
+        keep_authority: Seconds that control authority is kept, hovering, when whoever flew is lost
+            with its front; 0 gives it back at once.
 
     Attributes:
         journal: What happened.
@@ -60,7 +69,13 @@ class Agent:
         *,
         credentials: Credentials | None = None,
         lease_lifetime: float = 3.0,
+        keep_authority: float = 0.0,
     ) -> None:
+        if not 0.0 <= keep_authority <= LONGEST_KEPT:
+            raise UsageError(
+                f"control authority cannot be kept for {keep_authority:g} s",
+                remedy=f"choose 0 to {LONGEST_KEPT:g} s: somebody has to be there to fly",
+            )
         self._clock = asyncio.get_running_loop().time
         self.journal = Journal(self._clock)
         self.background = BackgroundTasks()
@@ -72,6 +87,10 @@ class Agent:
             on_change=self._lease_changed,
         )
         self.holding = Holding(self.journal, self.background)
+        self.holding.on_change.append(self._holding_changed)
+        self._keep_authority = keep_authority
+        # Ends a time in which authority is held for nobody.
+        self._unclaimed: asyncio.TimerHandle | None = None
         self.on_lease: list[Callable[[LeaseChange, Lease | None], None]] = []
         self.connection.on_aircraft.append(self._aircraft_changed)
 
@@ -111,15 +130,47 @@ class Agent:
 
     def _lease_changed(self, why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
         self.halt("control changed hands")  # before anybody is told
-        self.holding.feed(HoldingInput.LET_GO if new is None else HoldingInput.TAKEN_OVER)
+        self._claim()
+        if new is not None:
+            self.holding.feed(HoldingInput.TAKEN_OVER)
+        elif why in _LOST and self._keep_authority and self.holding.has_authority:
+            self._keep_for_nobody()
+        else:
+            self.holding.feed(HoldingInput.LET_GO)
         for callback in self.on_lease:
             callback(why, new)
         if new is not None:
             whom = f" from {old.name}" if old is not None else ""
             self.journal.note(f"{new.name} has control ({why.value}{whom})")
         elif old is not None:
-            level = "warning" if why is LeaseChange.EXPIRED else "info"
+            level = "warning" if why in _LOST else "info"
             self.journal.note(f"{old.name} gave control back ({why.value})", level)
+
+    def _keep_for_nobody(self) -> None:
+        self._unclaimed = asyncio.get_running_loop().call_later(
+            self._keep_authority, self._end_unclaimed, "nobody came back for it"
+        )
+        self.journal.note(
+            f"the aircraft hovers, control authority is kept for {self._keep_authority:g} s",
+            "warning",
+        )
+
+    def _claim(self) -> bool:
+        """Authority is not held for nobody any more; returns whether it was."""
+        timer, self._unclaimed = self._unclaimed, None
+        if timer is not None:
+            timer.cancel()
+        return timer is not None
+
+    def _end_unclaimed(self, why: str) -> None:
+        if self._claim():
+            self.journal.note(f"control authority is given back: {why}", "warning")
+            self.holding.let_go()
+
+    def _holding_changed(self, before: HoldingState, after: HoldingState) -> None:
+        # The pilot who comes back to F would give it to nobody.
+        if after is not HoldingState.RELEASING:
+            self._end_unclaimed("it was lost meanwhile")
 
     def _renewed(self, token: str) -> Lease:
         return self.desk.renew(token, self.now)
@@ -182,6 +233,7 @@ class Agent:
         await self._give_back()
 
     async def _give_back(self) -> None:
+        self._claim()
         self.halt()
         self.holding.let_go()
         await self.holding.settle()
@@ -212,7 +264,7 @@ class Agent:
         self.journal.note("stop")
         is_in_task = self.holding.task is not None
         self.halt("stop")
-        if is_in_task:
+        if is_in_task or self._unclaimed is not None:
             self.journal.note("control authority is given back to end the task", "warning")
             await self._give_back()
 

@@ -61,6 +61,7 @@ class LeaseChange(Enum):
     RELEASED = "released"
     EXPIRED = "expired"
     TAKEN_OVER = "taken over"
+    FRONT_LOST = "its front has gone"
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,14 +203,14 @@ class LeaseDesk:
         self._expires_at = now + self.lifetime
         return lease
 
-    def release(self, token: str, now: float) -> None:
-        """Give the lease back.
+    def release(self, token: str, now: float, why: LeaseChange = LeaseChange.RELEASED) -> None:
+        """End the lease: its holder gives it back, or cannot hold it any more.
 
         Raises:
             LeaseRefused: See :meth:`check`.
         """
         self.check(token, now)
-        self._change(LeaseChange.RELEASED, None, now)
+        self._change(why, None, now)
 
     def ask_take_over(self, name: str, now: float) -> TakeOver:
         """First step of a take-over: learn who would lose control.

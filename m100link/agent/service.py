@@ -256,13 +256,16 @@ class _Front:
     def close(self, reason: str) -> None:
         """End the connection."""
         self._channel.close(reason)
-        self._closed(reason)
+        self._leave(LeaseChange.RELEASED)
 
     def _closed(self, reason: str) -> None:
+        self._leave(LeaseChange.FRONT_LOST)
+
+    def _leave(self, why: LeaseChange) -> None:
         self._on_gone(self)
         for token in list(self._tokens.values()):
             try:
-                self._agent.desk.release(token, self._agent.now)
+                self._agent.desk.release(token, self._agent.now, why)
             except LeaseRefused:
                 pass  # another one has it by now
             else:

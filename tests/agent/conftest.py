@@ -26,10 +26,11 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
 class Rig:
     """An agent with an activated virtual aircraft, and one client's lease."""
 
-    def __init__(self) -> None:
+    def __init__(self, **options: Any) -> None:
         self.aircraft = VirtualAircraft(seed=5)
         self.driver = Driver(self.aircraft)
-        self.agent = Agent(by_driver(self.driver), credentials=self.aircraft.credentials)
+        credentials = self.aircraft.credentials
+        self.agent = Agent(by_driver(self.driver), credentials=credentials, **options)
         self.holding = self.agent.holding
         self.states: list[HoldingState] = []
         self.holding.on_change.append(lambda _, after: self.states.append(after))
@@ -40,9 +41,9 @@ class Rig:
             await self.until(lambda: self.agent.connection.state is ConnectionState.CONNECTED)
             await self.agent.activate()
             self.token = self.agent.desk.acquire("client", self.agent.now).token
-            renewing = self.agent.background.spawn(self._renew(), "renewal")
+            self.renewing = self.agent.background.spawn(self._renew(), "renewal")
             yield self
-            renewing.cancel()
+            self.renewing.cancel()
         self.driver.stop()
 
     async def _renew(self) -> None:

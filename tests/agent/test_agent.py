@@ -6,8 +6,9 @@ import anyio
 import pytest
 
 from m100link.agent.connection import ConnectionState
-from m100link.agent.lease import LeaseRefused
-from m100link.errors import M100Error, NoAuthority
+from m100link.agent.holding import HoldingState
+from m100link.agent.lease import LeaseChange, LeaseRefused
+from m100link.errors import M100Error, NoAuthority, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from tests.agent.conftest import Rig
@@ -117,3 +118,93 @@ async def test_an_aircraft_that_is_not_there_is_told_once(rig: Rig) -> None:
     assert len(told) == 1
     with pytest.raises(M100Error):
         await rig.agent.version()
+
+
+# -- authority that is kept when whoever flew is lost ----------------------------------------------
+
+LOST = pytest.mark.parametrize("why", [LeaseChange.FRONT_LOST, LeaseChange.EXPIRED])
+
+
+async def lose(rig: Rig, why: LeaseChange) -> None:
+    """A front that flies dies, or hangs; the aircraft hovers at once or when the setpoint ends."""
+    rig.agent.steer(rig.token, NORTH, 1.0)
+    await anyio.sleep(0.5)
+    rig.renewing.cancel()
+    if why is LeaseChange.FRONT_LOST:
+        rig.agent.desk.release(rig.token, rig.agent.now, why)
+    await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None, within=3.5)
+    await anyio.sleep(0.03)
+    assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
+
+
+@LOST
+async def test_by_default_authority_goes_back_with_whoever_is_lost(why: LeaseChange) -> None:
+    async with Rig().running() as rig:
+        await airborne(rig)
+        await lose(rig, why)
+        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
+
+
+@LOST
+async def test_kept_authority_is_there_for_whoever_comes_back(why: LeaseChange) -> None:
+    async with Rig(keep_authority=10.0).running() as rig:
+        await airborne(rig)
+        await lose(rig, why)
+        await anyio.sleep(5.0)
+        assert rig.aircraft.vehicle.authority.is_requested
+        with pytest.raises(LeaseRefused):
+            rig.agent.steer(rig.token, NORTH)
+        token = rig.agent.desk.acquire("back again", rig.agent.now).token
+        await rig.agent.obtain(token)
+        rig.agent.steer(token, NORTH)
+        await anyio.sleep(0.1)
+        assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 1.0
+        for _ in range(20):
+            await anyio.sleep(1.0)
+            rig.agent.desk.renew(token, rig.agent.now)
+        assert rig.holding.has_authority
+
+
+@LOST
+async def test_kept_authority_goes_back_when_nobody_comes(why: LeaseChange) -> None:
+    async with Rig(keep_authority=10.0).running() as rig:
+        await airborne(rig)
+        await lose(rig, why)
+        await anyio.sleep(9.5)
+        assert rig.holding.has_authority
+        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.5)
+        told = [event.text for event in rig.agent.journal.events]
+        assert "control authority is given back: nobody came back for it" in told
+
+
+async def test_who_gives_the_lease_back_leaves_no_authority_behind() -> None:
+    async with Rig(keep_authority=10.0).running() as rig:
+        await airborne(rig)
+        rig.agent.desk.release(rig.token, rig.agent.now)
+        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
+
+
+async def test_a_pilot_who_takes_what_is_kept_for_nobody_gives_it_back_to_nobody() -> None:
+    async with Rig(keep_authority=30.0).running() as rig:
+        await airborne(rig)
+        await lose(rig, LeaseChange.FRONT_LOST)
+        rig.aircraft.leave_f()
+        await rig.until(lambda: not rig.holding.has_authority, within=2.0)
+        rig.aircraft.return_to_f()
+        await anyio.sleep(3.0)
+        assert rig.holding.state is HoldingState.NONE
+        assert not rig.aircraft.vehicle.authority.is_requested
+
+
+async def test_a_stop_ends_what_is_kept_for_nobody() -> None:
+    async with Rig(keep_authority=30.0).running() as rig:
+        await airborne(rig)
+        await lose(rig, LeaseChange.FRONT_LOST)
+        await rig.agent.stop()
+        assert not rig.aircraft.vehicle.authority.is_requested
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 61.0, float("nan")])
+async def test_authority_is_not_kept_for_ever(seconds: float) -> None:
+    with pytest.raises(UsageError, match="cannot be kept"):
+        Rig(keep_authority=seconds)
