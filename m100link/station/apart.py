@@ -13,7 +13,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -52,6 +52,7 @@ class FrontProcess:
     Attributes:
         pid: Process id of the present child, None between two.
         console_path: Path that opens the console in a browser.
+        on_restart: Called when it serves again: the console has another path then.
     """
 
     def __init__(self, agent: Agent, request: dict[str, Any], sockets: Sockets) -> None:
@@ -60,6 +61,7 @@ class FrontProcess:
         self._sockets = sockets
         self._process: asyncio.subprocess.Process | None = None
         self.console_path = "/"
+        self.on_restart: list[Callable[[], None]] = []
 
     @property
     def pid(self) -> int | None:
@@ -139,6 +141,8 @@ class FrontProcess:
             else:
                 failures = 0
                 self._agent.journal.note("the fronts serve again")
+                for callback in self.on_restart:
+                    callback()
 
     async def end(self) -> None:
         """End the child, in order if it listens. May be called any number of times."""
@@ -224,6 +228,7 @@ async def running_apart(
         UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
     """
     request: dict[str, Any] = {"settings": front_settings(settings)}
+    settings.niceness()  # before anything is bound
     async with AsyncExitStack() as stack:
         sockets = open_sockets(stack, settings, with_console=with_console)
         owner = await stack.enter_async_context(owning(settings, virtual))

@@ -24,6 +24,10 @@ PORT = 9090
 CONSOLE_PORT = 8090
 """Where the console is served."""
 
+FRONT_NICENESS = 5
+"""A third of the agent's share of a busy processor: it still serves, and holds nobody up."""
+
+_MAX_NICENESS = 19
 _MIN_TOKEN = 16
 _APP: dict[str, Any] = {one.name: one.default for one in fields(Credentials)}
 
@@ -59,6 +63,9 @@ class Settings:
         pages: Folder with web pages to serve on the rosbridge port, such as DJI's keyboard page.
         tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
         max_clients: Clients at once.
+        keep_authority: Seconds that control authority is kept, hovering, when the process that
+            talks to clients is lost and with it whoever flew; 0 gives it back at once.
+        front_niceness: How much lower the priority of that process is, 0 to 19.
         origins: Where each value came from.
     """
 
@@ -85,6 +92,8 @@ class Settings:
     pages: Path | None = None
     tiles: Path | None = None
     max_clients: int = 32
+    keep_authority: float = 0.0
+    front_niceness: int = FRONT_NICENESS
     origins: dict[str, str] = field(default_factory=dict)
 
     def credentials(self) -> Credentials | None:
@@ -131,6 +140,19 @@ class Settings:
         if set(token) & set(' ";,\\%&+#='):
             raise UsageError('a token has none of the characters space " ; , \\ % & + # =')
         return token
+
+    def niceness(self) -> int:
+        """How much lower the priority of the fronts is.
+
+        Raises:
+            UsageError: There is no such priority.
+        """
+        if not 0 <= self.front_niceness <= _MAX_NICENESS:
+            raise UsageError(
+                f"the fronts cannot have a niceness of {self.front_niceness}",
+                remedy=f"choose 0 to {_MAX_NICENESS}; the agent must not stand behind them",
+            )
+        return self.front_niceness
 
     def host_names(self) -> set[str]:
         """Names and addresses, as URLs have them, under which the station is reached."""
@@ -260,6 +282,10 @@ def _convert(name: str, value: Any, source: str) -> Any:
             if isinstance(value, bool | float):
                 raise ValueError
             return int(value, 0) if isinstance(value, str) else int(value)
+        if kind.startswith("float"):
+            if isinstance(value, bool):
+                raise ValueError
+            return float(value)
         if kind.startswith("bool"):
             if not isinstance(value, bool):
                 raise ValueError

@@ -26,10 +26,7 @@ from m100link.station.config import resolve
 from m100link.station.console.orders import orders_by_socket
 from m100link.station.fronts import Fronts, Sockets, serving_fronts
 
-__all__ = ["AFTERLIFE", "NICENESS", "main"]
-
-NICENESS = 10
-"""How much lower its priority is than that of the agent."""
+__all__ = ["AFTERLIFE", "main"]
 
 AFTERLIFE = 60.0
 """Seconds that it tells of an agent that has gone, before it ends."""
@@ -52,6 +49,7 @@ async def _serve(request: dict[str, Any]) -> None:
         return await connect_unix(Path(request["agent"]))
 
     settings = resolve(request["settings"], {})
+    os.nice(settings.niceness())
     console = request["console"]
     sockets = Sockets(
         [socket.socket(fileno=number) for number in request["rosbridge"]],
@@ -78,7 +76,6 @@ async def _until_ended(ended: asyncio.Event, fronts: Fronts) -> None:
 
 def main() -> int:
     """Serve until told to end."""
-    os.nice(NICENESS)
     try:
         asyncio.run(_serve(json.loads(sys.stdin.readline())))
     except M100Error as error:

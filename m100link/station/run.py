@@ -129,7 +129,9 @@ async def owning(
                 "no aircraft was named",
                 remedy="give its URL, set M100LINK_URL, or use --sim for a virtual one",
             )
-        agent = await stack.enter_async_context(Agent(connect, credentials=credentials))
+        agent = await stack.enter_async_context(
+            Agent(connect, credentials=credentials, keep_authority=settings.keep_authority)
+        )
         service = Service(agent)
         stack.callback(service.close)
         yield Owner(agent, service, virtual)

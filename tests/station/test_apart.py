@@ -20,8 +20,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from m100link.errors import M100Error, UsageError
 from m100link.station import apart
 from m100link.station.apart import RunningApart, front_settings, running_apart
-from m100link.station.config import Settings, resolve
-from m100link.station.front import NICENESS
+from m100link.station.config import FRONT_NICENESS, Settings, resolve
 from tests.waiting import PATIENCE, until
 
 pytestmark = pytest.mark.anyio
@@ -65,11 +64,11 @@ class Pilot:
 
 @asynccontextmanager
 async def flying(
-    *, with_console: bool = False
+    *, with_console: bool = False, **more: Any
 ) -> AsyncIterator[tuple[RunningApart, asyncio.Task[None]]]:
     """A station in two processes whose aircraft flies to the east."""
     async with AsyncExitStack() as stack:
-        settings = Settings(sim=True, port=0, console_port=0)
+        settings = Settings(sim=True, port=0, console_port=0, **more)
         one = await stack.enter_async_context(running_apart(settings, with_console=with_console))
         client = await stack.enter_async_context(connect(f"ws://127.0.0.1:{one.ports[0]}"))
         pilot = Pilot(client)
@@ -89,8 +88,9 @@ def east(one: RunningApart) -> float:
     return float(moves[-1].pitch_or_y) if moves else 0.0
 
 
-async def test_fronts_run_lower_and_know_nothing_of_the_app() -> None:
-    settings = Settings(sim=True, port=0, app_id=7, key="00" * 32)
+@pytest.mark.parametrize("niceness", [FRONT_NICENESS, 0, 7])
+async def test_fronts_run_lower_and_know_nothing_of_the_app(niceness: int) -> None:
+    settings = Settings(sim=True, port=0, app_id=7, key="00" * 32, front_niceness=niceness)
     told = json.loads(json.dumps(front_settings(settings)))
     assert not {"key", "key_file", "app_id", "url"} & set(told)
     assert resolve(told, {}).port == 0
@@ -98,7 +98,7 @@ async def test_fronts_run_lower_and_know_nothing_of_the_app() -> None:
         assert one.front.pid is not None
         ours = os.getpriority(os.PRIO_PROCESS, 0)
         theirs = os.getpriority(os.PRIO_PROCESS, one.front.pid)
-        assert theirs == min(ours + NICENESS, 19)
+        assert theirs == min(ours + niceness, 19)
 
 
 async def test_a_front_that_is_killed_costs_a_hover_and_comes_back() -> None:
@@ -116,6 +116,34 @@ async def test_a_front_that_is_killed_costs_a_hover_and_comes_back() -> None:
             assert answer["values"]["result"] is True
         told = [event.text for event in one.agent.journal.events]
         assert "the fronts ended (SIGKILL); they are started again" in told
+
+
+async def test_authority_is_kept_for_a_front_that_is_started_again() -> None:
+    async with flying(keep_authority=60.0) as (one, _):
+        killed = one.front.pid
+        assert killed is not None
+        restarted = asyncio.Event()
+        one.front.on_restart.append(restarted.set)
+        os.kill(killed, signal.SIGKILL)
+        await until(lambda: east(one) == 0.0)
+        async with asyncio.timeout(PATIENCE):
+            await restarted.wait()
+        assert one.agent.holding.has_authority
+        async with connect(f"ws://127.0.0.1:{one.ports[0]}") as client:
+            pilot = Pilot(client)
+            answer = await pilot.call("/dji_sdk/sdk_control_authority", control_enable=1)
+            assert answer["values"]["result"] is True
+            flying_on = asyncio.create_task(pilot.fly())
+            await until(lambda: east(one) == 1.0)
+            flying_on.cancel()
+            await asyncio.gather(flying_on, return_exceptions=True)
+
+
+@pytest.mark.parametrize("niceness", [-1, 20])
+async def test_fronts_never_stand_before_the_agent(niceness: int) -> None:
+    with pytest.raises(UsageError, match="niceness"):
+        async with running_apart(Settings(sim=True, port=0, front_niceness=niceness)):
+            pass
 
 
 async def test_a_front_that_hangs_costs_a_hover() -> None:
