@@ -8,9 +8,12 @@ from collections.abc import Callable
 
 from m100link.agent.messages import Event
 
-__all__ = ["Journal"]
+__all__ = ["JOURNAL_LOG", "Journal"]
 
-_logger = logging.getLogger("m100link.agent")
+JOURNAL_LOG = "m100link.agent.journal"
+"""Name of the log that has every event, for whoever shows events in another way."""
+
+_logger = logging.getLogger(JOURNAL_LOG)
 
 _MAX_EVENTS = 200
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

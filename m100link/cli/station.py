@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
 import webbrowser
@@ -137,7 +138,8 @@ def _show(settings: Settings) -> int:
 async def _serve(
     settings: Settings, options: StationOptions, with_console: bool, open_browser: bool
 ) -> int:
-    from m100link.station.apart import running_apart
+    from m100link.agent.journal import JOURNAL_LOG
+    from m100link.station.apart import RunningApart, running_apart
     from m100link.station.run import running
 
     ended = asyncio.Event()
@@ -145,11 +147,20 @@ async def _serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
     run = running if options.single_process else running_apart
+    # Events are told here: logging, which nobody has set up, would print the warnings once more.
+    logging.getLogger(JOURNAL_LOG).addHandler(logging.NullHandler())
+    logging.getLogger(JOURNAL_LOG).propagate = False
     async with run(settings, with_console=with_console) as station:
         for event in station.agent.journal.events:
             _tell(event)
         station.agent.journal.on_event.append(_tell)
         _announce(settings, station, as_json=options.json_output)
+        _warn(settings)
+        if isinstance(station, RunningApart):
+            # The code in the console's address works once, and a front that is new has another.
+            station.front.on_restart.append(
+                lambda: _announce(settings, station, as_json=options.json_output)
+            )
         if station.console_port is not None and open_browser:
             await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
         await ended.wait()
@@ -173,6 +184,9 @@ def _announce(settings: Settings, running: Running | RunningApart, *, as_json: b
         out.print(f"rosbridge: {', '.join(addresses)}", markup=False, soft_wrap=True)
         if console_url is not None:
             out.print(f"console:   {console_url}", markup=False, soft_wrap=True)
+
+
+def _warn(settings: Settings) -> None:
     if settings.is_plain_beyond_loopback():
         err.print(
             "[yellow]warning:[/] without TLS everybody on this network can read the token and "

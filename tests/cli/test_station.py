@@ -46,6 +46,20 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
     )
 
 
+def secret_file(folder: Path) -> Path:
+    """A file with a token."""
+    token = folder / "token"
+    token.write_text("0123456789abcdef")
+    token.chmod(0o600)
+    return token
+
+
+def children(process: int) -> list[int]:
+    """Process ids of its children."""
+    listed = Path(f"/proc/{process}/task/{process}/children").read_text()
+    return [int(one) for one in listed.split()]
+
+
 def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
     launch = tmp_path / "sdk.launch"
     launch.write_text('<launch><param name="baud_rate" value="115200"/></launch>')
@@ -102,6 +116,32 @@ async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) ->
     assert process.returncode == 0
     assert b"control authority released" in talk
     assert b"Traceback" not in talk
+
+
+async def test_a_front_that_died_is_told_once_and_its_console_can_be_opened_again(
+    tmp_path: Path,
+) -> None:
+    token = secret_file(tmp_path)
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "console", "--sim", "--port", "0", "--console-port", "0", "--json"),
+        *("--no-open-browser", "--token-file", str(token)),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    first = json.loads(await process.stdout.readline())["console"]
+    (child,) = children(process.pid)
+    os.kill(child, signal.SIGKILL)
+    async with asyncio.timeout(60):
+        second = json.loads(await process.stdout.readline())["console"]
+    assert second != first
+    browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    with await asyncio.to_thread(browser.open, second) as answer:
+        assert b"m100link" in answer.read()
+    process.send_signal(signal.SIGTERM)
+    async with asyncio.timeout(30):
+        _, talk = await process.communicate()
+    assert talk.count(b"the fronts ended (SIGKILL)") == 1
 
 
 @pytest.mark.parametrize("host", ["::1", "127.0.0.2", "localhost"])
