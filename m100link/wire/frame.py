@@ -150,10 +150,11 @@ def _begin(size: int, session: int, is_ack: bool, padding: int) -> tuple[int, in
 
 
 # What a header says but for its sequence number, remembered so that repeats cost one lookup: its
-# CRC16 with sequence number 0, length, session, is_ack, encrypted, padding, and what stands between
-# the bytes and the payload: nothing, a key (NO_KEY), or padding that cannot be (PADDING).
+# CRC16 with sequence number 0, length, session, is_ack, encrypted, padding, what stands between the
+# bytes and the payload (nothing, a key: NO_KEY, or padding that cannot be: PADDING), and which part
+# of decrypted data is no padding.
 # Plain tuples: the interpreter takes those apart several times as fast as named ones.
-_Header = tuple[int, int, int, bool, bool, int, Discard | None]
+_Header = tuple[int, int, int, bool, bool, int, Discard | None, slice]
 
 
 def _parse_word(word: int) -> _Header:
@@ -167,8 +168,16 @@ def _parse_word(word: int) -> _Header:
         obstacle = Discard.PADDING
     elif encrypted and size:
         obstacle = Discard.NO_KEY  # padding alone means nothing, DJI's codec ignores it too
-    crc16 = header_crc16_of_word(word.to_bytes(8, "little"))
-    return crc16, length, word >> 24 & 0x1F, bool(word >> 29 & 1), encrypted, padding, obstacle
+    return (
+        header_crc16_of_word(word.to_bytes(8, "little")),
+        length,
+        word >> 24 & 0x1F,
+        bool(word >> 29 & 1),
+        encrypted,
+        padding,
+        obstacle,
+        slice(size - padding),
+    )
 
 
 def _fault_of(word: int) -> Discard | None:
@@ -255,7 +264,7 @@ class FrameDecoder:
                     right = right_headers(data, position, last + 1)
                 position = self._hunt(data, position, right, last + 1)
                 continue
-            _, length, session, is_ack, encrypted, padding, obstacle = header
+            _, length, session, is_ack, encrypted, padding, obstacle, clear = header
             end = position + length
             if end > size:
                 break
@@ -274,7 +283,7 @@ class FrameDecoder:
                     else:
                         position = self._reject(obstacle, data, position)
                     continue
-                payload = cipher.decrypt(payload)[: length - OVERHEAD - padding]
+                payload = cipher.decrypt(payload)[clear]
             # Frame(…) would go through a constructor in Python, at twice the cost.
             frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
             position = end
