@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
+from typing import Any
 
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, ItemLayout, layouts
@@ -90,6 +91,7 @@ class FirmwareProfile:
         ioc_must_be_off: IOC forbids authority.
         generation: Which commands it knows: each command says since when it exists.
         item_flags: The bits of its items in the flag word of telemetry.
+        plans: What :mod:`m100link.protocol.packet` has worked out, per flag word of these items.
 
     Raises:
         UsageError: An item that does not exist, or fields that it does not have.
@@ -116,6 +118,7 @@ class FirmwareProfile:
     ioc_must_be_off: bool
     generation: Generation
     item_flags: int = field(init=False, repr=False)
+    plans: dict[int, Any] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         flags = 0

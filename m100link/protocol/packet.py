@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from operator import itemgetter
-from struct import Struct
+from struct import Struct, calcsize
 from typing import Any, TypeVar
 
 from m100link.errors import LayoutMismatch
@@ -26,65 +25,93 @@ __all__ = [
 ]
 
 
-_BITS = {record: item.bit for record, item in BY_RECORD.items()}
-
 R = TypeVar("R", bound=tuple[Any, ...])
 _Values = tuple[Any, ...]
-_Pick = Callable[[_Values], _Values]
-_new = tuple.__new__
+_Reader = Callable[[bytes, int], list[Any]]
 
-# Behind the unpacked values stand what a layout lacks, None, and what the profile itself says.
-_FROM_PROFILE = tuple(dict.fromkeys(name for item in ITEMS for name in item.profile_fields))
-_LACKING = -1 - len(_FROM_PROFILE)
+_FLAGS_SIZE = 2
 
 
-def _picker(item: Item, layout: ItemLayout, start: int) -> _Pick:
-    """How the fields of a record are picked out of unpacked values, those of the item at start."""
-    places = [
-        start + layout.fields.index(name) if name in layout.fields else _LACKING
-        for name in item.fields
-    ]
-    places += [_FROM_PROFILE.index(name) - len(_FROM_PROFILE) for name in item.profile_fields]
-    first, end = places[0], places[0] + len(places)
-    if places == list(range(first, end)):
-        return itemgetter(slice(first, end))
-    return itemgetter(*places)
+def _reader(items: Sequence[Item], profile: FirmwareProfile) -> _Reader:
+    """A function that reads the records of these items, which follow each other from an offset.
+
+    It is written out and compiled, like the constructor of a named tuple: values go from the bytes
+    into their record without a slice or a place looked up in between. For two items::
+
+        def read(value, offset):
+            (time_tick, battery_percent,) = unpack(value, offset)
+            return [new(time, (time_tick, None, None, tick_hz)), new(battery, (battery_percent,))]
+    """
+    # Every name in the source is one of the table of items: no text from outside is compiled.
+    names: dict[str, Any] = {"new": tuple.__new__}
+    values, records, formats = [], [], ["<"]
+    for item in items:
+        layout = profile.items[item.name]
+        formats.append(layout.format)
+        values += [f"{item.name}_{field}, " for field in layout.fields]
+        fields = [f"{item.name}_{f}" if f in layout.fields else "None" for f in item.fields]
+        records.append(f"new({item.name}, ({', '.join((*fields, *item.profile_fields))},))")
+        names[item.name] = item.record
+        names |= {name: getattr(profile, name) for name in item.profile_fields}
+    names["unpack"] = Struct("".join(formats)).unpack_from
+    source = f"""
+def read(value, offset):
+    ({"".join(values)}) = unpack(value, offset)
+    return [{", ".join(records)}]
+"""
+    exec(source, names)
+    read: _Reader = names["read"]
+    return read
+
+
+@lru_cache(maxsize=256)
+def _item_reader(bit: int, profile: FirmwareProfile) -> _Reader:
+    return _reader((ITEMS[bit],), profile)
 
 
 class _Plan:
     """Where everything is in a packet with one set of flags under one profile.
 
     Attributes:
+        flags: The flag word.
         size: Bytes of the packet.
         pack: Makes a packet of flag word and values.
-        unpack: Reads all of them at once.
-        extras: What has to follow unpacked values before records are picked out of them.
-        items: Per item its offset, how to read it alone, and how to pick its record.
-        records: Record class per item, and how to pick it out of all values.
+        unpack: Reads all values at once, without the flag word.
+        items: Per bit the offset of the item and how to read its values.
+        places: Per record class the offset of its item and how to read the record.
+        read: Reads all records at once; None until somebody asks for them.
     """
 
-    __slots__ = ("extras", "items", "pack", "records", "size", "unpack")
+    __slots__ = ("flags", "items", "pack", "places", "profile", "read", "size", "unpack")
 
     def __init__(self, flags: int, profile: FirmwareProfile) -> None:
-        self.extras = (None, *(getattr(profile, name) for name in _FROM_PROFILE))
-        self.items: dict[int, tuple[int, Callable[[bytes, int], _Values], _Pick]] = {}
-        self.records: list[tuple[type[Any], _Pick]] = []
-        whole, start = Struct("<H"), 1
+        self.flags, self.profile = flags, profile
+        self.items: dict[int, tuple[int, Callable[[bytes, int], _Values]]] = {}
+        self.places: dict[type[Any], tuple[int, _Reader]] = {}
+        self.read: _Reader | None = None
+        whole = ""
         for item in ITEMS:
             if flags >> item.bit & 1:
                 layout = profile.items[item.name]
-                alone = Struct("<" + layout.format)
-                self.items[item.bit] = (whole.size, alone.unpack_from, _picker(item, layout, 0))
-                self.records.append((item.record, _picker(item, layout, start)))
-                whole = Struct(whole.format + layout.format)
-                start += len(layout.fields)
-        self.size, self.pack, self.unpack = whole.size, whole.pack, whole.unpack
+                offset = calcsize("<H" + whole)
+                self.items[item.bit] = offset, Struct("<" + layout.format).unpack_from
+                self.places[item.record] = offset, _item_reader(item.bit, profile)
+                whole += layout.format
+        self.pack, self.unpack = Struct("<H" + whole).pack, Struct("<2x" + whole).unpack
+        self.size = calcsize("<H" + whole)
+
+    def compile(self) -> _Reader:
+        """Make :attr:`read`."""
+        self.read = _reader([ITEMS[bit] for bit in self.items], self.profile)
+        return self.read
 
 
-@lru_cache(maxsize=4 * 4096)
 def _plan(flags: int, profile: FirmwareProfile) -> _Plan:
-    """The plan for flags that are all among ``profile.item_flags``."""
-    return _Plan(flags, profile)
+    """The plan for flags that are all among ``profile.item_flags``, remembered by the profile."""
+    plan: _Plan | None = profile.plans.get(flags)
+    if plan is None:
+        plan = profile.plans[flags] = _Plan(flags, profile)
+    return plan
 
 
 def telemetry_size(flags: int, profile: FirmwareProfile) -> int:
@@ -141,16 +168,16 @@ class TelemetryPacket(RecordViews):
     __slots__ = ("_plan", "flags", "profile", "value")
 
     def __init__(self, value: bytes, profile: FirmwareProfile) -> None:
-        size = len(value)
-        known = profile.item_flags
-        flags = value[0] | value[1] << 8 if size >= 2 else ~known
-        plan = _plan(flags & known, profile)
-        if flags & ~known or size != plan.size:
+        try:
+            plan: _Plan = profile.plans[value[0] | value[1] << 8]
+        except LookupError:
+            plan = _plan_of(value, profile)
+        if plan.size != len(value):
             raise _mismatch(value, profile)
-        self.value = value
-        self.profile = profile
-        self.flags = flags
         self._plan = plan
+        self.flags = plan.flags
+        self.profile = profile
+        self.value = value
 
     @property
     def indices(self) -> Iterable[int]:
@@ -159,19 +186,21 @@ class TelemetryPacket(RecordViews):
 
     def get(self, record: type[R]) -> R | None:
         """The record of that class, None when the packet does not carry it."""
-        plan = self._plan
-        place = plan.items.get(_BITS[record])
+        place = self._plan.places.get(record)
         if place is None:
+            if record not in BY_RECORD:
+                raise KeyError(record)
             return None
-        offset, unpack, pick = place
-        return _new(record, pick(unpack(self.value, offset) + plan.extras))
+        offset, read = place
+        found: list[R] = read(self.value, offset)
+        return found[0]
 
     def row(self) -> tuple[float, ...]:
         """Every raw value that the packet carries, in wire order, named by :attr:`columns`.
 
         The fastest way to read a whole packet, for logs and arrays.
         """
-        return self._plan.unpack(self.value)[1:]
+        return self._plan.unpack(self.value)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -181,15 +210,15 @@ class TelemetryPacket(RecordViews):
         )
 
     def _layouts(self) -> Iterator[tuple[str, ItemLayout, _Values]]:
-        for bit, (offset, unpack, _) in self._plan.items.items():
+        for bit, (offset, unpack) in self._plan.items.items():
             name = ITEMS[bit].name
             yield name, self.profile.items[name], unpack(self.value, offset)
 
     def records(self) -> list[Any]:
         """Every record that the packet carries, in bit order."""
         plan = self._plan
-        values = plan.unpack(self.value) + plan.extras
-        return [_new(record, pick(values)) for record, pick in plan.records]
+        read = plan.read or plan.compile()
+        return read(self.value, _FLAGS_SIZE)
 
     def raw_items(self) -> dict[str, dict[str, Any]]:
         """Raw values by item name and wire field name, for dumps and golden vectors."""
@@ -200,6 +229,18 @@ class TelemetryPacket(RecordViews):
 
     def __repr__(self) -> str:
         return f"TelemetryPacket({', '.join(map(repr, self.records()))})"
+
+
+def _plan_of(value: bytes, profile: FirmwareProfile) -> _Plan:
+    """The plan that the flags of a value ask for.
+
+    Raises:
+        LayoutMismatch: See :class:`TelemetryPacket`.
+    """
+    flags = value[0] | value[1] << 8 if len(value) >= _FLAGS_SIZE else ~0
+    if flags & ~profile.item_flags:
+        raise _mismatch(value, profile)
+    return _plan(flags, profile)
 
 
 def _mismatch(value: bytes, profile: FirmwareProfile) -> LayoutMismatch:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -409,3 +410,32 @@ def test_the_row_has_every_raw_value_under_its_column(vector: dict[str, Any]) ->
     }
     assert dict(zip(packet.columns, packet.row(), strict=True)) == flat
     assert [ITEMS[bit].name for bit in packet.indices] == list(packet.raw_items())
+
+
+# -- what is remembered ----------------------------------------------------------------------------
+
+
+def test_what_is_no_record_is_an_error_and_not_an_item_that_is_missing() -> None:
+    nothing = packet("1.0")
+    assert nothing.get(Battery) is None
+    with pytest.raises(KeyError):
+        nothing.get(tuple[int])
+
+
+def test_a_profile_made_of_another_reads_by_its_own_layouts() -> None:
+    """What was worked out for the one is not taken over by the other."""
+    plain = profile("1.0")
+    value = encode_telemetry({"time": [7], "battery": [80]}, plain)
+    assert TelemetryPacket(value, plain).records() == [Time(7, None, None, 600), Battery(80)]
+    other = replace(plain, name="mine", tick_hz=50)
+    assert TelemetryPacket(value, other).records() == [Time(7, None, None, 50), Battery(80)]
+    assert TelemetryPacket(value, plain).get(Time) == Time(7, None, None, 600)
+
+
+def test_flags_that_do_not_fit_are_not_remembered() -> None:
+    """Whatever comes in, a profile knows at most one plan for each set of its own items."""
+    firmware = replace(profile("1.0-document"), name="mine")
+    for flags in range(0, 0x10000, 13):
+        with pytest.raises(LayoutMismatch):
+            TelemetryPacket(flags.to_bytes(2, "little") + bytes(200), firmware)
+    assert all(flags & ~firmware.item_flags == 0 for flags in firmware.plans)
