@@ -3,7 +3,8 @@
     python -m benchmarks [PROGRAM | ROW …] [--rounds N] [--json] [--quick] [--beside TREE]
 
 Each program runs in a process of its own. One that fails leaves its rows unmeasured and the others
-as they are; the exit status is 1 then. No figure makes it fail.
+as they are; the exit status is 1 then. No figure makes it fail. ``--rounds`` makes fewer rounds
+of a program than it has by default, never more.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ def run(program: Program, rows: list[Row] | None, asked: argparse.Namespace) -> 
     """The result of one program; what ended otherwise has rows that say so."""
     command = [sys.executable, "-m", f"benchmarks.{program.name}", "--json"]
     command += [row.name for row in rows or ()]
-    for option in ("rounds", "beside", "codec"):
-        value = getattr(asked, option)
+    rounds = None if asked.rounds is None else min(asked.rounds, program.rounds)
+    for option, value in (("rounds", rounds), ("beside", asked.beside), ("codec", asked.codec)):
         command += [] if value is None else [f"--{option}", str(value)]
     command += ["--quick"] if asked.quick else []
     try:

@@ -60,7 +60,7 @@ from m100link.station.run import running
 CLIENTS = 10
 COUNT = 3000  # messages per timing
 TOPICS = 30
-PRESSES = 20
+PRESSES = 12
 SEED = 1
 PATIENCE_S = 60.0  # for anything that a busy machine may delay
 BUSY = f"{CLIENTS} clients, every topic, both cores busy"
@@ -295,7 +295,7 @@ def ours(setting: Setting, stack: ExitStack) -> Iterable[Side]:
     """The station."""
     clients = setting.count(CLIENTS)
     burners = 1 if setting.is_quick else os.cpu_count() or 1
-    seconds, number = setting.seconds(8.0), setting.count(COUNT)
+    seconds, number = setting.seconds(6.0), setting.count(COUNT)
     yield Side(BUSY, lambda: asyncio.run(busy(clients, burners, seconds)), is_time=False)
     yield messages(DROP, number, takes=False)
     yield messages(DELIVERY, number, takes=True)
