@@ -10,6 +10,8 @@ flag word; that it equals the ordinary encoder's frame is a test.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from operator import itemgetter
 from struct import Struct
 
 from m100link.protocol.commands.monitor import PushTelemetry
@@ -29,17 +31,33 @@ _ADDRESS = bytes(PushTelemetry.ADDRESS)
 class _Plan:
     """How to build the packet of one flag word."""
 
-    __slots__ = ("crc16", "flags", "pack", "readers", "word")
+    __slots__ = ("crc16", "flags", "pack", "pick", "readers", "word")
 
     def __init__(self, flags: int, profile: FirmwareProfile, sensors: Sensors) -> None:
         self.flags = flags
-        items = [(item.name, profile.items[item.name]) for item in ITEMS if flags >> item.bit & 1]
-        self.readers = [sensors.reader(name, layout) for name, layout in items]
-        body = Struct("<QHH2sH" + "".join(layout.format for _, layout in items))
+        items = [item for item in ITEMS if flags >> item.bit & 1]
+        layouts = [profile.items[item.name] for item in items]
+        self.readers = [sensors.reader(item.name) for item in items]
+        # A layout leaves fields out (1.0 has no status byte) or reorders them (1.0-document).
+        places, start = [], 0
+        for item, layout in zip(items, layouts, strict=True):
+            places += [start + item.fields.index(field) for field in layout.fields]
+            start += len(item.fields)
+        self.pick = _picker(places, start)
+        body = Struct("<QHH2sH" + "".join(layout.format for layout in layouts))
         self.pack = body.pack
         length = body.size + _CRC32.size
         self.word = SOF | length << 8  # session 0, plain, no ack: the rest is zero
         self.crc16 = header_crc16_of_word(self.word.to_bytes(8, "little"))
+
+
+def _picker(places: list[int], count: int) -> Callable[[Sequence[float]], Sequence[float]] | None:
+    """Takes the values at these places out of so many; None where that is all of them, in order."""
+    if places == list(range(count)):
+        return None
+    if len(places) == 1:  # itemgetter would return it bare
+        return itemgetter(slice(places[0], places[0] + 1))
+    return itemgetter(*places)
 
 
 class TelemetryPusher:
@@ -90,8 +108,9 @@ class TelemetryPusher:
         values: list[float] = []
         for read in plan.readers:
             values += read()
+        sent = values if plan.pick is None else plan.pick(values)
         crc16 = plan.crc16 ^ sequence_crc16(sequence)
-        body = plan.pack(plan.word, sequence, crc16, _ADDRESS, plan.flags, *values)
+        body = plan.pack(plan.word, sequence, crc16, _ADDRESS, plan.flags, *sent)
         self.packets += 1
         return body + _CRC32.pack(frame_crc32(body))
 

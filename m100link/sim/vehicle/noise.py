@@ -8,23 +8,24 @@ from random import Random
 
 __all__ = ["Wander", "noise_source"]
 
+_AXES = 3
 _TABLE = 4093  # prime, so that the columns of a packet do not repeat together
 
 
-def noise_source(random: Random) -> Callable[[], float]:
-    """A function that returns normal noise of unit variance.
+def noise_source(random: Random) -> Callable[[], list[float]]:
+    """A function that returns three samples of normal noise of unit variance, one for each axis.
 
     Out of a table: repeatable, and ten times as fast as drawing each sample.
     """
     table = [random.gauss(0.0, 1.0) for _ in range(_TABLE)]
+    table += table[:_AXES]
     position = 0
 
-    def sample() -> float:
+    def sample() -> list[float]:
         nonlocal position
-        position += 1
-        if position >= _TABLE:
-            position = 0
-        return table[position]
+        begin = position + 1
+        position = (position + _AXES) % _TABLE
+        return table[begin : begin + _AXES]
 
     return sample
 

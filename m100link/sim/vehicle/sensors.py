@@ -12,7 +12,6 @@ from random import Random
 
 from m100link.geodesy import LocalFrame
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.items import BY_NAME, ItemLayout
 from m100link.protocol.records import Device
 from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND, quaternion
@@ -112,18 +111,10 @@ class Sensors:
         if not self._motion.motors_on:
             self._errors.height.value = 0.0  # height counts from where it stands
 
-    def reader(self, name: str, layout: ItemLayout) -> Callable[[], Values]:
-        """The function that reads one item as its layout wants it."""
+    def reader(self, name: str) -> Callable[[], Values]:
+        """The function that reads one item: every field that it has in any firmware, in order."""
         read: Callable[[], Values] = getattr(self, f"_read_{name}")
-        usual = BY_NAME[name].fields
-        if layout.fields == usual:
-            return read
-        # A layout that leaves out (1.0 has no status byte) or reorders (1.0-document).
-        places = [usual.index(field) for field in layout.fields]
-        if places == list(range(len(places))):
-            count = len(places)
-            return lambda: read()[:count]
-        return lambda: tuple([read()[place] for place in places])
+        return read
 
     def _read_time(self) -> Values:
         # Nobody published how the nanoseconds of 3.1 relate to the tick; here they count the
@@ -157,8 +148,9 @@ class Sensors:
         )
         if not self._scale:
             return north, east, up
-        noise, scale = self._noise, self._scale * _ACCELERATION_NOISE
-        return north + scale * noise(), east + scale * noise(), up + scale * noise()
+        scale = self._scale * _ACCELERATION_NOISE
+        x, y, z = self._noise()
+        return north + scale * x, east + scale * y, up + scale * z
 
     def _read_velocity(self) -> Values:
         motion = self._motion
@@ -179,12 +171,9 @@ class Sensors:
         motion = self._motion
         if not self._scale:
             return motion.rate_x, motion.rate_y, motion.rate_z
-        noise, scale = self._noise, self._scale * _RATE_NOISE
-        return (
-            motion.rate_x + scale * noise(),
-            motion.rate_y + scale * noise(),
-            motion.rate_z + scale * noise(),
-        )
+        scale = self._scale * _RATE_NOISE
+        x, y, z = self._noise()
+        return motion.rate_x + scale * x, motion.rate_y + scale * y, motion.rate_z + scale * z
 
     def _read_position(self) -> Values:
         motion, flight = self._motion, self._flight

@@ -97,7 +97,7 @@ def test_telemetry_shows_the_direction_on_the_ground(follows: bool, turned: floa
     settings = AircraftSettings(gimbal_follows=follows)
     vehicle = Vehicle(Random(1), profile("3.1"), settings=settings)
     vehicle.flight.take_off()
-    read = vehicle.sensors.reader("gimbal", vehicle.profile.items["gimbal"])
+    read = vehicle.sensors.reader("gimbal")
     for _ in range(600):
         vehicle.step()
     vehicle.remote.move_stick(yaw=0.3)

@@ -12,6 +12,7 @@ import pytest
 
 from m100link.protocol import Attitude
 from m100link.protocol.firmware import PROFILES, profile
+from m100link.protocol.items import BY_NAME
 from m100link.protocol.records import FlightPhase
 from m100link.sim import AircraftSettings, Vehicle
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
@@ -22,7 +23,7 @@ def make(noise: float = 1.0, seed: int = 1, firmware: str = "2.3") -> Vehicle:
 
 
 def read(vehicle: Vehicle, name: str) -> tuple[float, ...]:
-    return vehicle.sensors.reader(name, vehicle.profile.items[name])()
+    return vehicle.sensors.reader(name)()
 
 
 def watch(vehicle: Vehicle, name: str, seconds: float) -> Iterator[tuple[float, ...]]:
@@ -42,8 +43,8 @@ def take_off(vehicle: Vehicle) -> None:
 @pytest.mark.parametrize("firmware", PROFILES)
 def test_every_item_of_every_firmware_can_be_read(firmware: str) -> None:
     vehicle = make(firmware=firmware)
-    for name, layout in vehicle.profile.items.items():
-        assert len(vehicle.sensors.reader(name, layout)()) == len(layout.fields)
+    for name in vehicle.profile.items:
+        assert len(read(vehicle, name)) == len(BY_NAME[name].fields)
 
 
 @pytest.mark.parametrize(("scale", "health"), [(1.0, 5), (2.0, 5), (1.0, 2)])

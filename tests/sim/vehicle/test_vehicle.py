@@ -57,8 +57,7 @@ def test_equal_seeds_give_equal_weather_and_measurements() -> None:
         vehicle = make(seed, AircraftSettings(gusts=2.0, noise=1.0))
         vehicle.flight.take_off()
         fly(vehicle, 6.0)
-        position = vehicle.profile.items["position"]
-        return [vehicle.flight.dynamics.north, *vehicle.sensors.reader("position", position)()]
+        return [vehicle.flight.dynamics.north, *vehicle.sensors.reader("position")()]
 
     assert run(3) == run(3)
     assert run(3) != run(4)
