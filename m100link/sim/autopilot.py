@@ -107,7 +107,8 @@ class Autopilot:
             if isinstance(event, Frame):
                 self._execute(event, now)
         # Acks go out before the telemetry that is made after them.
-        self._collect()
+        if self.endpoint.has_output:
+            self._collect()
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now``."""

@@ -140,6 +140,7 @@ class Dynamics:
 
     __slots__ = (
         "_brake",
+        "_cruise_pull",
         "_hold_east",
         "_hold_north",
         "_pitch_rate",
@@ -197,6 +198,7 @@ class Dynamics:
         lag = self.airframe.vertical_time_constant
         self._vertical_gain = (1.0 - exp(-STEP_S / lag)) / STEP_S
         self._yaw_settle = exp(-STEP_S / self.airframe.yaw_time_constant)
+        self._cruise_pull = GRAVITY * tan(self.airframe.cruise_tilt_deg * (pi / 180.0))
 
     def _settle(self) -> None:
         """At rest and level where it is."""
@@ -314,7 +316,7 @@ class Dynamics:
         if guidance.smooth:
             north, east = _at_most(airframe.smooth_braking, north, east)
         north, east = _at_most(
-            GRAVITY * tan(airframe.cruise_tilt_deg * (pi / 180.0)),
+            self._cruise_pull,
             north + drag * (self.velocity_north - self.wind_north),
             east + drag * (self.velocity_east - self.wind_east),
         )

@@ -354,7 +354,8 @@ class FlightController:
             rate *= 0.25
         else:
             rate *= 0.7 + 0.3 * motion.thrust / self._settings.airframe.hover_thrust
-        self.battery_percent = max(0.0, self.battery_percent - rate * STEP_S)
+        left = self.battery_percent - rate * STEP_S
+        self.battery_percent = left if left > 0.0 else 0.0
 
     def _orders(self, device: Device, remote: PilotRemote) -> Guidance:
         if device is Device.ONBOARD:
