@@ -17,6 +17,7 @@ import asyncio
 import selectors
 import time
 from collections.abc import Callable
+from typing import Any
 
 __all__ = [
     "LockstepEventLoop",
@@ -75,6 +76,17 @@ class _JumpingSelector(selectors.DefaultSelector):
     now = 0.0
     waiters = 0  # only where time stands still without one
     _unpolled = 0
+    _registered = 0
+
+    def register(self, *args: Any, **options: Any) -> selectors.SelectorKey:
+        key = super().register(*args, **options)
+        self._registered = len(self.get_map())
+        return key
+
+    def unregister(self, *args: Any) -> selectors.SelectorKey:
+        key = super().unregister(*args)
+        self._registered = len(self.get_map())
+        return key
 
     def select(self, timeout: float | None = None) -> _Events:
         if timeout is None:  # no timer at all: only a thread or a file can end this wait
@@ -82,7 +94,7 @@ class _JumpingSelector(selectors.DefaultSelector):
         # With nothing registered but the loop's own pipe, which only wakes a loop that waits,
         # there is no need to ask the system on every pass.
         self._unpolled += 1
-        if self._unpolled < 50 and len(self.get_map()) <= 1:
+        if self._unpolled < 50 and self._registered <= 1:
             events: _Events = []
         else:
             self._unpolled = 0
