@@ -35,8 +35,8 @@ from tests.mutation_trials import Trials
 EXPLAINED = Path(__file__).with_name("mutation_survivors.toml")
 
 FLIGHT = (
-    "control lifecycle setpoints signals stop_path cancellation watchdog orbit pacing guards "
-    "handover authority tasks"
+    "control block lifecycle setpoints signals stop_path cancellation watchdog orbit pacing guards "
+    "known handover authority tasks"
 )
 
 

@@ -30,9 +30,9 @@ ENOUGH_S = 12.0
 recorded (a third without): lines that every flight runs would take the whole suite otherwise."""
 
 PARTNERS = {
-    "control": ("control_ends",),
-    "lifecycle": ("control_ends", "stop_path"),
-    "stop_path": ("control_ends",),
+    "block": ("by_hand", "signals"),
+    "lifecycle": ("block", "stop_path"),
+    "stop_path": ("block",),
     "frame": ("frame_properties",),
 }
 """Module, tests beside its own that are about it."""
@@ -61,7 +61,7 @@ class Trials:
         self._lines: dict[str, dict[int, list[str]]] = {}
 
     def record(self, modules: Sequence[str], kept: Path) -> None:
-        """Run all of them unchanged, twice: with a record, and in the order of later runs.
+        """Run all of them unchanged for the record, and some in the order of the trials.
 
         Args:
             modules: Those that will be changed.
@@ -78,7 +78,8 @@ class Trials:
             for module, lines in seen["lines"].items()
         }
         if is_first:
-            self._run_unchanged(Selection(self._took))
+            chosen = self._of_each_family(set(self._took))
+            self._run_unchanged(Selection({name: self._took[name] for name in chosen}))
 
     def _run_unchanged(self, plugin: object) -> None:
         if status := self._run([self._folder], plugin, name="unchanged"):
@@ -89,7 +90,8 @@ class Trials:
         """Try each; ``on_end`` is called with each and whether a test noticed it."""
         results = self._scratch / "results"
         results.touch()
-        self._run([self._folder], Bodies(changes, self, results), name="bodies")
+        if status := self._run([self._folder], Bodies(changes, self, results), name="bodies"):
+            sys.exit((self._scratch / "bodies").read_text(encoding="utf-8") + str(status))
         ended = dict(json.loads(line) for line in results.read_text().splitlines())
         for place, change in enumerate(changes):
             noticed = ended.get(place)
@@ -118,15 +120,18 @@ class Trials:
             f"{self._folder}/test_{name}.py" for name in (stem, *PARTNERS.get(stem, ()))
         )
         own = [name for name in names if name.startswith(mirrored)]
-        # One of each family of parameters says more than many of the fastest one.
-        slowest_first = [name for name in reversed(self._took) if name in names]
-        families = {name.partition("[")[0]: name for name in slowest_first}
         chosen, spent = sorted(own, key=self._took.__getitem__), 0.0
-        for name in sorted(set(families.values()).difference(own), key=self._took.__getitem__):
+        for name in self._of_each_family(names.difference(own)):
             spent += self._took[name]
             if spent <= ENOUGH_S:
                 chosen.append(name)
         return {name: self._took[name] for name in chosen}
+
+    def _of_each_family(self, names: set[str]) -> list[str]:
+        """The fastest of each family of parameters, which says more than many of one family."""
+        slowest_first = [name for name in reversed(self._took) if name in names]
+        families = {name.partition("[")[0]: name for name in slowest_first}
+        return sorted(families.values(), key=self._took.__getitem__)
 
     def _run(
         self, files: Sequence[str], plugin: object, *, name: str, finder: Changed | None = None

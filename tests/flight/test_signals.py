@@ -14,7 +14,9 @@ import pytest
 
 from m100link import Control, NoAuthority
 from m100link.flight import signals as module
+from m100link.flight.handover import obtain_authority
 from m100link.flight.signals import SignalWatch
+from m100link.flight.tasks import Commander
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import NORTH, Rig, rig
 
@@ -128,6 +130,25 @@ async def test_a_block_entered_after_the_signal_is_stopped_too(acted: list[signa
         assert second.virtual.height == 0.0
         assert acted == []
         await asyncio.wait([landing])
+        assert acted == [signal.SIGTERM]
+
+
+@pytest.mark.anyio
+async def test_a_signal_in_the_moment_of_the_grant_keeps_the_program_out_of_its_block(
+    acted: list[signal.Signals], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def obtain(commander: Commander) -> None:
+        await obtain_authority(commander)
+        come(signal.SIGTERM)
+        await asyncio.sleep(0)  # the watch stops the block now, and can cancel nobody yet
+
+    monkeypatch.setattr("m100link.flight.block.obtain_authority", obtain)
+    async with rig() as flown:
+        task = asyncio.create_task(fly_north(flown))
+        await asyncio.wait([task])
+        assert task.cancelled(), "fly_north was refused by name: it was let into the block"
+        assert flown.is_released
+        assert flown.virtual.height == 0.0
         assert acted == [signal.SIGTERM]
 
 

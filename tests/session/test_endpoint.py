@@ -109,6 +109,14 @@ def test_whether_a_read_brought_only_pushes() -> None:
         assert aircraft.only_pushes is is_pushes
 
 
+def test_pushes_alone_are_counted_like_those_beside_acks() -> None:
+    host, aircraft = End(), End()
+    for data in (b"a", b"b", b"c"):
+        aircraft.push(data)
+    assert host.receive_data(b"".join(aircraft.output()), 0) == received(host)
+    assert host.statistics.commands == 3
+
+
 def test_a_request_is_delivered_answered_and_reported() -> None:
     host, aircraft = End(first_sequence=9), End()
     token = host.request(b"question", now=0)

@@ -411,6 +411,18 @@ def test_a_payload_that_does_not_fit_takes_neither_session_nor_number() -> None:
     assert frame.session == 2
 
 
+@pytest.mark.parametrize("cipher", [None, Cipher(KEY)])
+def test_it_is_refused_although_it_would_have_to_wait(cipher: Cipher | None) -> None:
+    """Later nobody could be told: the request would never have ended."""
+    sender = Sender()
+    sender.cipher = cipher
+    for _ in range(30):
+        sender.request(b"x", now=0)
+    with pytest.raises(PayloadTooLarge):
+        sender.request(bytes(1008), now=0, encrypted=cipher is not None)
+    assert sender.waiting_requests == 0
+
+
 def test_an_encrypted_push_without_a_key_is_refused() -> None:
     with pytest.raises(UsageError, match="no key"):
         Sender().push(b"x", encrypted=True)
