@@ -6,8 +6,10 @@ On virtual time, for each firmware. Ends of whole processes are in ``test_proces
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 import threading
+import weakref
 
 import anyio
 import pytest
@@ -255,13 +257,16 @@ async def test_unplugged_during_flight(firmware: str) -> None:
 
 async def test_unplugged_while_the_program_sleeps_ends_the_block_at_once() -> None:
     async with rig() as flown:
-        with pytest.raises(LinkLost):
+        with pytest.raises(LinkLost) as caught:
             async with flown.aircraft.control() as control:
                 await control.take_off()
                 asyncio.get_running_loop().call_later(2.0, flown.virtual.unplug)
                 start = flown.now
                 await asyncio.sleep(3600)
         assert flown.now - start < 3.0
+        with pytest.raises(LinkLost) as asked_later:
+            await flown.aircraft.version()
+        assert caught.value.seen == asked_later.value.seen, "the block knows what happened, too"
 
 
 @each_firmware
@@ -449,11 +454,12 @@ async def test_on_pause_wait_keeps_the_block_and_sends_nothing_until_the_program
         await assert_all_is_well(flown)
 
 
-async def test_a_held_setpoint_does_not_come_back_by_itself_after_a_pause() -> None:
+@pytest.mark.parametrize("rate_hz", [50, 0.5])
+async def test_a_held_setpoint_does_not_come_back_by_itself_after_a_pause(rate_hz: float) -> None:
     async with rig() as flown:
         async with flown.aircraft.control(on_pause="wait") as control:
             await control.take_off()
-            control.send(NORTH, lifetime=60.0, allow_long_lifetime=True)
+            control.send(NORTH, lifetime=60.0, rate_hz=rate_hz, allow_long_lifetime=True)
             await asyncio.sleep(1.0)
             flown.virtual.leave_f()
             await asyncio.sleep(0.1)
@@ -489,6 +495,19 @@ async def test_after_a_loss_a_new_block_can_be_entered() -> None:
             await flown.fly(control)
             assert flown.speed > 1.0
         await assert_all_is_well(flown)
+
+
+async def test_a_block_that_is_over_is_let_go() -> None:
+    """A program that flies block after block on one connection keeps none of them."""
+    async with rig() as flown:
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+            await flown.fly(control)
+            over = weakref.ref(control)
+        del control
+        await asyncio.sleep(1.0)
+        gc.collect()
+        assert over() is None
 
 
 # -- one at a time --------------------------------------------------------------------------------
