@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import resource
 import sys
 import tempfile
 import tomllib
@@ -143,9 +144,11 @@ def report(
     for module in sorted(modules):
         print(f"  {module}: {counts[module]} tried, {lived[module]} survived")
     killed = len(tried) - len(survivors)
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(
         f"{room}: {killed} of {len(tried)} changes noticed ({killed / max(1, len(tried)):.1%}), "
-        f"{len(survivors)} survived, {len(unexplained)} of them unexplained",
+        f"{len(survivors)} survived, {len(unexplained)} of them unexplained; "
+        f"{spent.ru_utime + spent.ru_stime:.0f} s of the processor so far",
         flush=True,
     )
     return not unexplained and not vain

@@ -192,10 +192,12 @@ class Recorder:
             data_file=None, config_file=False, include=[str(ROOT / module) for module in modules]
         )
         self._coverage.start()
+        self._tracer = sys.gettrace()
         self._took: dict[str, float] = {}
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        sys.settrace(self._tracer)  # a test that counts calls may have put it away
         self._coverage.switch_context(item.nodeid)
         began_at = time.process_time()
         result = yield
