@@ -12,7 +12,7 @@ Those that cannot matter stand with their reason in ``tests/mutation_survivors.t
 fails the session, and so does a reason that explains nothing any more.
 
 cosmic-ray makes the changes; no file is written. Tests that start programs of their own see no
-change: those marked ``pty`` are left out.
+change: those marked ``pty`` are left out, but for the link's.
 """
 
 from __future__ import annotations

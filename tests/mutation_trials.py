@@ -34,8 +34,12 @@ PARTNERS = {
     "lifecycle": ("block", "stop_path"),
     "stop_path": ("block",),
     "frame": ("frame_properties",),
+    "transport": ("serial_pty", "serial_transport"),
 }
 """Module, tests beside its own that are about it."""
+
+IN_THIS_PROCESS = ("tests/link",)
+"""Folders whose tests marked ``pty`` start no program of their own, and so see a change."""
 
 Place = tuple[str, int]
 """Qualified name and first line of a function."""
@@ -139,7 +143,8 @@ class Trials:
         def run() -> int:
             if finder is not None:
                 sys.meta_path.insert(0, finder)
-            options = ["-qxs", "-p", "no:cacheprovider", "-m", "not pty"]
+            options = ["-qxs", "-p", "no:cacheprovider"]
+            options += [] if self._folder in IN_THIS_PROCESS else ["-m", "not pty"]
             options += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]
             return int(pytest.main([*options, *files], plugins=[plugin]))
 
