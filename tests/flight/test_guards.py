@@ -230,6 +230,14 @@ async def test_a_charge_that_is_impossible_is_unknown(percent: int) -> None:
         assert "impossible" in refusal(flown, control, TILT).seen
 
 
+async def test_a_charge_at_the_floor_is_not_below_it() -> None:
+    async with hovering(Guards(battery_floor_percent=30)) as (flown, control):
+        pretend(flown, Battery(30))
+        control.send(TILT)
+        pretend(flown, Battery(29))
+        assert refusal(flown, control, TILT).measured == 29
+
+
 async def test_going_home_is_never_refused() -> None:
     async with hovering(Guards(envelope=Envelope(max_height_m=2.0))) as (flown, control):
         flown.virtual.battery_percent = 15
