@@ -180,6 +180,18 @@ def test_an_orbit_that_turns_faster_than_the_aircraft_follows_is_refused() -> No
     assert caught.value.remedy == "at most 0.7 m/s on this radius, or at least 1.4 m of radius"
 
 
+@pytest.mark.parametrize(
+    ("place", "yaw_deg"),
+    [((10.0, 0.0), 180.0), ((0.0, 10.0), -90.0), ((-10.0, 0.0), 0.0), ((0.0, -13.0), 90.0)],
+)
+def test_the_nose_is_turned_to_the_centre(place: tuple[float, float], yaw_deg: float) -> None:
+    orbit = Orbit(radius=10, speed=2, turns=1, clockwise=True, max_speed=5)
+    steering = orbit.steer(place, (0.0, 0.0), yaw_deg, 0.02)
+    assert math.remainder(steering.yaw_deg - yaw_deg, 360) == pytest.approx(0, abs=1e-9)
+    assert steering.off_m == pytest.approx(abs(math.hypot(*place) - 10))
+    assert steering.to_go_deg == 360
+
+
 async def test_what_is_refused_moves_nothing() -> None:
     async with rig() as flown, flown.aircraft.control() as control:
         await control.take_off()

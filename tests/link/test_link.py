@@ -18,9 +18,9 @@ from m100link.errors import (
     PayloadTooLarge,
     UsageError,
 )
-from m100link.link import Link
+from m100link.link import Link, connect_in_memory
 from m100link.session import SessionMode
-from m100link.wire import Cipher, Frame, encode_frame
+from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 from tests.link.peer import Peer, connected, echo, settle, silent
 from tests.support import KEY
 
@@ -63,6 +63,7 @@ async def test_many_requests_at_once_each_get_their_own_answer() -> None:
     asked = [b"request %d" % number for number in range(500)]
     answers = await asyncio.gather(*(link.request(data) for data in asked))
     assert answers == [b"ack of " + data for data in asked]
+    assert now() == 0, "whoever waits for a session is sent as soon as one is free"
     assert sorted(peer.data) == sorted(asked)
     assert link.statistics().acks == 500
     await link.close()
@@ -99,6 +100,29 @@ async def test_a_repeat_is_executed_once_and_answered_from_memory() -> None:
     assert await task == b"ack of hello"
     await asyncio.sleep(5)
     assert peer.data == [b"hello"]
+    await link.close()
+
+
+class _Kept(asyncio.Protocol):
+    """Keeps the bytes that come, as frames."""
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+        self._decoder = FrameDecoder()
+
+    def data_received(self, data: bytes) -> None:
+        self.frames += self._decoder.feed(data)
+
+
+async def test_a_repeated_command_is_answered_at_once() -> None:
+    link, kept = Link(), _Kept()
+    link.on_received = lambda frame, now: link.acknowledge(frame, b"once")
+    end = connect_in_memory(kept, link)
+    for _ in range(3):
+        end.write(encode_frame(b"question", session=2, sequence=77))
+        await settle()
+    assert kept.frames == 3 * [Frame(2, True, 77, False, 0, b"once")]
+    assert now() == 0
     await link.close()
 
 
@@ -358,7 +382,9 @@ async def test_while_the_line_does_not_drain_pushes_are_dropped_and_counted() ->
 # -- the end ---------------------------------------------------------------------------------------
 
 
-async def test_a_pulled_cable_fails_every_request_at_once_with_the_cause() -> None:
+async def test_a_pulled_cable_fails_every_request_at_once_with_the_cause(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     lost: list[LinkError] = []
     link = Link(on_lost=lost.append)
     _, _, transport = await connected(silent, link=link)
@@ -379,6 +405,7 @@ async def test_a_pulled_cable_fails_every_request_at_once_with_the_cause() -> No
             await use
     await link.close()
     assert isinstance(link.failure, LinkLost), "closing later does not change what happened"
+    assert "Input/output error" in caplog.text
 
 
 async def _pushing(link: Link) -> None:

@@ -78,6 +78,26 @@ async def test_a_reader_that_pauses_makes_the_writer_pause() -> None:
     assert end.get_write_buffer_size() == 0
 
 
+async def test_a_reader_that_pauses_gets_nothing_that_was_under_way() -> None:
+    _, there, end, other = await pair()
+    end.write(b"under way")
+    other.pause_reading()
+    await settle()
+    assert there.log == []
+    other.resume_reading()
+    await settle()
+    assert there.log == [b"under way"]
+
+
+async def test_bytes_under_way_are_lost_when_the_line_is_cut() -> None:
+    here, there, end, other = await pair()
+    end.write(b"under way")
+    other.abort()
+    end.write(bytes(70_000))
+    await settle()
+    assert there.log == here.log == ["lost"], "and nobody is asked to pause any more"
+
+
 async def test_either_end_closes_both_once() -> None:
     here, there, end, other = await pair()
     other.close()
