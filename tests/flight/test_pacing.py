@@ -196,6 +196,23 @@ class TestOnTheRealClock:
         gc.collect()
         assert descriptors() <= before
 
+    async def test_a_timer_that_was_given_back_is_not_watched_any_more(self) -> None:
+        """The next file gets its number, and its reader must be heard."""
+        loop = asyncio.get_running_loop()
+        with Alarm() as alarm:
+            await alarm.sleep_until(loop.time() + 0.001)
+        heard = asyncio.Event()
+        ends = os.pipe()
+        try:
+            loop.add_reader(ends[0], heard.set)
+            os.write(ends[1], b"x")
+            async with asyncio.timeout(10):
+                await heard.wait()
+            loop.remove_reader(ends[0])
+        finally:
+            for end in ends:
+                os.close(end)
+
     async def test_a_blocking_stall_gives_no_burst(self) -> None:
         loop = asyncio.get_running_loop()
         times = []
