@@ -8,6 +8,12 @@ import time
 import roslibpy
 
 ros = roslibpy.Ros("127.0.0.1", 9090)
+# What the station cannot do for a message it tells by a `status`, which roslibpy leaves to you.
+ros.factory.on_ready(
+    lambda connection: connection.register_message_handlers(
+        "status", lambda status: print(status["level"], status["msg"])
+    )
+)
 ros.run()
 
 

@@ -315,8 +315,10 @@ class Client:
             packing = _packing(message)
             request = service.type.read_request(message.get("args"))
         except (_Fault, BadMessage) as fault:
+            # The answer says why: a status would say it twice.
+            self._count_fault(now)
             self._respond(name, identity, packing, json.dumps(str(fault)), False)
-            raise
+            return
         self._calls += 1
         call = Call(self, service, request, (name, identity, packing), now)
         service.on_call(call)
