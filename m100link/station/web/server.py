@@ -52,6 +52,7 @@ _LAG = 0.1
 _PACKING_TIME = 0.001
 """Seconds after which what was packed for a client is written, and others have their turn."""
 _WRITE_SIZE = 64 * 1024
+_LAST_PORT = 65535
 
 
 class Bridge:
@@ -342,7 +343,12 @@ def listen(host: str, port: int) -> socket.socket:
 
     Raises:
         PortBusy, PortFailed: Another program has the port, or the address cannot be bound.
+        UsageError: There is no port of that number.
     """
+    if not 0 <= port <= _LAST_PORT:
+        raise UsageError(
+            f"there is no port {port}", remedy=f"choose 1 to {_LAST_PORT}, or 0 for any"
+        )
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
