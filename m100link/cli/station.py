@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["console", "serve"]
 
 
-_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "origins")
+_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "origins", "unused")
 """Settings that are not options of both commands, or not of the command line at all."""
 
 _FromSettings: Any = options_of(
@@ -126,12 +126,13 @@ def _run(
 
 def _show(settings: Settings) -> int:
     for name in settings.__dataclass_fields__:
-        if name == "origins":
+        if name in ("origins", "unused"):
             continue
         value = getattr(settings, name)
         shown = "(set)" if name in ("key", "token") and value else value
         source = settings.origins.get(name, "default")
         out.print(f"{name:14} {shown!s:40} {source}", markup=False, soft_wrap=True)
+    _tell_unused(settings)
     return ExitCode.OK
 
 
@@ -186,7 +187,15 @@ def _announce(settings: Settings, running: Running | RunningApart, *, as_json: b
             out.print(f"console:   {console_url}", markup=False, soft_wrap=True)
 
 
+def _tell_unused(settings: Settings) -> None:
+    if settings.unused:
+        told = "[yellow]warning:[/] the launch file has parameters that mean nothing here: "
+        err.print(told, end="")
+        err.print(", ".join(settings.unused), markup=False)
+
+
 def _warn(settings: Settings) -> None:
+    _tell_unused(settings)
     if settings.is_plain_beyond_loopback():
         err.print(
             "[yellow]warning:[/] without TLS everybody on this network can read the token and "

@@ -38,7 +38,7 @@ RESTART_PAUSES = (0.5, 1.0, 2.0, 5.0, 10.0)
 """Seconds before a child that ended is started again; one that served begins anew."""
 
 _END_TIMEOUT = 5.0
-_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins")
+_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins", "unused")
 
 
 class FrontProcess:

@@ -67,6 +67,7 @@ class Settings:
             talks to clients is lost and with it whoever flew; 0 gives it back at once.
         front_niceness: How much lower the priority of that process is, 0 to 19.
         origins: Where each value came from.
+        unused: Parameters of the launch file that have no use here.
     """
 
     url: str | None = None
@@ -95,6 +96,7 @@ class Settings:
     keep_authority: float = 0.0
     front_niceness: int = FRONT_NICENESS
     origins: dict[str, str] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
 
     def credentials(self) -> Credentials | None:
         """What activation needs, or None when there is no app id.
@@ -195,7 +197,7 @@ ENVIRONMENT = {
 }
 """Environment variable of a setting."""
 
-_KINDS = {one.name: one.type for one in fields(Settings)}
+_KINDS = {one.name: one.type for one in fields(Settings) if one.name not in ("origins", "unused")}
 
 
 def resolve(
@@ -229,8 +231,10 @@ def resolve(
     ]
     if config is not None:
         sources.append((str(config), _read_toml(config)))
+    unused: list[str] = []
     if launch is not None:
-        sources.append((str(launch), read_launch(launch)))
+        used, unused = read_launch(launch)
+        sources.append((str(launch), used))
     values: dict[str, Any] = {}
     origins: dict[str, str] = {}
     for source, given in sources:
@@ -238,7 +242,7 @@ def resolve(
             if name not in values and not _is_shadowed(name, values):
                 values[name] = _convert(name, value, source)
                 origins[name] = source
-    settings = Settings(**values, origins=origins)
+    settings = Settings(**values, origins=origins, unused=tuple(unused))
     if settings.url is not None and settings.sim:
         # A virtual aircraft is asked for louder than an address in a file is.
         if origins["url"] == origins["sim"]:
@@ -264,8 +268,8 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
         raise UsageError(f"{path} cannot be read: {error}") from error
     table = table.get("station", table)
     for name in table:
-        if name not in _KINDS or name == "origins":
-            known = ", ".join(one for one in _KINDS if one != "origins")
+        if name not in _KINDS:
+            known = ", ".join(_KINDS)
             raise UsageError(f"{path}: there is no setting {name!r}", remedy=f"there are: {known}")
     if not isinstance(table, dict):
         raise UsageError(f"{path}: station is a table")

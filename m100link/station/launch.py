@@ -28,8 +28,8 @@ _MAX_SIZE = 256 * 1024
 _INTEGERS = ("baud_rate", "app_id", "level", "app_version")
 
 
-def read_launch(path: Path) -> dict[str, str | int]:
-    """The parameters of DJI's node in a launch file.
+def read_launch(path: Path) -> tuple[dict[str, str | int], list[str]]:
+    """The parameters of DJI's node in a launch file, and the names of those without a use here.
 
     Raises:
         UsageError: The file cannot be read, is not XML, has a document type or a value that needs
@@ -41,11 +41,13 @@ def read_launch(path: Path) -> dict[str, str | int]:
         raise UsageError(f"the launch file cannot be read: {error}") from error
     if len(text) > _MAX_SIZE:
         raise UsageError(f"{path} has {len(text)} bytes: that is not a launch file")
-    return {
+    found = _parameters(text, path)
+    used = {
         LAUNCH_NAMES[name]: _value(LAUNCH_NAMES[name], value, path)
-        for name, value in _parameters(text, path).items()
+        for name, value in found.items()
         if name in LAUNCH_NAMES
     }
+    return used, [name for name in found if name not in LAUNCH_NAMES]
 
 
 def _parameters(text: bytes, path: Path) -> dict[str, str]:

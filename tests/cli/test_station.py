@@ -62,7 +62,9 @@ def children(process: int) -> list[int]:
 
 def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
     launch = tmp_path / "sdk.launch"
-    launch.write_text('<launch><param name="baud_rate" value="115200"/></launch>')
+    launch.write_text(
+        '<launch><param name="baud_rate" value="115200"/><param name="use_x" value="1"/></launch>'
+    )
     done = run(
         *("serve", "--launch", str(launch), "--show-config", "--port", "1234"),
         M100LINK_APP_ID="7",
@@ -75,6 +77,7 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
     assert rows["key"] == ["(set)", "environment"]
     assert rows["level"] == ["2", "default"]
     assert "00" * 32 not in done.stdout + done.stderr
+    assert "parameters that mean nothing here: use_x" in done.stderr.replace("\n", " ")
 
 
 @pytest.mark.parametrize(
@@ -84,6 +87,11 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("serve", "--sim", "--host", "0.0.0.0"), "there is no token"),
         (("serve", "--sim", "--launch", "/none.launch"), "launch file cannot be read"),
         (("serve", "--sim", "--pages", "/none"), "is not a folder"),
+        (("serve", "--sim", "--port", "99999"), "there is no port 99999"),
+        (("serve", "--sim", "--also-port", "-1"), "there is no port -1"),
+        (("console", "--sim", "--console-port", "65536"), "there is no port 65536"),
+        (("serve", "--sim", "--front-niceness", "20"), "cannot have a niceness"),
+        (("serve", "--sim", "--keep-authority", "61"), "cannot be kept for 61 s"),
         (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "TLS files"),
     ],
 )

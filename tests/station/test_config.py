@@ -8,7 +8,7 @@ import pytest
 
 from m100link.errors import BadKey, UsageError
 from m100link.station.config import Settings, resolve
-from m100link.station.launch import read_launch
+from m100link.station.launch import LAUNCH_NAMES, read_launch
 
 KEY = "00112233445566778899aabbccddeeff" * 2
 
@@ -50,6 +50,14 @@ def test_a_launch_file_is_read_as_it_is(launch: Path) -> None:
     assert (credentials.app_id, credentials.level, credentials.app_version) == (10086, 1, 3)
     assert credentials.key.reveal().hex() == KEY
     assert KEY not in repr(settings)
+    assert settings.unused == ("something_else",)
+
+
+def test_the_migration_guide_lists_what_a_launch_file_may_say() -> None:
+    guide = Path(__file__).parents[2] / "docs" / "howto" / "migrate-from-dji-sdk.md"
+    text = guide.read_text(encoding="utf-8")
+    for name, setting in LAUNCH_NAMES.items():
+        assert f"| `{name}` | `{setting}` |" in text
 
 
 def test_flags_before_environment_before_toml_before_launch(tmp_path: Path, launch: Path) -> None:
