@@ -53,12 +53,13 @@ class Kind:
     """A kind of check: what it needs and what it runs.
 
     Attributes:
-        commands: By title. None depends on another, so they may run in any order or side by side.
+        commands: By title. What stands under one runs in this order, to the end; titles depend on
+            no other, so they run side by side.
         groups: Dependency groups that it needs.
         package: Whether it needs the package itself, installed as users install it.
     """
 
-    commands: dict[str, tuple[str, ...]]
+    commands: dict[str, list[tuple[str, ...]]]
     groups: tuple[str, ...] = ()
     package: bool = True
 
@@ -72,9 +73,10 @@ def pytest(*arguments: str) -> tuple[str, ...]:
 
 
 def sphinx(builder: str) -> tuple[str, ...]:
-    """A build of the manual in which every warning is an error."""
+    """A build of the manual in which every warning is an error; both builders read it once."""
     options = ("--nitpicky", "--fail-on-warning", "--keep-going", "--quiet")
-    return "sphinx-build", *options, "-b", builder, "docs", f"{DOCS_OUTPUT}/{builder}"
+    places = ("-d", f"{DOCS_OUTPUT}/doctrees", "docs", f"{DOCS_OUTPUT}/{builder}")
+    return "sphinx-build", *options, "-b", builder, *places
 
 
 OWN_SESSIONS = ("--ignore=tests/interop", "--ignore=tests/browser")
@@ -83,32 +85,28 @@ PROGRAMS = sorted(str(path) for path in Path("examples").glob("*.py"))
 
 # In the order in which `nox` begins them: what takes longest, first.
 KINDS = {
-    "browser": Kind({"browser": pytest(*workers(3), "tests/browser")}, groups=("test", "browser")),
+    "browser": Kind(
+        {"browser": [pytest(*workers(3), "tests/browser")]}, groups=("test", "browser")
+    ),
     "tests": Kind(
         {
-            "tests": pytest(*OWN_SESSIONS, *workers(2), "-m", "not pty"),
+            "tests": [pytest(*OWN_SESSIONS, *workers(3), "-m", "not pty")],
             # They keep real time and mostly wait.
-            "tests (pty)": pytest(*OWN_SESSIONS, *workers(4), "-m", "pty"),
+            "tests (pty)": [pytest(*OWN_SESSIONS, *workers(4), "-m", "pty")],
         },
         groups=("test",),
     ),
-    "interop": Kind({"interop": pytest("tests/interop")}, groups=("test", "interop")),
+    "interop": Kind({"interop": [pytest("tests/interop")]}, groups=("test", "interop")),
     "types": Kind(
-        {"mypy": ("mypy", *CHECKED), "pyright": ("pyright",)},
+        {"types": [("mypy", *CHECKED), ("pyright",)]},
         groups=("types", "test", "docs", "bench", "browser", "interop"),
     ),
     # m100link.testing needs pytest.
-    "docs": Kind(
-        {f"docs ({builder})": sphinx(builder) for builder in ("html", "doctest")},
-        groups=("docs", "test"),
-    ),
-    "examples": Kind({program: ("python", "-W", "error", program) for program in PROGRAMS}),
+    "docs": Kind({"docs": [sphinx("html"), sphinx("doctest")]}, groups=("docs", "test")),
+    # Each in real time; they mostly wait, too.
+    "examples": Kind({program: [("python", "-W", "error", program)] for program in PROGRAMS}),
     "lint": Kind(
-        {
-            "ruff check": ("ruff", "check", "."),
-            "ruff format": ("ruff", "format", "--check", "."),
-            "lint-imports": ("lint-imports",),
-        },
+        {"lint": [("ruff", "check", "."), ("ruff", "format", "--check", "."), ("lint-imports",)]},
         groups=("lint",),
         package=False,
     ),
@@ -216,37 +214,53 @@ def install(session: nox.Session, *requirements: str) -> None:
         session.install(*requirements)
 
 
-def run_all(session: nox.Session, commands: dict[str, tuple[str, ...]]) -> None:
+def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) -> None:
     """Run commands side by side and print what each said when it ends; fail at the end."""
-    ended: dict[str, tuple[int, float]] = {}
+    ended: dict[str, tuple[bool, float]] = {}
+    started: list[subprocess.Popen[str]] = []
     # Half of them wait for aircraft and browsers most of the time.
     with concurrent.futures.ThreadPoolExecutor(2 + (os.cpu_count() or 1)) as pool:
-        running = {pool.submit(run_one, session, *line): title for title, line in commands.items()}
-        for done in concurrent.futures.as_completed(running):
-            title, (status, seconds, output) = running[done], done.result()
-            ended[title] = status, seconds
-            session.log(f"{title}: exit status {status} after {seconds:.0f} s\n{output}")
-    for title, (status, seconds) in ended.items():
-        session.log(f"{'FAILED' if status else 'passed'} {seconds:4.0f} s  {title}")
-    failed = [title for title, (status, _) in ended.items() if status]
+        running = {
+            pool.submit(run_lines, session, started, lines): title
+            for title, lines in commands.items()
+        }
+        try:
+            for done in concurrent.futures.as_completed(running):
+                ended[running[done]] = done.result()
+        except BaseException:  # Ctrl-C above all: nothing stays behind
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in started:
+                process.terminate()
+            raise
+    for title, (is_good, seconds) in ended.items():
+        session.log(f"{'passed' if is_good else 'FAILED'} {seconds:4.0f} s  {title}")
+    failed = [title for title, (is_good, _) in ended.items() if not is_good]
     if failed:
         session.error(f"failed: {', '.join(failed)}")
 
 
-def run_one(session: nox.Session, program: str, *arguments: str) -> tuple[int, float, str]:
-    """Exit status of a program of the session's environment, its seconds, and what it printed."""
+def run_lines(
+    session: nox.Session, started: list[subprocess.Popen[str]], lines: list[tuple[str, ...]]
+) -> tuple[bool, float]:
+    """Run programs of the session's environment; whether all were content, and after how long."""
     begun = time.monotonic()
     place = Path(session.bin)
-    ended = subprocess.run(
-        [place / program, *arguments],
-        env=os.environ | {"PATH": f"{place}{os.pathsep}{os.environ['PATH']}"},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
-    return ended.returncode, time.monotonic() - begun, ended.stdout.rstrip()
+    is_good = True
+    for line in lines:
+        session.log(" ".join(line))
+        with subprocess.Popen(
+            [place / line[0], *line[1:]],
+            env=os.environ | {"PATH": f"{place}{os.pathsep}{os.environ['PATH']}"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        ) as process:
+            started.append(process)
+            output, _ = process.communicate()
+        session.log(f"{' '.join(line)}: exit status {process.returncode}\n{output.rstrip()}")
+        is_good &= process.returncode == 0
+    return is_good, time.monotonic() - begun
 
 
 @nox.session(default=False)
