@@ -10,7 +10,7 @@ An empty payload makes a frame of the header alone, without a CRC32.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import StrEnum
 from struct import Struct
 from typing import NamedTuple
@@ -45,8 +45,7 @@ MAX_FRAME_SIZE = 1023
 MAX_DATA_SIZE = MAX_FRAME_SIZE - OVERHEAD
 MAX_SESSION = 31
 
-_HEADER = Struct("<QHH")  # the word (the first eight bytes), sequence number, CRC16
-_unpack_header, _pack_header = _HEADER.unpack_from, _HEADER.pack
+_unpack_header = Struct("<QHH").unpack_from  # word (the first eight bytes), sequence, CRC16
 _pack_crc32 = Struct("<I").pack
 _PAYLOAD = slice(HEADER_SIZE, -CRC32_SIZE)
 _new = tuple.__new__
@@ -87,9 +86,11 @@ class Discard(StrEnum):
 
 _CACHE_LIMIT = 4096  # kinds of headers that are remembered, in each direction
 
-# By size of the data, session, ack and padding (0: plain) the word of a header and the CRC16 of the
-# word with sequence number 0: a program sends few kinds of frames, and those again and again.
-_beginnings: dict[tuple[int, int, bool, int], tuple[int, int]] = {}
+# By size of the data, session, ack and padding (0: plain): what packs a header and its data, the
+# word of the header, and its CRC16 with sequence number 0. A program sends few kinds of frames, and
+# those again and again.
+_Kind = tuple[Callable[..., bytes], int, int]
+_kinds: dict[tuple[int, int, bool, int], _Kind] = {}
 
 
 def encode_frame(
@@ -119,17 +120,16 @@ def encode_frame(
     padding = 0
     if cipher is not None and data:
         data, padding = cipher.encrypt(data)
-    kind = (len(data), session, is_ack, padding)
-    word, crc16 = _beginnings.get(kind) or _begin(*kind)
-    header = _pack_header(word, sequence, crc16 ^ _SEQUENCE_CRC16[sequence])
-    if not data:
-        return header
-    body = header + data
-    return body + _pack_crc32(crc32(body, ZLIB_START) ^ 0xFFFFFFFF)
+    try:
+        pack, word, crc16 = _kinds[len(data), session, is_ack, padding]
+    except KeyError:
+        pack, word, crc16 = _check_kind(len(data), session, is_ack, padding)
+    body = pack(word, sequence, crc16 ^ _SEQUENCE_CRC16[sequence], data)
+    return body + _pack_crc32(crc32(body, ZLIB_START) ^ 0xFFFFFFFF) if data else body
 
 
-def _begin(size: int, session: int, is_ack: bool, padding: int) -> tuple[int, int]:
-    """Word and CRC16 of a kind of frame, checked and remembered."""
+def _check_kind(size: int, session: int, is_ack: bool, padding: int) -> _Kind:
+    """What a kind of frame begins with, remembered if it may be sent; see :func:`encode_frame`."""
     if not 0 <= session <= MAX_SESSION:
         raise UsageError(f"session {session} does not exist", remedy="sessions are 0 to 31")
     length = size + OVERHEAD if size else HEADER_SIZE
@@ -142,11 +142,11 @@ def _begin(size: int, session: int, is_ack: bool, padding: int) -> tuple[int, in
         )
     encryption = 1 if padding else 0
     word = SOF | length << 8 | (session | is_ack << 5) << 24 | (padding | encryption << 5) << 32
-    if len(_beginnings) >= _CACHE_LIMIT:
-        _beginnings.clear()
-    begun = word, header_crc16_of_word(word.to_bytes(8, "little"))
-    _beginnings[size, session, is_ack, padding] = begun
-    return begun
+    if len(_kinds) >= _CACHE_LIMIT:
+        _kinds.clear()
+    crc16 = header_crc16_of_word(word.to_bytes(8, "little"))
+    kind = _kinds[size, session, is_ack, padding] = Struct(f"<QHH{size}s").pack, word, crc16
+    return kind
 
 
 # What a header says but for its sequence number, remembered so that repeats cost one lookup: its
