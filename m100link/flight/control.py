@@ -82,7 +82,6 @@ class Control:
         self._authority = commander.authority
         self._guards = GuardKeeper(guards or Guards(), commander.state)
         self._running_task: Task | None = None  # flown by the autopilot: it ignores setpoints
-        self._prepared: tuple[Setpoint, Move] | None = None  # the newest setpoint, for the wire
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
         self._setpoints = SetpointLoop(
             self._transmit, self._admits, self._on_send_failed, commander.link.loop
@@ -242,8 +241,7 @@ class Control:
                 remedy="await the task first",
             )
         check_lifetime(lifetime, is_long_allowed=is_long_allowed)
-        # Refused here, not in the sending task.
-        self._prepared = setpoint, setpoint.to_move(self._requests.firmware)
+        setpoint.control_flag(self._requests.firmware)  # refused here, not in the sending task
         self._guards.check(setpoint)
         self._refused = None
         self._setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
@@ -265,10 +263,8 @@ class Control:
         return self._requests.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
-        if self._prepared is None or self._prepared[0] is not setpoint:  # it is the neutral
-            self._prepared = setpoint, setpoint.to_move(self._requests.firmware)
         try:
-            return self._requests.push(self._prepared[1])
+            return self._requests.push(setpoint)
         except LinkError as error:
             self._block.end(StopCause.LINK_LOST, error.again())
             return False

@@ -201,7 +201,7 @@ def field_names(command: Command) -> list[str]:
     """Names of the fields of a command, which is a dataclass."""
     # ``__dataclass_fields__`` would name the class variables, too.
     fields = dataclasses.fields(command)  # type: ignore[arg-type]  # the subclasses are dataclasses
-    return [field.name for field in fields]
+    return [field.name for field in fields if field.init]  # the others follow from these
 
 
 def plain(value: Any) -> Any:

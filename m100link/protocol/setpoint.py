@@ -19,11 +19,14 @@ keyword; exactly the 14 combinations of the document can be built:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
+from functools import lru_cache
+from struct import Struct
 from typing import ClassVar, NamedTuple, Self
 
 from m100link.errors import BadSetpoint
+from m100link.protocol.command import Address, Movement
 from m100link.protocol.commands.control import Move
 from m100link.protocol.firmware import FirmwareProfile, FlagBit0
 
@@ -138,12 +141,15 @@ _VERTICAL_NAMES = {
     Vertical.HEIGHT: "height",
     Vertical.THRUST: "thrust_percent",
 }
+_SET, _ID = Move.ADDRESS
+_pack_data = Struct("<3B4f").pack  # command set, command id, control flag, four values
+
 _YAW_NAMES = {Yaw.ANGLE: "yaw_deg", Yaw.RATE: "yaw_rate_deg_s"}
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint:
-    """What one movement command asks for.
+class Setpoint(Movement):
+    """What one movement command asks for, and that command: :class:`Move` with a meaning.
 
     Build one with :meth:`tilt`, :meth:`velocity` or :meth:`position_offset`; all values are
     checked there and again here, so a setpoint that exists can be sent.
@@ -163,6 +169,11 @@ class Setpoint:
 
     EXPERT_FLAG: ClassVar[int] = -1
 
+    ADDRESS: ClassVar[Address] = Move.ADDRESS
+    NAME: ClassVar[str] = Move.NAME
+    LEVEL: ClassVar[int] = Move.LEVEL
+    ENCRYPTED: ClassVar[bool] = Move.ENCRYPTED
+
     mode: ControlMode
     x: float
     y: float
@@ -170,6 +181,9 @@ class Setpoint:
     yaw: float
     frame: ReferenceFrame = ReferenceFrame.GROUND
     stable: bool = False
+    # The control flag where all firmwares have the same one, worked out once: a setpoint is sent
+    # more often than it is made. None: it depends on the firmware.
+    _flag: int | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not self.mode.is_legal:
@@ -189,6 +203,7 @@ class Setpoint:
         ):
             if not limit.low <= value <= limit.high:
                 raise self._outside(index, value, limit)
+        object.__setattr__(self, "_flag", _common_flag(self.mode, self.frame, self.stable))
 
     def _outside(self, index: int, value: float, limit: _Range) -> BadSetpoint:
         """By the name that the program gave the value."""
@@ -340,6 +355,23 @@ class Setpoint:
             )
         return flag
 
+    def encode(self, profile: FirmwareProfile) -> bytes:
+        """The data of the frame, those of ``to_move(profile)``.
+
+        Raises:
+            BadSetpoint: See :meth:`control_flag`.
+        """
+        flag = self._flag
+        if flag is None:
+            flag = self.control_flag(profile)
+        if profile.throttle_before_yaw:
+            return _pack_data(_SET, _ID, flag, self.x, self.y, self.z, self.yaw)
+        return _pack_data(_SET, _ID, flag, self.x, self.y, self.yaw, self.z)
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """17 bytes; raises as :meth:`encode`."""
+        return self.encode(profile)[2:]
+
     def to_move(self, profile: FirmwareProfile) -> Move:
         """The movement command under a firmware profile.
 
@@ -381,6 +413,12 @@ class Setpoint:
             )
         stable = bool(flag & 1) and profile.flag_bit0 is FlagBit0.STABLE_MODE
         return cls(mode, *values, frame=frame, stable=stable)
+
+
+@lru_cache(maxsize=64)
+def _common_flag(mode: ControlMode, frame: ReferenceFrame, stable: bool) -> int | None:
+    is_ground_tilt = mode.horizontal is Horizontal.TILT and frame is ReferenceFrame.GROUND
+    return None if stable or is_ground_tilt else mode.flag | frame << 1
 
 
 def _one(

@@ -462,7 +462,7 @@ async def test_an_error_in_the_sending_task_takes_the_stop_path_and_reaches_the_
     push = Requests.push
 
     def explode(requests: Requests, command: object) -> bool:
-        if isinstance(command, Move) and command.roll_or_x:
+        if isinstance(command, Setpoint) and command.x:
             raise ZeroDivisionError("a bug")
         return push(requests, command)  # type: ignore[arg-type]  # passed on as it is
 
@@ -494,7 +494,7 @@ async def test_when_nothing_can_be_sent_at_all_the_block_ends_all_the_same(
             async with flown.aircraft.control() as control:
                 await control.take_off()
                 control.send(NORTH, lifetime=1.0)
-                monkeypatch.setattr(Setpoint, "to_move", explode)
+                monkeypatch.setattr(Setpoint, "encode", explode)
                 monkeypatch.setattr(Requests, "push", explode)
                 await asyncio.sleep(30.0)
         assert "setpoints cannot be sent" in caplog.text

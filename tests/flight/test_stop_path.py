@@ -290,7 +290,7 @@ async def test_a_neutral_that_cannot_be_sent_does_not_keep_the_block_from_its_en
         control.send(NORTH, lifetime=1.0)
         await asyncio.sleep(0.519)  # the next frame is due: the neutral goes out at once
         with monkeypatch.context() as patch:
-            patch.setattr(Setpoint, "to_move", explode)
+            patch.setattr(Setpoint, "encode", explode)
             await control.__aexit__(None, None, None)
         assert "no neutral was sent" in caplog.text
         await flown.assert_hovers()

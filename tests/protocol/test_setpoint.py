@@ -354,3 +354,26 @@ def test_neutral_stops_climb_and_turn_in_the_same_horizontal_mode(
     assert neutral.mode == (horizontal, CLIMB, Yaw.RATE)
     assert (neutral.x, neutral.y, neutral.z, neutral.yaw) == (0, 0, 0, 0)
     assert neutral.frame is setpoint.frame
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_setpoint_is_the_movement_command_that_it_asks_for(name: str) -> None:
+    """In one step or by way of the raw command: the same bytes, the same refusals."""
+    firmware = profile(name)
+    rest = {"up": 1.5, "yaw_rate_deg_s": -20.0}
+    for frame in ReferenceFrame:
+        for stable in (False, True):
+            for setpoint in (
+                Setpoint.tilt(roll_deg=3.0, pitch_deg=-4.0, frame=frame, stable=stable, **rest),
+                Setpoint(ControlMode(VELOCITY, CLIMB, Yaw.RATE), 1, 2, 3, 4, frame, stable),
+                Setpoint.position_offset(forward=1.0, right=2.0, stable=stable, **rest),
+            ):
+                try:
+                    move = setpoint.to_move(firmware)
+                except BadSetpoint:
+                    with pytest.raises(BadSetpoint):
+                        setpoint.encode(firmware)
+                    continue
+                assert setpoint.encode(firmware) == move.encode(firmware)
+                assert setpoint.value(firmware) == move.value(firmware)
+    assert (Setpoint.ADDRESS, Setpoint.ENCRYPTED) == (Move.ADDRESS, Move.ENCRYPTED)
