@@ -99,12 +99,36 @@ def period_of(rate_hz: float) -> float:
     return 1.0 / rate_hz
 
 
+class Lead:
+    """How much earlier than its deadline an alarm is set, because waking takes its time.
+
+    From the system's timer to the waiting task some tens of microseconds pass, on each machine its
+    own. The lead follows the lower quartile of that: three wakings of four are late by what is
+    above it, and one waits a moment more. What it waits is passes of the event loop, which serve
+    everybody else.
+
+    Attributes:
+        seconds: The lead, 0 to 200 µs.
+    """
+
+    STEP = 2e-6
+    MOST = 200e-6  # whatever the machine does: one percent of a processor at 50 Hz
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def woke(self, too_early: bool) -> None:
+        """Follow what a waking showed."""
+        change = -3 * self.STEP if too_early else self.STEP
+        self.seconds = min(max(self.seconds + change, 0.0), self.MOST)
+
+
 class Alarm:
     """Sleeps until an absolute time of the event loop's clock, never less.
 
     The event loop rounds its time-outs up to whole milliseconds. Where the system has timerfd
-    (Linux), it is used instead and wakes within some tens of microseconds; on event loops with a
-    clock of their own (virtual or scaled time), and elsewhere, ``call_at`` does it.
+    (Linux), it is used instead, a :class:`Lead` before the deadline; on event loops with a clock of
+    their own (virtual or scaled time, uvloop), and elsewhere, ``call_at`` does it.
     """
 
     def __init__(self) -> None:
@@ -113,6 +137,7 @@ class Alarm:
         if type(self._loop).time is asyncio.BaseEventLoop.time:
             self._fd = _create_timer()
         self._waiter: asyncio.Future[None] | None = None
+        self._lead = Lead()
         if self._fd >= 0:
             # The loop must not keep it alive: a Ticker has no end that its user would mark.
             alarm: weakref.ref[Alarm] = weakref.ref(self)
@@ -120,18 +145,28 @@ class Alarm:
 
     async def sleep_until(self, deadline: float) -> None:
         """Return at ``deadline`` or a little later; at once when it has passed."""
-        while (now := self._loop.time()) < deadline:
-            self._waiter = waiter = self._loop.create_future()
-            if self._fd >= 0:
-                # The loop's clock is the monotonic one. A nanosecond more: rounding is not early.
-                _arm_timer(self._fd, time.monotonic() + (deadline - now) + 1e-9)
-                await waiter
-            else:
-                handle = self._loop.call_at(deadline, self._wake)
-                try:
-                    await waiter
-                finally:
-                    handle.cancel()
+        if self._fd >= 0:
+            await self._sleep_by_timer(deadline)
+            return
+        while self._loop.time() < deadline:
+            self._waiter = self._loop.create_future()
+            handle = self._loop.call_at(deadline, self._wake)
+            try:
+                await self._waiter
+            finally:
+                handle.cancel()
+
+    async def _sleep_by_timer(self, deadline: float) -> None:
+        clock, lead = self._loop.time, self._lead
+        while (left := deadline - clock()) > lead.seconds:
+            self._waiter = self._loop.create_future()
+            # The loop's clock is the monotonic one. A nanosecond more: rounding is not early.
+            _arm_timer(self._fd, deadline - lead.seconds + 1e-9)
+            await self._waiter
+            lead.woke(clock() < deadline)
+        while left > 0:
+            await asyncio.sleep(0)
+            left = deadline - clock()
 
     def _on_alarm(self) -> None:
         try:

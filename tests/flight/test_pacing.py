@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
+import random
 import time
 from itertools import islice, pairwise
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from m100link.errors import UsageError
-from m100link.flight.pacing import MAX_RATE_HZ, Alarm, Tick, Ticker
+from m100link.flight.pacing import MAX_RATE_HZ, Alarm, Lead, Tick, Ticker
 from m100link.sim import VirtualClockEventLoop
 
 pytestmark = pytest.mark.anyio
@@ -149,6 +150,28 @@ async def test_cancelling_a_wait_leaves_the_ticker_usable() -> None:
     assert tick.missed + tick.index >= 1
 
 
+@pytest.mark.parametrize(("fastest", "slowest"), [(50e-6, 60e-6), (30e-6, 150e-6)])
+def test_the_lead_follows_the_lower_quartile_of_what_waking_takes(
+    fastest: float, slowest: float
+) -> None:
+    dice, lead, early = random.Random(1), Lead(), 0
+    for number in range(4000):
+        too_early = dice.uniform(fastest, slowest) < lead.seconds
+        lead.woke(too_early)
+        early += too_early and number >= 200
+    assert early / 3800 == pytest.approx(0.25, abs=0.03)
+    assert fastest - 6e-6 < lead.seconds < fastest + (slowest - fastest) / 2
+
+
+def test_the_lead_has_bounds() -> None:
+    lead = Lead()
+    lead.woke(too_early=True)
+    assert lead.seconds == 0
+    for _ in range(1000):
+        lead.woke(too_early=False)
+    assert lead.seconds == Lead.MOST == 200e-6
+
+
 class TestOnTheRealClock:
     """The timerfd path, where there is one. Real time, some tens of milliseconds."""
 
@@ -164,6 +187,28 @@ class TestOnTheRealClock:
             assert tick.lateness >= 0
             if tick.index >= 10:
                 break
+
+    async def test_never_early_with_any_lead_and_others_are_served_meanwhile(self) -> None:
+        loop = asyncio.get_running_loop()
+        served = 0
+
+        async def be_served() -> None:
+            nonlocal served
+            while True:
+                await asyncio.sleep(0)
+                served += 1
+
+        other = asyncio.create_task(be_served())
+        with Alarm() as alarm:
+            for lead in (0.0, 1e-6, 50e-6, Lead.MOST, 0.01):
+                alarm._lead.seconds = lead
+                for _ in range(3):
+                    before = served
+                    deadline = loop.time() + 0.005
+                    await alarm.sleep_until(deadline)
+                    assert loop.time() >= deadline
+                    assert served > before
+        other.cancel()
 
     async def test_an_alarm_in_the_past_rings_at_once(self) -> None:
         with Alarm() as alarm:
