@@ -11,6 +11,7 @@ import logging
 import secrets
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
 from m100link.link.transport import open_transport
@@ -270,8 +271,8 @@ class Link(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """The transport is attached."""
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
+        # By what it does, not by its class: those of uvloop are of no class of asyncio's.
+        self._transport = cast(asyncio.Transport, transport)
         if not self._connected.done():
             self._connected.set_result(None)
 

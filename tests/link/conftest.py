@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import pytest
@@ -11,8 +12,10 @@ from m100link.sim.clock import VirtualClockEventLoop
 
 @pytest.fixture
 def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
-    """asyncio: on virtual time, except for tests marked ``pty``."""
-    options: dict[str, Any] = {}
+    """asyncio: on virtual time, except for tests marked ``pty``.
+
+    With ``M100LINK_TESTS_ON_UVLOOP`` in the environment those run on uvloop.
+    """
     if request.node.get_closest_marker("pty") is None:
-        options["loop_factory"] = VirtualClockEventLoop
-    return "asyncio", options
+        return "asyncio", {"loop_factory": VirtualClockEventLoop}
+    return "asyncio", {"use_uvloop": "M100LINK_TESTS_ON_UVLOOP" in os.environ}
