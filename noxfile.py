@@ -271,10 +271,21 @@ def mutation(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def uvloop(session: nox.Session) -> None:
+    """The tests of the link on real ports and sockets, on uvloop's event loop."""
+    session.install(PACKAGE, *group("test", "uvloop"))
+    on_uvloop = {"M100LINK_TESTS_ON_UVLOOP": "1"}
+    session.run(
+        *("pytest", "--import-mode=append", "-m", "pty", "tests/link"),
+        *session.posargs,
+        env=on_uvloop,
+    )
+
+
+@nox.session(default=False)
 def bench(session: nox.Session) -> None:
     """The benchmarks, beside their rivals on the same machine; `-- frames` for one program."""
-    session.install("-e", PACKAGE, *group("bench"))
-    session.run("python", "-m", "benchmarks.ticks")
+    session.install("-e", PACKAGE, *group("bench", "uvloop"))
     session.run("python", "-m", "benchmarks", *session.posargs)
 
 
