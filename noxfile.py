@@ -30,7 +30,28 @@ PACKAGE = f".[{','.join(EXTRAS)}]"
 DOCS_OUTPUT = "docs/_build"
 # Branch coverage that `nox -s coverage` asks for, in percent.
 COVERED = {"m100link/wire": 100, "m100link/session": 100, "m100link/protocol": 100, "m100link": 93}
+PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+
+# A version query in a frame, and a short flight, for the wheel.
+GET_VERSION = "aa130001000000000500302e000000b493113d"
+FLIGHT = """
+import asyncio
+from m100link import *
+from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualClockEventLoop
+
+async def main():
+    async with connect("sim://") as aircraft:
+        await aircraft.activate(Credentials(app_id=DEMO_APP_ID, key=DEMO_KEY))
+        async with aircraft.control() as control:
+            await control.take_off()
+            await control.fly_to(north=2.0, east=0.0, up=0.0)
+            await control.land()
+        print(aircraft.state.flight_status, aircraft.state.position)
+
+with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+    runner.run(main())
+"""
 
 
 def group(*names: str) -> list[str]:
@@ -176,11 +197,21 @@ def coverage(session: nox.Session) -> None:
         session.run("coverage", "report", f"--include=*/{part}/*", f"--fail-under={percent}")
 
 
-@nox.session(python=["3.11", "3.12", "3.13", "3.14"], default=False)
+@nox.session(python=PYTHONS, default=False)
 def pythons(session: nox.Session) -> None:
     """The test suite on other Pythons, where they are installed."""
     install(session, PACKAGE, *group("test"))
     run_all(session, KINDS["tests"].commands)
+
+
+@nox.session(python=PYTHONS, default=False)
+def wheel(session: nox.Session) -> None:
+    """The wheel in an environment with nothing else: names, command line, a flight."""
+    install(session, ".[cli]")
+    session.chdir(session.create_tmp())  # what is imported here, is installed
+    session.run("m100link", "--version")
+    session.run("m100link", "decode", GET_VERSION)
+    session.run("python", "-W", "error", "-c", FLIGHT)
 
 
 @nox.session(default=False)

@@ -45,7 +45,15 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
-import pytest
+try:
+    import pytest
+except ModuleNotFoundError as error:  # pragma: no cover - every test has pytest
+    raise ModuleNotFoundError(
+        "m100link.testing is fixtures for pytest, which is not installed\n"
+        "  what to do:   pip install pytest",
+        name=error.name,
+        path=error.path,
+    ) from None
 
 from m100link.aircraft import Aircraft, connect
 from m100link.link import Link
@@ -270,3 +278,8 @@ def virtual_aircraft_port(request: pytest.FixtureRequest) -> Iterator[VirtualPor
     print(f"virtual aircraft behind {port.name}: {port.aircraft!r}")  # noqa: T201 (see above)
     yield port
     port.close()
+
+
+if __name__ == "__main__":
+    # Whoever runs it wants to know how it is used.
+    print(__doc__)  # noqa: T201

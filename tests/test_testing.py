@@ -18,6 +18,33 @@ from tests.waiting import PATIENCE
 EXAMPLE = Path(__file__).parent.parent / "examples" / "pytest_project"
 
 
+def test_without_pytest_it_says_what_it_needs() -> None:
+    # A module that is None cannot be imported, as one that is not installed.
+    program = (
+        "import sys, runpy; sys.modules['pytest'] = None\n"
+        "runpy.run_module('m100link.testing', run_name='__main__')"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 1
+    assert ended.stdout == ""
+    assert ended.stderr.endswith(
+        "ModuleNotFoundError: m100link.testing is fixtures for pytest, which is not installed\n"
+        "  what to do:   pip install pytest\n"
+    )
+
+
+def test_run_as_a_program_it_says_how_it_is_used() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-W", "error", "-m", "m100link.testing"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "pytest_plugins" in ended.stdout
+
+
 @pytest.mark.anyio
 async def test_virtual_clock_runs_the_test_on_virtual_time(virtual_clock: VirtualClock) -> None:
     assert isinstance(asyncio.get_running_loop(), VirtualClockEventLoop)
