@@ -47,6 +47,8 @@ MAX_SESSION = 31
 
 _unpack_header = Struct("<QHH").unpack_from  # word (the first eight bytes), sequence, CRC16
 _pack_crc32 = Struct("<I").pack
+_unpack_word = Struct("<Q").unpack_from
+_RESERVED = 0xFFFFFF00_C0000000  # bits of the word
 _PAYLOAD = slice(HEADER_SIZE, -CRC32_SIZE)
 _new = tuple.__new__
 
@@ -83,6 +85,9 @@ class Discard(StrEnum):
     NO_KEY = "no_key"
     TRUNCATED = "truncated"
 
+
+# Python 3.11 calls a function for a member that is taken from its class, so they are taken once.
+_HEADER_CRC, _FRAME_CRC, _LENGTH, _RESERVED_BITS, _VERSION, _PADDING, _NO_KEY, _TRUNCATED = Discard
 
 _CACHE_LIMIT = 4096  # kinds of headers that are remembered, in each direction
 
@@ -165,9 +170,9 @@ def _parse_word(word: int) -> _Header:
     size = max(0, length - OVERHEAD)
     obstacle: Discard | None = None
     if padding > min(size, BLOCK_SIZE):
-        obstacle = Discard.PADDING
+        obstacle = _PADDING
     elif encrypted and size:
-        obstacle = Discard.NO_KEY  # padding alone means nothing, DJI's codec ignores it too
+        obstacle = _NO_KEY  # padding alone means nothing, DJI's codec ignores it too
     return (
         header_crc16_of_word(word.to_bytes(8, "little")),
         length,
@@ -178,16 +183,6 @@ def _parse_word(word: int) -> _Header:
         obstacle,
         slice(size - padding),
     )
-
-
-def _fault_of(word: int) -> Discard | None:
-    """Why a header with a right CRC16 begins no frame, if so."""
-    if word & 0xFC0000:
-        return Discard.VERSION
-    if word & 0xFFFFFF00_C0000000:
-        return Discard.RESERVED_BITS
-    length = word >> 8 & 0x3FF
-    return Discard.LENGTH if length < OVERHEAD and length != HEADER_SIZE else None
 
 
 def _is_intact(frame: bytes) -> bool:
@@ -270,15 +265,15 @@ class FrameDecoder:
                 break
             frame = data[position:end]
             if crc32(frame, ZLIB_START) != FRAME_RESIDUE and length != HEADER_SIZE:
-                position = self._reject(Discard.FRAME_CRC, data, position)
+                position = self._reject(_FRAME_CRC, data, position)
                 continue
             payload = frame[_PAYLOAD]
             if obstacle is not None:
                 cipher = self.cipher
-                if cipher is None or obstacle is Discard.PADDING:
+                if cipher is None or obstacle is _PADDING:
                     # An intact frame for which there is no key is passed over whole; one whose
                     # padding cannot be is not a frame, so the search goes on inside it.
-                    if obstacle is Discard.NO_KEY:
+                    if obstacle is _NO_KEY:
                         position += self._discard(obstacle, length)
                     else:
                         position = self._reject(obstacle, data, position)
@@ -297,7 +292,7 @@ class FrameDecoder:
         """End of the stream: give up on an incomplete frame and look inside it."""
         frames: list[Frame] = []
         while self._kept:
-            self._discard(Discard.TRUNCATED, 1)
+            self._discard(_TRUNCATED, 1)
             rest, self._kept = self._kept[1:], b""
             self.bytes -= len(rest)  # they were counted when they came
             frames += self.feed(rest)
@@ -347,26 +342,27 @@ class FrameDecoder:
         Returns:
             Its place, ``end`` when there is none.
         """
+        begin, known, discards = position, 0, self.discards
         for place in right:
             if place < position:
                 continue  # inside a frame
-            self._count_false_starts(data, position, place)
-            word, *_ = _unpack_header(data, place)
-            fault = _fault_of(word)
-            if fault is None:
-                length = word >> 8 & 0x3FF
-                frame = data[place : place + length]
-                if len(frame) < length or _is_intact(frame):
-                    self._remember(word)
-                    return place
-                fault = Discard.FRAME_CRC
-            position = place + self._discard(fault, 1)
-        self._count_false_starts(data, position, end)
-        return end
-
-    def _count_false_starts(self, data: bytes, begin: int, end: int) -> None:
-        self.discards[Discard.HEADER_CRC] += data.count(SOF, begin, end)
-        self.discarded_bytes += end - begin
+            if data[place + 2] > 0x03:  # the version, behind two bits of length
+                discards[_VERSION] += 1
+            elif (word := _unpack_word(data, place)[0]) & _RESERVED:
+                discards[_RESERVED_BITS] += 1
+            elif (length := word >> 8 & 0x3FF) < OVERHEAD and length != HEADER_SIZE:
+                discards[_LENGTH] += 1
+            elif place + length > len(data) or _is_intact(data[place : place + length]):
+                self._remember(word)
+                break
+            else:
+                discards[_FRAME_CRC] += 1
+            known += 1
+        else:
+            place = end
+        discards[_HEADER_CRC] += data.count(SOF, begin, place) - known
+        self.discarded_bytes += place - begin
+        return place
 
     def _remember(self, word: int) -> None:
         if word not in self._headers:

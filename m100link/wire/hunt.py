@@ -7,7 +7,7 @@ checksums of many places are computed at once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import cache
 
 from m100link.wire.crc import HEADER_RESIDUE, header_crc16
@@ -17,8 +17,8 @@ __all__ = ["HEADER_SIZE", "SOF", "right_headers"]
 SOF = 0xAA
 HEADER_SIZE = 12
 
-_BLOCK = 256  # bytes that are looked at together
-_FEW = 10  # start bytes in a block up to which one checksum each is cheaper than all places at once
+_BLOCK = 64  # bytes that are looked at together
+_FEW = 9  # start bytes in a block up to which one checksum each is cheaper than all places at once
 
 
 def right_headers(data: bytes, begin: int, end: int) -> Iterator[int]:
@@ -29,35 +29,29 @@ def right_headers(data: bytes, begin: int, end: int) -> Iterator[int]:
     for first in range(begin, end, _BLOCK):
         last = min(first + _BLOCK, end)
         starts = data.count(SOF, first, last)
-        if starts > _FEW:
-            places: Iterable[int] = _likely_places(data, first, last)
-        elif starts:
-            places = _places_of(SOF, data, first, last)
-        else:
+        if not starts:
             continue
-        for place in places:
+        if starts <= _FEW:
+            signs, sign, shift = data, SOF, 0
+        else:
+            signs, sign, shift = _low_halves(data[first : last + HEADER_SIZE - 1]), 0, first
+        at = signs.find(sign, first - shift, last - shift)
+        while at >= 0:
+            place = at + shift
             header = data[place : place + HEADER_SIZE]
             if header_crc16(header) == HEADER_RESIDUE and header[0] == SOF:
                 yield place
+            at = signs.find(sign, at + 1, last - shift)
 
 
-def _places_of(byte: int, data: bytes, begin: int, end: int) -> Iterator[int]:
-    place = data.find(byte, begin, end)
-    while place >= 0:
-        yield place
-        place = data.find(byte, place + 1, end)
-
-
-def _likely_places(data: bytes, begin: int, end: int) -> Iterator[int]:
-    """The places where the low half of a header's CRC16 is right, about one in 256 of all."""
-    data = data[begin : end + HEADER_SIZE - 1]
+def _low_halves(data: bytes) -> bytes:
+    """Per place 0 where the low half of a header's CRC16 is right: at about one in 256."""
     # A long number has a byte per place. Here that is the low half of the CRC16 of ten bytes, xor
     # the byte behind them: shifted by a byte, the share of the next place comes to stand in it.
     halves = int.from_bytes(data, "little")
     for shares in _shares():
         halves = halves >> 8 ^ int.from_bytes(data.translate(shares), "little")
-    wrong = halves.to_bytes(len(data), "little")
-    return (begin + place for place in _places_of(0, wrong, 0, end - begin))
+    return halves.to_bytes(len(data), "little")
 
 
 @cache

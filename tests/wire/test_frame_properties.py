@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
+from m100link.wire import Cipher, Discard, Frame, FrameDecoder, encode_frame
 from m100link.wire import frame as frame_module
-from tests.support import KEY, all_frames, encrypted_frame, frame_at, raw_frame
+from tests.support import KEY, all_frames, crc16, encrypted_frame, frame_at, raw_frame
 
 SESSIONS = st.integers(0, 31)
 SEQUENCES = st.integers(0, 0xFFFF)
@@ -210,6 +210,15 @@ def test_what_is_encoded_decodes_to_itself(
 
 # -- cost ------------------------------------------------------------------------------------------
 
+
+def overlapping(gap: int) -> bytes:
+    """Start bytes everywhere; a header with a right CRC16 begins at every so many bytes."""
+    made = bytearray(b"\xaa" * 10)
+    while len(made) < 4096:
+        made += crc16(bytes(made[-10:])).to_bytes(2, "little") + b"\xaa" * (gap - 2)
+    return bytes(made[:4096])
+
+
 VALID_BUT_ENDLESS = raw_frame(bytes(1007))[:12]
 HOSTILE = {
     "random": bytes((n * n * 7919 >> 5) & 0xFF for n in range(4096)),
@@ -220,6 +229,10 @@ HOSTILE = {
         raw_frame(bytes(1007), sequence=n, session=n % 32, crc16_error=1)[:12] for n in range(341)
     ),
     "good headers, bad frames": VALID_BUT_ENDLESS * 341,
+    "good headers of ever new kinds, bad frames": b"".join(
+        raw_frame(bytes(900 + n % 108), sequence=n, session=n % 32)[:12] for n in range(341)
+    ),
+    "headers of other versions that overlap": overlapping(3),
     "bad versions": raw_frame(b"", version=1) * 341,
 }
 
@@ -280,3 +293,20 @@ def test_the_memory_of_headers_is_bounded() -> None:
     for n in range(20_000):
         decoder.feed(raw_frame(b"", session=n % 32, reserved1=n, crc16_error=1))
     assert len(decoder._headers) <= 4096
+
+
+def test_each_of_many_overlapping_headers_of_another_version_is_counted() -> None:
+    stream = overlapping(3)
+    decoder = FrameDecoder()
+    decoder.feed(stream)
+    decoder.close()
+    good = [
+        at
+        for at in range(len(stream) - 11)
+        if stream[at] == 0xAA and crc16(stream[at : at + 12]) == 0
+    ]
+    assert len(good) > 1000
+    discards = decoder.discards
+    counted = discards[Discard.VERSION] + discards[Discard.RESERVED_BITS] + discards[Discard.LENGTH]
+    assert counted == len(good)
+    assert discards[Discard.VERSION] == sum(stream[at + 2] >> 2 > 0 for at in good)
