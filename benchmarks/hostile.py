@@ -13,8 +13,9 @@ from __future__ import annotations
 import random
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from itertools import product
 
 from benchmarks.frames import reads_of, telemetry_frames
@@ -62,11 +63,12 @@ def known() -> dict[str, Callable[[random.Random], Iterator[bytes]]]:
                 broken[dice.randrange(len(broken))] ^= 1 << dice.randrange(8)
             yield bytes(broken) + dice.randbytes(dice.choice((0, 0, 5, 40)))
 
-    def different_headers(dice: random.Random) -> Iterator[bytes]:
+    def different_headers(dice: random.Random, between: Sequence[int] = (0,)) -> Iterator[bytes]:
         """More than a decoder remembers, each of a long frame that never comes."""
         while True:
             size, session = dice.randrange(700, 1007), dice.randrange(32)
-            yield encode_frame(bytes(size), session=session, sequence=dice.randrange(65536))[:12]
+            frame = encode_frame(bytes(size), session=session, sequence=dice.randrange(65536))
+            yield frame[:12] + bytes([START] * dice.choice(between))
 
     def start_bytes_and_zeros(dice: random.Random) -> Iterator[bytes]:
         while True:
@@ -82,7 +84,10 @@ def known() -> dict[str, Callable[[random.Random], Iterator[bytes]]]:
         "headers with a wrong CRC16": false_headers,
         "damaged telemetry": damaged_frames,
         "good headers, all different": different_headers,
+        "good headers, start bytes between": partial(different_headers, between=(1, 4, 11)),
         "good headers that overlap": repeated(overlapping(40)),
+        "headers of another version, one for 3 bytes": partial(other_versions, gap=3),
+        "headers of another version, one for 4 bytes": partial(other_versions, gap=4),
     }
 
 
@@ -111,6 +116,16 @@ def overlapping(count: int) -> bytes:
                 lower, upper = low, high
                 break
     return bytes(made)
+
+
+def other_versions(_: random.Random, gap: int) -> Iterator[bytes]:
+    """Start bytes; every gap bytes begins a header with a right CRC16."""
+    made = bytes([START] * 10)
+    yield made
+    while True:
+        more = crc16(made).to_bytes(2, "little") + bytes([START] * (gap - 2))
+        made = (made + more)[-10:]
+        yield more
 
 
 def repeated(piece: bytes) -> Callable[[random.Random], Iterator[bytes]]:
