@@ -157,6 +157,16 @@ def test_watch_telemetry(run: Run) -> None:
     assert "battery: Battery(percent=100)" in out
 
 
+@each_firmware
+def test_survey(run: Run, url: str) -> None:
+    lines = run("survey", url).splitlines()
+    assert re.fullmatch(r"4 lines, \d+ m", lines[0])
+    to_go = [int(re.findall(r"(\d+) m to go", line)[0]) for line in lines[1:-2]]
+    assert len(to_go) == 5
+    assert to_go == sorted(to_go, reverse=True)
+    assert lines[-2:] == ["back where it took off", "landed"]
+
+
 def test_authority_loss(run: Run) -> None:
     assert run("authority_loss").splitlines() == [
         "flying north; now the pilot may move the switch out of F",

@@ -20,7 +20,7 @@ CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 LINES_PER_FILE = 500
 LINES_PER_FUNCTION = 60  # its docstring not counted
-ROOMS, FLOORS, ARROWS = 19, 10, 85
+ROOMS, FLOORS, ARROWS = 20, 10, 85
 
 
 @cache
@@ -41,6 +41,10 @@ def name_of(path: Path) -> str:
 MODULES = {name_of(path): path for path in programs("m100link")}
 
 
+# Read are the classes from which they are written; what they say stands there.
+GENERATED = {PACKAGE / "sync/aircraft.py", PACKAGE / "sync/control.py"}
+
+
 # -- sizes ----------------------------------------------------------------------------------------
 
 
@@ -49,6 +53,7 @@ def test_no_file_is_too_long_to_be_read_in_one_go(folder: str) -> None:
     counted = {
         str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines())
         for path in programs(folder)
+        if path not in GENERATED
     }
     assert counted
     assert {path: lines for path, lines in counted.items() if lines > LINES_PER_FILE} == {}
@@ -159,9 +164,9 @@ def test_every_room_has_its_place_in_the_contract_of_the_layers() -> None:
     graph = arrows(between_rooms=True)
     rooms = set(graph).union(*graph.values())
     # The first two stand on the ground; the other side of the cable has a contract of its own.
-    beside = {"geodesy", "keyfile", "sim"}
+    beside = {"geodesy", "keyfile", "patterns", "sim"}
     assert layers | beside == rooms
-    assert graph["keyfile"] | graph["geodesy"] <= {"errors", "wire"}
+    assert graph["keyfile"] | graph["geodesy"] | graph["patterns"] <= {"errors", "wire"}
 
 
 def test_the_manuals_house_names_places_that_exist() -> None:
@@ -183,6 +188,7 @@ TESTED_ELSEWHERE = {
     "agent/messages.py": ("agent/test_message_bytes.py", "each comes out as it went in"),
     "agent/patterns.py": ("station/ros/test_node_2015.py", "flown by the commands of 2015"),
     "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
+    "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),
     "protocol/records.py": ("protocol/test_packet.py", "records are what packages are read into"),
     "session/events.py": ("session/test_endpoint.py", "names and counters, nothing to run"),
     "sim/orders/ctl.py": ("cli/test_sim.py", "a socket between two processes"),

@@ -20,12 +20,14 @@ from m100link.errors import (
 from m100link.flight.authority import AuthorityState
 from m100link.flight.block import ControlBlock, PauseAction
 from m100link.flight.guards import GuardKeeper, Guards
-from m100link.flight.guidance import Arrival, GuidedFlight
+from m100link.flight.guidance import Arrival, Guidance
 from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
+from m100link.flight.loops import ClosedLoops
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
 from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold, SetpointLoop, check_lifetime
 from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, TaskListener, run_task, task_name
+from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Move, Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.state import AircraftState
@@ -41,13 +43,13 @@ SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 P = ParamSpec("P")
 
 
-def _guided(
-    loop: Callable[Concatenate[GuidedFlight, P], Coroutine[Any, Any, Arrival]],
+def _closed_loop(
+    loop: Callable[Concatenate[ClosedLoops, P], Coroutine[Any, Any, Arrival]],
 ) -> Callable[Concatenate[Control, P], Coroutine[Any, Any, Arrival]]:
-    """A closed loop as a method of Control: its arguments and its words stand at GuidedFlight."""
+    """A closed loop as a method of Control: its arguments and its words stand there."""
 
     async def fly(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> Arrival:
-        return await loop(self._guided, *args, **kwargs)
+        return await loop(self._loops, *args, **kwargs)
 
     return update_wrapper(fly, loop)
 
@@ -60,7 +62,8 @@ class Control:
     time. When authority, the link or telemetry is lost, that path begins at once, the block is
     cancelled and the plain reason raised.
 
-    While one of ``fly_to``, ``climb_to``, ``turn_to`` and ``orbit`` flies, nothing else steers.
+    While a closed loop flies (``fly_to``, ``fly_path``, ``climb_to``, ``turn_to``, ``orbit``),
+    nothing else steers.
     """
 
     def __init__(
@@ -95,9 +98,8 @@ class Control:
             on_pause=on_pause,
             handle_signals=handle_signals,
         )
-        self._guided = GuidedFlight(
-            commander.state, self._guards, steer=self._steer, halt=self._setpoints.halt
-        )
+        self._guidance = Guidance(commander.state, steer=self._steer, halt=self._setpoints.halt)
+        self._loops = ClosedLoops(commander.state, self._guards, self._guidance)
 
     # -- the block -------------------------------------------------------------------------------
 
@@ -219,9 +221,9 @@ class Control:
                 flying.
             BadSetpoint: The firmware cannot express it.
         """
-        if self._guided.flying:
+        if self._guidance.flying:
             self._block.require_flying("a setpoint")  # what ended the block comes first
-            self._guided.require_idle("a setpoint")
+            self._guidance.require_idle("a setpoint")
         self._steer(setpoint, lifetime, rate_hz, is_long_allowed=allow_long_lifetime)
 
     def _steer(
@@ -259,7 +261,7 @@ class Control:
             UsageError: A closed loop is flying.
         """
         self._block.require_flying("a raw movement command")
-        self._guided.require_idle("a raw movement command")
+        self._guidance.require_idle("a raw movement command")
         return self._requests.push(move)
 
     def _transmit(self, setpoint: Setpoint) -> bool:
@@ -388,7 +390,7 @@ class Control:
         A closed loop that is flying in another task ends with :class:`NotObserved`. A program that
         goes on sending setpoints flies on.
         """
-        self._guided.interrupt()
+        self._guidance.interrupt()
         await self._setpoints.halt()
 
     async def wait_resumable(self) -> None:
@@ -409,10 +411,22 @@ class Control:
 
     # -- closed loops ----------------------------------------------------------------------------
 
-    fly_to = _guided(GuidedFlight.fly_to)
-    climb_to = _guided(GuidedFlight.climb_to)
-    turn_to = _guided(GuidedFlight.turn_to)
-    orbit = _guided(GuidedFlight.orbit)
+    def local_frame(self) -> LocalFrame:
+        """Metres north and east of where the aircraft is now, for targets of several flights.
+
+        Legs that are each given from where the aircraft is add up what each one missed its target
+        by; targets in one frame do not.
+
+        Raises:
+            TelemetryStalled: The position does not arrive.
+        """
+        return self._loops.local_frame()
+
+    fly_to = _closed_loop(ClosedLoops.fly_to)
+    fly_path = _closed_loop(ClosedLoops.fly_path)
+    climb_to = _closed_loop(ClosedLoops.climb_to)
+    turn_to = _closed_loop(ClosedLoops.turn_to)
+    orbit = _closed_loop(ClosedLoops.orbit)
 
     # -- tasks -----------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ It has the one with ``await`` and hands every call to the thread in which that l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -15,6 +15,7 @@ from m100link.flight.guidance import Arrival, Progress
 from m100link.flight.pacing import MAX_RATE_HZ, Tick
 from m100link.flight.setpoints import SETPOINT_LIFETIME
 from m100link.flight.tasks import TaskListener
+from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
 from m100link.sync.portal import Portal
 from m100link.sync.signals import SIGNALS
@@ -263,6 +264,17 @@ class Control:
         """
         return self._portal.call(self._control.resume)
 
+    def local_frame(self) -> LocalFrame:
+        """Metres north and east of where the aircraft is now, for targets of several flights.
+
+        Legs that are each given from where the aircraft is add up what each one missed its target
+        by; targets in one frame do not.
+
+        Raises:
+            TelemetryStalled: The position does not arrive.
+        """
+        return self._portal.call(self._control.local_frame)
+
     def fly_to(
         self,
         *,
@@ -272,7 +284,9 @@ class Control:
         latitude_deg: float | None = None,
         longitude_deg: float | None = None,
         height: float | None = None,
+        frame: LocalFrame | None = None,
         yaw_deg: float | None = None,
+        speed: float | None = None,
         tolerance_m: float = 0.5,
         timeout: float = 120.0,
         progress: Progress | None = None,
@@ -280,13 +294,15 @@ class Control:
         """Fly to an offset from here, or to a place, and hover there.
 
         Args:
-            north: With ``east`` and ``up``: metres from where the aircraft is now.
+            north: With ``east``: metres from where the aircraft is now, or in ``frame``.
             east: See ``north``.
-            up: See ``north``.
-            latitude_deg: With ``longitude_deg`` and ``height``: a place, WGS 84.
+            up: Metres from the present height; or ``height``.
+            latitude_deg: With ``longitude_deg``, instead of the offset: a place, WGS 84.
             longitude_deg: See ``latitude_deg``.
             height: Metres above the take-off point.
+            frame: Where ``north`` and ``east`` count from; see ``Control.local_frame()``.
             yaw_deg: Heading to fly with; by default the present one.
+            speed: Horizontally, at most, m/s up to 10; by default as the autopilot flies.
             tolerance_m: Distance and height error that count as arrived.
             timeout: Seconds until it gives up, hovering.
             progress: Called at each tick.
@@ -308,6 +324,55 @@ class Control:
                 latitude_deg=latitude_deg,
                 longitude_deg=longitude_deg,
                 height=height,
+                frame=frame,
+                yaw_deg=yaw_deg,
+                speed=speed,
+                tolerance_m=tolerance_m,
+                timeout=timeout,
+                progress=caller.callback(progress),
+            )
+        )
+
+    def fly_path(
+        self,
+        points: Sequence[tuple[float, float, float]],
+        *,
+        speed: float,
+        corner_radius: float = 2.0,
+        frame: LocalFrame | None = None,
+        face_ahead: bool = False,
+        yaw_deg: float | None = None,
+        tolerance_m: float = 0.5,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+    ) -> Arrival:
+        """Fly through points without stopping at each, and hover at the last one.
+
+        It begins where the aircraft is, and slows down before corners, steep legs and the end.
+
+        Args:
+            points: North and east, m, and height above take-off, m, of each.
+            speed: On straight legs, m/s, up to 10.
+            corner_radius: Corners are rounded by it, m; smaller where a leg is too short. 0: each
+                corner is flown to, almost stopping.
+            frame: Where ``north`` and ``east`` count from; by default where the aircraft is now.
+            face_ahead: Look along the path.
+            yaw_deg: Otherwise, the heading to fly with; by default the present one.
+            tolerance_m: Distance and height error that count as arrived.
+            timeout: Seconds until it gives up, hovering; by default 60 and three times what the
+                path takes at its speed.
+            progress: Called at each tick; the distance is what remains of the path.
+
+        Raises: as :meth:`fly_to`. A point outside the envelope, or one that cannot be flown to, is
+        named, and nothing is sent.
+        """
+        return self._portal.wait(
+            lambda caller: self._control.fly_path(
+                points,
+                speed=speed,
+                corner_radius=corner_radius,
+                frame=frame,
+                face_ahead=face_ahead,
                 yaw_deg=yaw_deg,
                 tolerance_m=tolerance_m,
                 timeout=timeout,
@@ -359,6 +424,10 @@ class Control:
         *,
         center_north: float,
         center_east: float,
+        frame: LocalFrame | None = None,
+        radius: float | None = None,
+        height: float | None = None,
+        start_deg: float | None = None,
         speed: float = 2.0,
         turns: float = 1.0,
         clockwise: bool = True,
@@ -367,17 +436,22 @@ class Control:
     ) -> Arrival:
         """Fly a circle around a point, looking at it.
 
-        The circle goes through where the aircraft is now. It turns to the centre first, then
-        accelerates along the circle.
+        By default the circle goes through where the aircraft is now; otherwise it flies to where
+        the circle begins. It turns to the centre first, then accelerates along the circle.
 
         Args:
-            center_north: Metres from here to the centre, north; with ``center_east`` 1 m or more.
-            center_east: Metres from here to the centre, east.
+            center_north: Metres to the centre, north, from here or in ``frame``.
+            center_east: Metres to the centre, east, from here or in ``frame``.
+            frame: Where the centre counts from; see ``Control.local_frame()``.
+            radius: Of the circle, m, 1 or more; by default the present distance from the centre.
+            height: Above the take-off point, m; by default the present one.
+            start_deg: Where the circle begins, seen from the centre, ° clockwise from north; by
+                default in the present direction.
             speed: Along the circle, up to 10 m/s; at most 0.7/s times the radius, and v²/r at most
                 3.6 m/s², a tilt of 20°.
             turns: How many, more than 0.
             clockwise: Seen from above.
-            timeout: Seconds until it gives up, hovering.
+            timeout: Seconds until it gives up, hovering; for the flight to its beginning as well.
             progress: Called at each tick.
 
         Raises: as :meth:`fly_to`.
@@ -386,6 +460,10 @@ class Control:
             lambda caller: self._control.orbit(
                 center_north=center_north,
                 center_east=center_east,
+                frame=frame,
+                radius=radius,
+                height=height,
+                start_deg=start_deg,
                 speed=speed,
                 turns=turns,
                 clockwise=clockwise,

@@ -27,8 +27,10 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
-from m100link.flight.guidance import GuidanceProgress, GuidedFlight
+from m100link.flight.guidance import GuidanceProgress
+from m100link.flight.loops import ClosedLoops
 from m100link.geodesy import LocalFrame
+from m100link.patterns import survey
 from m100link.protocol.commands.control import Move
 from m100link.sim import AircraftSettings
 from tests.rig import FIRMWARES, Rig, rig
@@ -65,6 +67,10 @@ def turn(yaw_deg: float) -> Loop:
 
 def orbit(**circle: float) -> Loop:
     return lambda control: control.orbit(**circle)  # type: ignore[arg-type]
+
+
+async def PATH(control: Control) -> None:  # noqa: N802 (a loop like those that are made above)
+    await control.fly_path([(20.0, 0.0, 3.0), (20.0, 10.0, 3.0)], speed=3.0)
 
 
 def heading(flown: Rig) -> float:
@@ -211,8 +217,8 @@ async def test_a_target_inside_the_envelope_by_its_place_is_flown_to_from_outsid
 
 @pytest.mark.parametrize(
     "loop",
-    [fly(north=1, east=0, up=0), climb(3), turn(90), orbit(center_north=5, center_east=0)],
-    ids=["fly_to", "climb_to", "turn_to", "orbit"],
+    [fly(north=1, east=0, up=0), climb(3), turn(90), orbit(center_north=5, center_east=0), PATH],
+    ids=["fly_to", "climb_to", "turn_to", "orbit", "fly_path"],
 )
 async def test_on_the_ground_a_loop_is_refused_before_anything_moves(loop: Loop) -> None:
     async with rig() as flown, flown.aircraft.control() as control:
@@ -225,8 +231,8 @@ async def test_on_the_ground_a_loop_is_refused_before_anything_moves(loop: Loop)
 
 @pytest.mark.parametrize(
     "second",
-    [fly(north=1, east=0, up=0), climb(3), turn(90), orbit(center_north=5, center_east=0)],
-    ids=["fly_to", "climb_to", "turn_to", "orbit"],
+    [fly(north=1, east=0, up=0), climb(3), turn(90), orbit(center_north=5, center_east=0), PATH],
+    ids=["fly_to", "climb_to", "turn_to", "orbit", "fly_path"],
 )
 async def test_a_second_loop_is_refused_and_leaves_the_first_alone(second: Loop) -> None:
     async with flying() as (flown, control):
@@ -246,6 +252,7 @@ LOOPS = pytest.mark.parametrize(
         ("climb_to", climb(8)),
         ("turn_to", turn(170)),
         ("orbit", orbit(center_north=5, center_east=0)),
+        ("fly_path", PATH),
     ],
 )
 
@@ -312,8 +319,8 @@ async def test_a_loop_whose_block_is_over_says_that_and_not_that_it_flies() -> N
 
 def test_the_loops_are_methods_of_control_with_their_own_words() -> None:
     """For help(), the manual and editors, which look at the class."""
-    for name in ("fly_to", "climb_to", "turn_to", "orbit"):
-        mine, its = getattr(Control, name), getattr(GuidedFlight, name)
+    for name in ("fly_to", "fly_path", "climb_to", "turn_to", "orbit"):
+        mine, its = getattr(Control, name), getattr(ClosedLoops, name)
         assert inspect.iscoroutinefunction(mine)
         assert (mine.__doc__, inspect.signature(mine)) == (its.__doc__, inspect.signature(its))
         assert f"async {name}(self" in pydoc.plain(pydoc.render_doc(Control))
@@ -381,3 +388,137 @@ async def test_turn_to_takes_the_short_way(firmware: str, start: float, end: flo
         assert abs(math.remainder(heading(flown) - end, 360)) <= 2.5
         assert abs(arrival.heading_error_deg) <= 2.0
         assert flown.now - began < 8.0
+
+
+# -- frames, speeds, paths, circles elsewhere ------------------------------------------------------
+
+
+async def test_legs_in_one_frame_do_not_add_up_what_each_missed() -> None:
+    async with flying(settings=AircraftSettings(noise=1.0), seed=3) as (flown, control):
+        home, (n0, e0) = control.local_frame(), flown.virtual.position
+        for _ in range(4):
+            for north, east in ((4, 0), (4, 4), (0, 4), (0, 0)):
+                await control.fly_to(north=north, east=east, height=3.0, frame=home)
+        n1, e1 = flown.virtual.position
+        assert math.hypot(n1 - n0, e1 - e0) < 1.0
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0, 6.0])
+async def test_fly_to_is_not_faster_than_it_was_told(speed: float) -> None:
+    fastest = 0.0
+
+    def look(_: GuidanceProgress) -> None:
+        nonlocal fastest
+        fastest = max(fastest, flown.speed)
+
+    async with flying() as (flown, control):
+        arrival = await control.fly_to(north=12, east=5, up=2, speed=speed, progress=look)
+        assert arrival.distance_m <= 0.5
+        assert fastest < speed * 1.1 + 0.05
+        assert fastest > min(speed, 3.0) * 0.8
+        await flown.assert_hovers()
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 11.0, math.nan])
+async def test_a_speed_that_cannot_be_flown_is_refused(speed: float) -> None:
+    async with flying(Guards(envelope=None)) as (flown, control):
+        with pytest.raises(UsageError, match="cannot be flown"):
+            await control.fly_to(north=1, east=0, up=0, speed=speed)
+        with pytest.raises(UsageError, match="cannot be flown"):
+            await control.fly_path([(5, 0, 3)], speed=speed)
+        assert len(flown.moves) == 0
+
+
+@each_firmware
+async def test_a_path_is_flown_through_its_rounded_corners(firmware: str) -> None:
+    points = [(15.0, 0.0, 4.0), (15.0, 15.0, 6.0), (0.0, 15.0, 4.0)]
+    track: list[tuple[float, float]] = []
+    async with flying(firmware=firmware) as (flown, control):
+        n0, e0 = flown.virtual.position
+
+        def look(_: GuidanceProgress) -> None:
+            north, east = flown.virtual.position
+            track.append((north - n0, east - e0))
+
+        arrival = await control.fly_path(points, speed=3.0, corner_radius=4.0, progress=look)
+        assert arrival.distance_m <= 0.5
+        assert arrival.elapsed < 30
+        assert track[-1] == pytest.approx((0, 15), abs=0.7)
+        # A corner of 90° rounded by 4 m is passed at 4·(√2 − 1) m.
+        for corner in ((15.0, 0.0), (15.0, 15.0)):
+            nearest = min(math.dist(place, corner) for place in track)
+            assert nearest == pytest.approx(4 * (math.sqrt(2) - 1), abs=0.9)
+        assert flown.virtual.height == pytest.approx(4.0, abs=0.6)
+        await flown.assert_hovers()
+
+
+async def test_a_path_in_wind_and_noise_looks_ahead() -> None:
+    settings = AircraftSettings(wind_north=3.0, wind_east=-2.0, gusts=1.0, noise=1.0)
+    async with flying(settings=settings, seed=2) as (flown, control):
+        await control.fly_path(
+            [(0, 20, 5), (20, 20, 5)], speed=3.0, face_ahead=True, tolerance_m=1.0
+        )
+        assert flown.virtual.position == pytest.approx((20, 20), abs=2.5)
+        assert heading(flown) == pytest.approx(0.0, abs=10)
+
+
+async def test_a_point_of_a_path_outside_the_envelope_is_refused_before_anything_moves() -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=20, max_height_m=10, max_speed_m_s=4))
+    async with flying(guards) as (flown, control):
+        with pytest.raises(GuardRefused, match=r"point 1 of fly_path to 30 m from the start"):
+            await control.fly_path([(5, 0, 3), (30, 0, 3)], speed=2)
+        with pytest.raises(GuardRefused, match=r"point 0 of fly_path to a height of 11"):
+            await control.fly_path([(5, 0, 11)], speed=2)
+        with pytest.raises((GuardRefused, UsageError), match="5 m/s"):
+            await control.fly_path([(5, 0, 3)], speed=5)
+        with pytest.raises(UsageError):
+            await control.fly_path([], speed=2)
+        assert len(flown.moves) == 0
+
+
+async def test_a_survey_over_a_field_is_flown() -> None:
+    field = [(0.0, 0.0), (0.0, 12.0), (20.0, 12.0), (20.0, 0.0)]
+    seen: list[tuple[float, float]] = []
+    async with flying() as (flown, control):
+        points = survey(field, spacing=4.0, height=5.0)
+        await control.fly_path(
+            points, speed=4.0, progress=lambda _: seen.append(flown.virtual.position)
+        )
+    for north, east, _ in points:
+        assert min(math.dist(place, (north, east)) for place in seen) < 1.6
+
+
+@pytest.mark.parametrize("start_deg", [None, 0.0, 90.0, -135.0])
+async def test_an_orbit_elsewhere_begins_where_it_was_told(start_deg: float | None) -> None:
+    track: list[tuple[float, float]] = []
+    async with flying() as (flown, control):
+        home, (n0, e0) = control.local_frame(), flown.virtual.position
+
+        def look(_: GuidanceProgress) -> None:
+            north, east = flown.virtual.position
+            track.append((north - n0 - 10, east - e0 - 10))
+
+        await control.orbit(
+            center_north=10,
+            center_east=10,
+            frame=home,
+            radius=6,
+            height=6,
+            start_deg=start_deg,
+            progress=look,
+        )
+        assert flown.virtual.height == pytest.approx(6, abs=0.6)
+    first = math.degrees(math.atan2(track[0][1], track[0][0]))
+    wanted = -135.0 if start_deg is None else start_deg  # the aircraft is south-west of it
+    assert abs(math.remainder(first - wanted, 360)) < 10
+    assert all(abs(math.hypot(*place) - 6) < 0.8 for place in track)
+
+
+async def test_a_frame_belongs_to_an_offset() -> None:
+    async with flying() as (flown, control):
+        home = control.local_frame()
+        with pytest.raises(UsageError, match="neither as an offset nor as a place"):
+            await control.fly_to(latitude_deg=22.0, longitude_deg=113.0, height=3.0, frame=home)
+        with pytest.raises(UsageError, match="neither from here nor above take-off"):
+            await control.fly_to(north=1, east=1, up=1, height=3.0, frame=home)
+        assert len(flown.moves) == 0
