@@ -198,7 +198,8 @@ class DeviceClock:
             aside = [x - mean_x for x in devices]
             square = sum([x**2 for x in aside])
             product = sum(map(mul, aside, [y - mean_y for y in offsets]))
-            slope = max(-_MAX_SKEW, min(_MAX_SKEW, product / square))
+            if square:  # a tick that stands still has no slope
+                slope = max(-_MAX_SKEW, min(_MAX_SKEW, product / square))
         intercept = mean_y - slope * mean_x
         residual = max(map(abs, map(sub, offsets, [intercept + slope * x for x in devices])))
         self._slope, self._intercept = slope, intercept
@@ -212,7 +213,7 @@ class DeviceClock:
         if len(self._seconds) < _FIT_COUNT:
             return _MAX_SKEW
         span = self._seconds[-1].device - self._seconds[0].device
-        return min(_MAX_SKEW, 2 * self._spread / span)
+        return min(_MAX_SKEW, 2 * self._spread / span) if span else _MAX_SKEW
 
     def _offset_at(self, device: float) -> float:
         return self._intercept + self._slope * device

@@ -92,6 +92,20 @@ def test_a_reboot_starts_anew_and_is_counted() -> None:
     assert found.time == pytest.approx(1040.0, abs=0.03)
 
 
+def test_a_tick_that_stands_still_breaks_nothing() -> None:
+    """Packages of a device whose clock has stopped: nothing is known of the time any more."""
+    clock = DeviceClock(TICK_HZ)
+    run(clock, seconds=10)
+    for index in range(60 * 50):
+        clock.update(TICK_HZ * 10, 1010.0 + index / 50)
+        assert clock.host_time(TICK_HZ * 10) is not None
+    assert clock.uncertainty_s > 0
+    stuck = DeviceClock(TICK_HZ)
+    for index in range(60 * 50):
+        stuck.update(7, 1000.0 + index / 50)
+    assert stuck.skew_ppm == 0
+
+
 def test_a_stall_of_the_line_is_no_reboot() -> None:
     clock = DeviceClock(TICK_HZ)
     run(clock, seconds=10)
