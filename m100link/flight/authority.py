@@ -150,6 +150,10 @@ _WATCHED = ((RemoteControl, "mode"), (ControlDevice, "control"))
 _SETTLING_S = 0.3  # an item of 10 Hz or more, made after the grant, has arrived by then
 
 
+def _places(span: slice) -> range:
+    return range(span.start, span.stop)
+
+
 class Authority:
     """The authority of one connection: its state, how it came to it, and who wants to know.
 
@@ -266,7 +270,9 @@ class Authority:
 
     def _taker(self, flags: int, firmware: FirmwareProfile) -> Callable[[bytes], object]:
         spans = [field_span(record, name, flags, firmware) for record, name in _WATCHED]
-        take = itemgetter(*[span for span in spans if span is not None] or [slice(0, 0)])
+        # Byte by byte: small numbers exist already, slices would be made.
+        places: list[int | slice] = [at for span in spans if span for at in _places(span)]
+        take = itemgetter(*(places or [slice(0, 0)]))
         self._takers[flags] = take
         return take
 
