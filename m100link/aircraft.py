@@ -62,11 +62,11 @@ class Aircraft:
 
     def __init__(self, link: Link, *, firmware: FirmwareProfile | None = None) -> None:
         self._requests = Requests(link, firmware)  # not public: by it, movement could leave
-        self._telemetry = TelemetryStream()
+        self.authority = Authority(asyncio.get_running_loop().time)
+        self._telemetry = TelemetryStream(self.authority.observe)
         self._from_mobile: Hub[bytes] = Hub()
         self._claim = BlockClaim()
         self.link = link
-        self.authority = Authority(asyncio.get_running_loop().time)
         parts = link, self._requests, self.authority, self.state
         self._commander = Commander(*parts, task_sequences())
         notifications = Notifications(link, self._requests, self._on_telemetry)
@@ -303,13 +303,9 @@ class Aircraft:
     # -- what the link calls ---------------------------------------------------------------------
 
     def _on_telemetry(self, frame: Frame, now: float) -> None:
-        if not self._requests.knows_layout:
-            return
-        sample = self._telemetry.take(frame.data[2:], self._requests.firmware, now)
-        if sample is None:
-            return
-        self.authority.observe(sample)
-        self._telemetry.publish(sample)
+        requests = self._requests
+        if requests.knows_layout:
+            self._telemetry.receive(frame.data[2:], requests.firmware, now)
 
     def _on_authority_changed(self, notification: AuthorityChanged, now: float) -> None:
         _logger.info("the aircraft notifies that authority passed away")

@@ -15,24 +15,28 @@ from m100link.protocol.records import Time
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
-from m100link.telemetry.subscription import Hub, Latest, Policy, Subscription
+from m100link.telemetry.subscription import ANY, Hub, Latest, Policy, Subscription
 
 __all__ = ["TelemetryStream"]
 
 _logger = logging.getLogger("m100link.aircraft")
 
-_PACKAGE = 1 << 16  # a kind of value beside the items: it may carry none of them
+_PACKAGE = 1 << 16  # what a package with no item is, for those who want every package
 
 
 class TelemetryStream:
     """Takes packages as they arrive.
+
+    Args:
+        observe: Called with each package when state and clock know it, before the consumers.
 
     Attributes:
         state: Newest value and age of every item.
         mismatches: Packages refused because they do not fit the firmware profile.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, observe: Callable[[Sample], None]) -> None:
+        self._observe = observe
         self.state = AircraftState(asyncio.get_running_loop().time)
         self.mismatches = 0
         self._hub: Hub[Sample] = Hub()
@@ -47,37 +51,38 @@ class TelemetryStream:
             clock = self._clock = DeviceClock(firmware.tick_hz)
         return clock
 
-    def take(self, value: bytes, firmware: FirmwareProfile, now: float) -> Sample | None:
-        """Take over a package that arrived now; None for one that does not fit the firmware."""
+    def receive(self, value: bytes, firmware: FirmwareProfile, now: float) -> None:
+        """A package arrived now: everybody inside learns what it says, then every consumer.
+
+        One that does not fit the firmware is counted, and the first of them logged.
+        """
         try:
             sample = Sample(value, firmware, now)
         except LayoutMismatch as error:
             self.mismatches += 1
             if self.mismatches == 1:
                 _logger.warning("telemetry refused: %s", error)
-            return None
+            return
+        flags = sample.flags
         self.state.update(sample)
         if firmware is not self._firmware:
             self._firmware = firmware
             self._tick_spans.clear()
-        span = self._tick_spans.get(sample.flags)
+        span = self._tick_spans.get(flags)
         if span is None:
-            span = self._tick_span(sample.flags, firmware)
+            span = self._tick_span(flags, firmware)
         tick = value[span]
         if tick:
             # Of its record, which costs ten times as much, the clock wants nothing else.
             self.clock_of(firmware).update(int.from_bytes(tick, "little"), now)
-        return sample
+        self._observe(sample)
+        self._hub.publish(sample, now, flags or _PACKAGE)
 
     def _tick_span(self, flags: int, firmware: FirmwareProfile) -> slice:
         """Where packages with these flags have their tick; an empty one where they have none."""
         span = field_span(Time, "tick", flags, firmware) or slice(0, 0)
         self._tick_spans[flags] = span
         return span
-
-    def publish(self, sample: Sample) -> None:
-        """Hand the sample to every consumer, once everybody inside knows what it says."""
-        self._hub.publish(sample, sample.received_at, sample.flags | _PACKAGE)
 
     def fail(self, error: LinkError) -> None:
         """End every subscription with the error."""
@@ -101,7 +106,7 @@ class TelemetryStream:
         return self._hub.subscribe(
             policy,
             min_interval=1.0 / rate_hz if rate_hz else 0.0,
-            wanted=wanted or _PACKAGE,
+            wanted=wanted or ANY,
         )
 
     async def wait_for(

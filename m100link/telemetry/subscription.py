@@ -23,7 +23,7 @@ __all__ = [
 ]
 
 _TOLERANCE_S = 1e-6  # a value exactly one interval after the last is not early
-_ANY, _NONE = -1, 0  # kinds of values
+ANY, _NONE = -1, 0  # kinds of values
 
 T = TypeVar("T")
 
@@ -86,7 +86,7 @@ class Queue(Generic[T]):
         policy: Policy,
         *,
         min_interval: float = 0.0,
-        wanted: int = _ANY,
+        wanted: int = ANY,
     ) -> None:
         self._policy = policy
         self._count = policy.count
@@ -244,7 +244,7 @@ class Hub(Generic[T]):
         policy: Policy,
         *,
         min_interval: float = 0.0,
-        wanted: int = _ANY,
+        wanted: int = ANY,
     ) -> Subscription[T]:
         """A new subscription for values of the kinds whose bits are in ``wanted``."""
         queue: Queue[T] = Queue(policy, min_interval=min_interval, wanted=wanted)
@@ -253,7 +253,7 @@ class Hub(Generic[T]):
         self._queues = (*(other for other in self._queues if other.wanted), queue)
         return Subscription(queue)
 
-    def publish(self, value: T, now: float, kinds: int = _ANY) -> None:
+    def publish(self, value: T, now: float, kinds: int = ANY) -> None:
         """Queue the value wherever one of its kinds is wanted."""
         has_any_ended = False
         for queue in self._queues:
