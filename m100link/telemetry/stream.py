@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
+from struct import Struct
 from typing import Any
 
 from m100link.errors import LayoutMismatch, LinkError, TelemetryStalled, UsageError
-from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.firmware import FIRMWARE_1_0, FirmwareProfile
 from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import field_span
 from m100link.protocol.records import Time
@@ -22,6 +23,19 @@ __all__ = ["TelemetryStream"]
 _logger = logging.getLogger("m100link.aircraft")
 
 _PACKAGE = 1 << 16  # what a package with no item is, for those who want every package
+
+
+_Place = tuple[int, Callable[[bytes, int], tuple[int]]]
+_UNSIGNED = {
+    size: Struct(code).unpack_from for size, code in ((1, "<B"), (2, "<H"), (4, "<I"), (8, "<Q"))
+}
+
+
+def _tick_place(flags: int, firmware: FirmwareProfile) -> _Place | None:
+    """Where packages with these flags have their tick, and how it is read; None: they have none."""
+    span = field_span(Time, "tick", flags, firmware) or slice(0, 0)
+    unpack = _UNSIGNED.get(span.stop - span.start)
+    return None if unpack is None else (span.start, unpack)
 
 
 class TelemetryStream:
@@ -40,16 +54,19 @@ class TelemetryStream:
         self.state = AircraftState(asyncio.get_running_loop().time)
         self.mismatches = 0
         self._hub: Hub[Sample] = Hub()
-        self._clock: DeviceClock | None = None
-        self._firmware: FirmwareProfile | None = None
-        self._tick_spans: dict[int, slice] = {}  # by flags, of packages of that firmware
+        # What packages have been read as, or the clock was asked for, last.
+        self._firmware = FIRMWARE_1_0
+        self._clock = DeviceClock(FIRMWARE_1_0.tick_hz)
+        self._ticks: dict[int, _Place | None] = {}  # where such packages have their tick, by flags
 
     def clock_of(self, firmware: FirmwareProfile) -> DeviceClock:
         """The clock of the aircraft; a firmware with another tick rate begins a new one."""
-        clock = self._clock
-        if clock is None or clock.tick_hz != firmware.tick_hz:
-            clock = self._clock = DeviceClock(firmware.tick_hz)
-        return clock
+        if firmware is not self._firmware:
+            self._firmware = firmware
+            self._ticks.clear()
+            if firmware.tick_hz != self._clock.tick_hz:
+                self._clock = DeviceClock(firmware.tick_hz)
+        return self._clock
 
     def receive(self, value: bytes, firmware: FirmwareProfile, now: float) -> None:
         """A package arrived now: everybody inside learns what it says, then every consumer.
@@ -65,24 +82,17 @@ class TelemetryStream:
             return
         flags = sample.flags
         self.state.update(sample)
-        if firmware is not self._firmware:
-            self._firmware = firmware
-            self._tick_spans.clear()
-        span = self._tick_spans.get(flags)
-        if span is None:
-            span = self._tick_span(flags, firmware)
-        tick = value[span]
-        if tick:
+        clock = self._clock if firmware is self._firmware else self.clock_of(firmware)
+        try:
+            place = self._ticks[flags]
+        except KeyError:
+            place = self._ticks[flags] = _tick_place(flags, firmware)
+        if place is not None:
             # Of its record, which costs ten times as much, the clock wants nothing else.
-            self.clock_of(firmware).update(int.from_bytes(tick, "little"), now)
+            at, unpack = place
+            clock.update(unpack(value, at)[0], now)
         self._observe(sample)
         self._hub.publish(sample, now, flags or _PACKAGE)
-
-    def _tick_span(self, flags: int, firmware: FirmwareProfile) -> slice:
-        """Where packages with these flags have their tick; an empty one where they have none."""
-        span = field_span(Time, "tick", flags, firmware) or slice(0, 0)
-        self._tick_spans[flags] = span
-        return span
 
     def fail(self, error: LinkError) -> None:
         """End every subscription with the error."""
