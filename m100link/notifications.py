@@ -34,6 +34,8 @@ class Notifications:
         on_telemetry: Gets telemetry frames and the time of their arrival.
     """
 
+    __slots__ = ("_link", "_requests", "_takers")
+
     def __init__(
         self, link: Link, requests: Requests, on_telemetry: Callable[[Frame, float], None]
     ) -> None:

@@ -50,6 +50,18 @@ class Requests:
         version: Newest answer to the version query, None before the first.
     """
 
+    __slots__ = (
+        "__dict__",
+        "_is_fixed",
+        "_is_forced",
+        "_is_known",
+        "_known_pushes",
+        "_link",
+        "_proven_cipher",
+        "firmware",
+        "version",
+    )
+
     def __init__(self, link: Link, firmware: FirmwareProfile | None = None) -> None:
         self._link = link
         self._is_forced = firmware is not None

@@ -165,6 +165,20 @@ class Authority:
         reason: Why it was contested, paused, lost or given back.
     """
 
+    __slots__ = (
+        "_clock",
+        "_firmware",
+        "_held_since",
+        "_known",
+        "_listeners",
+        "_takers",
+        "_waiters",
+        "_was_in_f",
+        "_was_ours",
+        "reason",
+        "state",
+    )
+
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.state = AuthorityState.NONE
         self.reason = LossReason.NONE

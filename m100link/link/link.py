@@ -88,6 +88,28 @@ class Link(asyncio.Protocol):
         first_sequence: First sequence number; random by default.
     """
 
+    # With a dictionary for what programs put there, which tests do, and which is only then made.
+    __slots__ = (
+        "__dict__",
+        "__weakref__",
+        "_bytes_sent",
+        "_connected",
+        "_disconnected",
+        "_dropped_writes",
+        "_endpoint",
+        "_failure",
+        "_frames_sent",
+        "_is_writable",
+        "_loop",
+        "_pending",
+        "_timer",
+        "_transport",
+        "last_received_at",
+        "name",
+        "on_lost",
+        "on_received",
+    )
+
     def __init__(
         self,
         *,

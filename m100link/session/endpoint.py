@@ -25,6 +25,8 @@ class Endpoint:
         only_pushes: The last bytes brought nothing but pushes, which leave nothing to write.
     """
 
+    __slots__ = ("_pushed", "decoder", "only_pushes", "receiver", "sender", "statistics")
+
     def __init__(self, *, first_sequence: int = 0, forget_after: float | None = None) -> None:
         self.statistics = SessionStatistics()
         self.decoder = FrameDecoder()

@@ -74,6 +74,28 @@ class DeviceClock:
         tick_hz: As given.
     """
 
+    __slots__ = (
+        "_arrivals",
+        "_arrivals_since",
+        "_backlog",
+        "_backlog_at",
+        "_device",
+        "_floor",
+        "_intercept",
+        "_last_tick",
+        "_late",
+        "_latest",
+        "_newest",
+        "_notes",
+        "_received_at",
+        "_resets",
+        "_seconds",
+        "_silence",
+        "_slope",
+        "_spread",
+        "tick_hz",
+    )
+
     def __init__(self, tick_hz: int) -> None:
         self.tick_hz = tick_hz
         self._notes: list[tuple[int, float]] = []  # tick and arrival, not looked at yet

@@ -84,6 +84,8 @@ class AircraftState(RecordViews):
         newest_at: When any telemetry arrived last, on the event loop's clock; None: never.
     """
 
+    __slots__ = ("__dict__", "__weakref__", "_cells", "_cells_of", "_clock", "newest_at")
+
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         whole = _Cell(sum(1 << item.bit for item in ITEMS))

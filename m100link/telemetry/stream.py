@@ -49,6 +49,8 @@ class TelemetryStream:
         mismatches: Packages refused because they do not fit the firmware profile.
     """
 
+    __slots__ = ("_clock", "_firmware", "_hub", "_observe", "_ticks", "mismatches", "state")
+
     def __init__(self, observe: Callable[[Sample], None]) -> None:
         self._observe = observe
         self.state = AircraftState(asyncio.get_running_loop().time)
