@@ -126,6 +126,21 @@ async def test_a_repeated_command_is_answered_at_once() -> None:
     await link.close()
 
 
+async def test_the_same_number_is_another_command_after_five_seconds() -> None:
+    """An aircraft that restarts counts from the start again."""
+    received: list[float] = []
+    link, kept = Link(), _Kept()
+    link.on_received = lambda frame, now: received.append(now)
+    end = connect_in_memory(kept, link)
+    for wait in (0.0, 4.9, 5.1):
+        await asyncio.sleep(wait)
+        end.write(encode_frame(b"question", session=2, sequence=0))
+        await settle()
+        link.acknowledge(Frame(2, False, 0, False, 0, b"question"), b"answer")
+    assert received == [pytest.approx(0.0), pytest.approx(10.0)]
+    await link.close()
+
+
 async def test_no_ack_after_all_tries_is_an_ack_timeout_that_tells_all() -> None:
     link, _, _ = await connected(silent)
     with pytest.raises(AckTimeout, match="no ack of take_off after 3 tries") as caught:
@@ -149,6 +164,15 @@ async def test_a_silent_line_is_named_as_the_likely_cause() -> None:
     with pytest.raises(AckTimeout) as caught:
         await link.request(b"x", timeout=0.1, tries=1)
     assert "ignores the command" in caught.value.cause
+    await link.close()
+
+
+async def test_a_request_is_tried_three_times_half_a_second_apart() -> None:
+    link, _, _ = await connected(silent)
+    with pytest.raises(AckTimeout, match="after 3 tries"):
+        await link.request(b"x")
+    assert now() == pytest.approx(1.5)
+    assert link.statistics().frames_sent == 3
     await link.close()
 
 
@@ -320,6 +344,11 @@ async def test_the_log_shows_frames_in_both_directions_cut_short_and_no_key(
     assert any(line.startswith("< session 2") for line in lines)
     assert max(map(len, lines)) < 200
     assert "5a5a" not in caplog.text.lower()
+    assert "…" in caplog.text
+    caplog.clear()
+    await link.request(b"short")
+    assert caplog.records
+    assert "…" not in caplog.text, "what fits is shown whole"
     assert "5a5a" not in repr(vars(link)).lower()
     await link.close()
 
@@ -456,8 +485,15 @@ async def test_a_peer_that_takes_nothing_delays_closing_by_a_second_at_most() ->
     peer.link._transport.pause_reading()
     link.push(b"x")
     await link.close()
-    assert 0.9 < now() < 2.5
+    assert 0.9 < now() < 1.1
     assert transport.is_closing()
+
+
+async def test_closing_a_link_from_which_everything_has_left_takes_no_time() -> None:
+    link, _, _ = await connected()
+    assert await link.request(b"x") == b"ack of x"
+    await link.close()
+    assert now() == 0
 
 
 async def test_cancelling_a_slow_close_closes_all_the_same() -> None:

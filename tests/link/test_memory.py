@@ -51,12 +51,13 @@ async def pair() -> tuple[Recorder, Recorder, MemoryTransport, MemoryTransport]:
 
 
 async def test_bytes_arrive_in_order_on_the_next_pass() -> None:
-    _, there, end, _ = await pair()
+    here, there, end, _ = await pair()
     end.write(b"one ")
     end.write(bytearray(b"two"))
     assert there.log == []
     await settle()
     assert there.log == [b"one two"]
+    assert here.log == [], "who was not asked to pause need not be told to go on"
 
 
 async def test_a_reader_that_pauses_makes_the_writer_pause() -> None:
