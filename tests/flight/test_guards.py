@@ -543,6 +543,7 @@ async def test_a_setpoint_that_lives_long_ends_when_a_guard_would_refuse_it(
 ) -> None:
     guards = Guards(envelope=Envelope(max_radius_m=20))
     async with hovering(guards) as (flown, control):
+        before = len(flown.moves)
         with pytest.raises(GuardRefused) as caught:
             async with control.hold(velocity(north=3), lifetime=60, allow_long_lifetime=True):
                 await asyncio.sleep(2.0)
@@ -551,6 +552,8 @@ async def test_a_setpoint_that_lives_long_ends_when_a_guard_would_refuse_it(
         assert caught.value.guard == guard
         assert math.hypot(*flown.virtual.position) < 25
         flown.assert_stopped_in_order()
+        stands = [flown.is_neutral(move) for move in flown.moves][before:]
+        assert stands == sorted(stands), "a frame that was refused went out behind its neutral"
         count = len(flown.moves)
         with pytest.raises(GuardRefused):
             control.send(velocity(north=3))

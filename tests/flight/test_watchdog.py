@@ -10,6 +10,7 @@ import pytest
 
 from m100link.errors import TelemetryStalled
 from m100link.flight.watchdog import TelemetryWatchdog
+from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.state import AircraftState
 
 pytestmark = pytest.mark.anyio
@@ -79,3 +80,18 @@ async def test_without_a_block_nothing_is_forgiven() -> None:
     state.newest_at -= 2 * LIMIT
     assert not watchdog.is_quiet()
     assert len(stalls) == 1
+
+
+def test_it_looks_again_when_the_newest_telemetry_would_be_too_old() -> None:
+    async def stalls_of_a_moment() -> int:
+        state = State()
+        state.newest_at -= LIMIT - 0.05
+        _, stalls = watch(state)
+        await asyncio.sleep(0.07)
+        return len(stalls)
+
+    loop = VirtualClockEventLoop()
+    try:
+        assert loop.run_until_complete(stalls_of_a_moment()) == 1
+    finally:
+        loop.close()
