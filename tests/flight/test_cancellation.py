@@ -80,6 +80,16 @@ async def test_work_that_is_cancelled_itself_is_begun_again() -> None:
     assert (work.begun, work.done, work.ended) == (3, 1, 1)
 
 
+async def test_whoever_cancels_it_sees_it_cancelled_when_the_work_is_done() -> None:
+    work = Work()
+    task = work.errand.begin()
+    await asyncio.sleep(0.5)
+    task.cancel()
+    await asyncio.wait([task])
+    assert task.cancelled()
+    assert (work.begun, work.done, work.ended) == (1, 1, 1)
+
+
 async def test_work_that_is_cancelled_again_and_again_is_given_up_and_says_so(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
