@@ -172,6 +172,17 @@ def test_the_lead_has_bounds() -> None:
     assert lead.seconds == Lead.MOST == 200e-6
 
 
+def test_an_alarm_without_an_event_loop_is_refused_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    unraisable: list[object] = []
+    monkeypatch.setattr("sys.unraisablehook", unraisable.append)
+    with pytest.raises(RuntimeError, match="no running event loop"):
+        Alarm()
+    gc.collect()
+    assert unraisable == []
+
+
 class TestOnTheRealClock:
     """The timerfd path, where there is one. Real time, some tens of milliseconds."""
 
@@ -240,6 +251,20 @@ class TestOnTheRealClock:
             await take(Ticker(50), 1)
         gc.collect()
         assert descriptors() <= before
+
+    @pytest.mark.skipif(not hasattr(os, "get_blocking"), reason="needs POSIX")
+    @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="needs /proc")
+    async def test_its_timer_blocks_nobody_and_is_not_inherited(self) -> None:
+        """A read of it between two rings would stop the loop; a child would keep it open."""
+
+        def descriptors() -> set[str]:
+            return {link.name for link in Path("/proc/self/fd").iterdir() if link.is_symlink()}
+
+        before = descriptors()
+        with Alarm():
+            for name in descriptors() - before:
+                assert not os.get_blocking(int(name))
+                assert not os.get_inheritable(int(name))
 
     async def test_a_timer_that_was_given_back_is_not_watched_any_more(self) -> None:
         """The next file gets its number, and its reader must be heard."""

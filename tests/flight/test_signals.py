@@ -91,7 +91,7 @@ async def test_a_block_that_ends_first_leaves_the_others_protected(
 
 @pytest.mark.anyio
 async def test_any_number_of_signals_at_any_time_leaves_the_stop_path_whole(
-    acted: list[signal.Signals],
+    acted: list[signal.Signals], caplog: pytest.LogCaptureFixture
 ) -> None:
     async with rig() as flown:
         task = asyncio.create_task(fly_north(flown))
@@ -102,6 +102,7 @@ async def test_any_number_of_signals_at_any_time_leaves_the_stop_path_whole(
         await asyncio.wait([task])
         flown.assert_stopped_in_order()
         assert flown.is_released
+        assert caplog.text.count("SIGINT: stopping the aircraft") == 1
         assert acted == [signal.SIGINT]
 
 
