@@ -6,6 +6,10 @@ import asyncio
 import gc
 import os
 import random
+
+
+import select
+import sys
 import time
 from itertools import islice, pairwise
 from pathlib import Path
@@ -261,10 +265,14 @@ class TestOnTheRealClock:
             return {link.name for link in Path("/proc/self/fd").iterdir() if link.is_symlink()}
 
         before = descriptors()
-        with Alarm():
-            for name in descriptors() - before:
-                assert not os.get_blocking(int(name))
-                assert not os.get_inheritable(int(name))
+        with Alarm() as alarm:
+            timers = {int(name) for name in descriptors() - before}
+            assert len(timers) == sys.platform.startswith("linux")
+            for timer in timers:
+                assert not os.get_blocking(timer)
+                assert not os.get_inheritable(timer)
+            await alarm.sleep_until(asyncio.get_running_loop().time() + 0.001)
+            assert select.select(timers, [], [], 0.01)[0] == [], "it rings once"
 
     async def test_a_timer_that_was_given_back_is_not_watched_any_more(self) -> None:
         """The next file gets its number, and its reader must be heard."""
