@@ -274,6 +274,14 @@ class TestOnTheRealClock:
             await alarm.sleep_until(asyncio.get_running_loop().time() + 0.001)
             assert select.select(timers, [], [], 0.01)[0] == [], "it rings once"
 
+    async def test_giving_it_back_again_gives_back_nothing_else(self) -> None:
+        """A number that stood for the timer may stand for another file by then."""
+        alarm = Alarm()
+        alarm.close()
+        before = os.fstat(0)
+        alarm.close()
+        assert os.fstat(0) == before
+
     async def test_a_timer_that_was_given_back_is_not_watched_any_more(self) -> None:
         """The next file gets its number, and its reader must be heard."""
         loop = asyncio.get_running_loop()
