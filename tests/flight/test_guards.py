@@ -395,12 +395,13 @@ async def test_speed_is_measured_over_both_axes() -> None:
 @pytest.mark.parametrize(
     "outward",
     [
+        velocity(north=0.01),
         velocity(north=1),
         TILT,
         Setpoint.velocity(forward=1, right=0, up=0, yaw_rate_deg_s=0),
         OFFSET,
     ],
-    ids=["velocity", "tilt", "forward", "position offset"],
+    ids=["slowly", "velocity", "tilt", "forward", "position offset"],
 )
 async def test_outside_the_radius_nothing_leads_further_away(outward: Setpoint) -> None:
     guards = Guards(envelope=Envelope(max_radius_m=50))
@@ -417,12 +418,13 @@ async def test_outside_the_radius_nothing_leads_further_away(outward: Setpoint) 
     "back",
     [
         velocity(north=-1),
+        velocity(north=-0.005),
         velocity(east=1),
         Setpoint.tilt(roll_deg=0, pitch_deg=5, up=0, yaw_rate_deg_s=0),
         Setpoint.tilt(roll_deg=0, pitch_deg=0, up=0, yaw_rate_deg_s=0),
         Setpoint.position_offset(north=-30, east=0, up=0, yaw_rate_deg_s=0),
     ],
-    ids=["velocity back", "velocity along", "tilt back", "level", "offset back"],
+    ids=["velocity back", "slowly back", "velocity along", "tilt back", "level", "offset back"],
 )
 async def test_outside_the_radius_every_way_back_is_open(back: Setpoint) -> None:
     guards = Guards(envelope=Envelope(max_radius_m=50))
