@@ -5,8 +5,10 @@ from __future__ import annotations
 import gc
 import inspect
 import json
+import math
 import os
 import resource
+import signal
 import sys
 import time
 import traceback
@@ -106,7 +108,8 @@ class Trials:
         if not took:
             return False
         files = sorted({name.partition("::")[0] for name in took})
-        return self._run(files, Selection(took), name="output", finder=Changed(change)) != 0
+        finder, selection, at_most = Changed(change), Selection(took), patience(took)
+        return self._run(files, selection, name="output", finder=finder, at_most=at_most) != 0
 
     def tests_of(self, change: Change) -> set[str]:
         """Tests that run the changed statement; "" among them says that its import does."""
@@ -118,7 +121,8 @@ class Trials:
         names = self.tests_of(change)
         if "" in names:
             every = self._lines[change.module].values()
-            names = {name for found in every for name in found} - {""}
+            # A module of declarations alone is run by no test and used by any.
+            names = {name for found in every for name in found} - {""} or set(self._took)
         stem = Path(change.module).stem
         mirrored = tuple(
             f"{self._folder}/test_{name}.py" for name in (stem, *PARTNERS.get(stem, ()))
@@ -138,7 +142,13 @@ class Trials:
         return sorted(families.values(), key=self._took.__getitem__)
 
     def _run(
-        self, files: Sequence[str], plugin: object, *, name: str, finder: Changed | None = None
+        self,
+        files: Sequence[str],
+        plugin: object,
+        *,
+        name: str,
+        finder: Changed | None = None,
+        at_most: float = math.inf,
     ) -> int:
         def run() -> int:
             if finder is not None:
@@ -148,17 +158,25 @@ class Trials:
             options += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]
             return int(pytest.main([*options, *files], plugins=[plugin]))
 
-        return in_copy(run, self._scratch / name)
+        return in_copy(run, self._scratch / name, at_most=at_most)
 
 
-def in_copy(work: Callable[[], int], output: Path) -> int:
-    """Work in a copy of this process; returns its exit status, negative for a signal."""
+def in_copy(work: Callable[[], int], output: Path, *, at_most: float = math.inf) -> int:
+    """Work in a copy of this process, for some seconds at most.
+
+    Returns:
+        Its exit status, negative for a signal.
+    """
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
     if child:
-        _, status = os.waitpid(child, 0)
-        return os.waitstatus_to_exitcode(status)
+        deadline = time.monotonic() + at_most
+        while (ended := os.waitpid(child, os.WNOHANG if at_most < math.inf else 0))[0] == 0:
+            if time.monotonic() > deadline:  # it holds off what ends a test
+                os.kill(child, signal.SIGKILL)
+            time.sleep(0.005)
+        return os.waitstatus_to_exitcode(ended[1])
     status = 2
     try:
         stream = os.open(output, os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
@@ -172,6 +190,11 @@ def in_copy(work: Callable[[], int], output: Path) -> int:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)
+
+
+def patience(took: dict[str, float]) -> float:
+    """How long the tests of one change are waited for, in seconds of a machine that does more."""
+    return 60 + 10 * sum(took.values())
 
 
 def limit_time(item: pytest.Item, took: float) -> None:
@@ -262,7 +285,8 @@ class Bodies:
                 if bodies is None:
                     continue
                 chosen = [(items[name], time_taken) for name, time_taken in took.items()]
-                noticed = in_copy(partial(self._try, bodies, chosen, session), output) != 0
+                work = partial(self._try, bodies, chosen, session)
+                noticed = in_copy(work, output, at_most=patience(took)) != 0
             else:
                 noticed = False
             if not noticed:
