@@ -370,6 +370,15 @@ async def test_an_impossible_attitude_is_an_unknown_heading(impossible: Attitude
             await control.turn_to(90)
 
 
+async def test_without_a_heading_an_offset_may_lead_anywhere() -> None:
+    async with hovering(Guards(envelope=Envelope(max_radius_m=50))) as (flown, control):
+        put(flown, north=45)
+        await asyncio.sleep(0.1)
+        pretend(flown, Attitude(math.nan, 0.0, 0.0, 0.0))
+        ahead = Setpoint.position_offset(forward=10, right=0, up=0, yaw_rate_deg_s=0)
+        assert refusal(flown, control, ahead).measured == pytest.approx(55, abs=0.2)
+
+
 async def test_climbing_for_ever_ends_at_the_envelope() -> None:
     guards = Guards(envelope=Envelope(max_height_m=10))
     async with rig() as flown:
@@ -581,6 +590,17 @@ async def test_a_hold_that_turned_back_in_time_ends_quietly() -> None:
             await asyncio.sleep(15.0)
             with pytest.raises(GuardRefused):
                 hold.set(velocity(north=3))
+            hold.set(velocity(north=-3))
+            await asyncio.sleep(2.0)
+
+
+async def test_a_hold_that_was_ended_by_a_guard_and_turned_back_ends_quietly() -> None:
+    guards = Guards(envelope=Envelope(max_radius_m=20))
+    async with hovering(guards) as (flown, control):
+        options: dict[str, Any] = {"lifetime": 60, "allow_long_lifetime": True}
+        async with control.hold(velocity(north=3), **options) as hold:
+            await asyncio.sleep(15.0)
+            assert flown.is_neutral(flown.moves[-1]), "the guard ended it"
             hold.set(velocity(north=-3))
             await asyncio.sleep(2.0)
 

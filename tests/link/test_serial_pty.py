@@ -117,6 +117,34 @@ async def test_requests_are_answered_over_a_pty(terminal: Terminal) -> None:
     await link.close()
 
 
+async def test_where_a_loop_can_watch_a_port_nobody_polls(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(transport, "_PolledTransport")
+    await (await open_link(terminal.path)).close()
+
+
+@pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError])
+async def test_a_port_that_cannot_be_attached_is_free_again(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, fault: type[BaseException]
+) -> None:
+    def fail(loop: asyncio.AbstractEventLoop, protocol: object, port: serial.Serial) -> None:
+        loop.add_reader(port.fileno(), print)
+        raise fault
+
+    with monkeypatch.context() as patched:
+        patched.setattr(transport, "SerialTransport", fail)
+        before = open_descriptors()
+        with pytest.raises(fault):
+            await open_link(terminal.path)
+        assert open_descriptors() == before
+    link = await open_link(terminal.path)
+    stop = terminal.answer_everything()
+    assert await link.request(b"x") == b"ack of x"
+    stop()
+    await link.close()
+
+
 @pytest.mark.parametrize("writing", [False, True], ids=["idle", "writing"])
 async def test_where_no_loop_can_watch_a_port_the_transport_of_pyserial_does(
     terminal: Terminal,
@@ -252,7 +280,7 @@ async def test_a_second_open_is_refused_and_names_the_first(terminal: Terminal) 
     link = await open_link(terminal.path)
     with pytest.raises(PortBusy, match="is in use") as caught:
         await open_link(terminal.path)
-    assert os.getpid() in [pid for pid, _ in caught.value.owners]
+    assert [pid for pid, _ in caught.value.owners] == [os.getpid()], "and nobody else"
     assert str(os.getpid()) in caught.value.seen
     await link.close()
     await (await open_link(terminal.path)).close()

@@ -68,6 +68,26 @@ async def test_a_port_of_another_group_says_which_group(
     assert "usermod" in caught.value.remedy
 
 
+async def test_how_a_port_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For this program alone, and so that an empty read means that the device is gone."""
+    asked: dict[str, object] = {}
+
+    def refuse(device: str, **options: object) -> None:
+        asked.update(options, device=device)
+        raise OSError(errno.ENOENT, "none")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(PortNotFound):
+        await open_link("/dev/ttyUSB0:115200")
+    assert asked == {
+        "device": "/dev/ttyUSB0",
+        "baudrate": 115200,
+        "exclusive": True,
+        "timeout": 0,
+        "inter_byte_timeout": 0,
+    }
+
+
 @pytest.mark.parametrize("number", [errno.EBUSY, errno.EAGAIN])
 @pytest.mark.parametrize(
     ("owners", "words"),

@@ -6,11 +6,12 @@ import random
 from collections import Counter
 from collections.abc import Sequence
 
+import pytest
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, precondition, rule
 
-from m100link.session import Acked, Endpoint, Event, Expired, SessionMode
+from m100link.session import Acked, Endpoint, Event, Expired, Sender, SessionMode
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 from tests.support import KEY
 
@@ -107,6 +108,20 @@ def test_whether_a_read_brought_only_pushes() -> None:
     ):
         aircraft.receive_data(data, 0)
         assert aircraft.only_pushes is is_pushes
+
+
+@pytest.mark.parametrize("kind", [Endpoint, Sender])
+def test_a_request_is_sent_three_times_half_a_second_apart(kind: type[Endpoint | Sender]) -> None:
+    """Unless it says otherwise."""
+    host = kind()
+    host.request(b"question", now=0)
+    times = []
+    while (now := host.next_wakeup()) is not None:
+        times.append(now)
+        host.handle_timer(now)
+    assert times == [0.5, 1.0, 1.5]
+    assert host.statistics.transmissions == 3
+    assert host.statistics.expired == 1
 
 
 def test_pushes_alone_are_counted_like_those_beside_acks() -> None:
