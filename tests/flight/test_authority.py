@@ -512,6 +512,23 @@ def test_packages_are_observed_as_if_each_record_were_looked_at_every_time(seed:
             pair.check(seed)
 
 
+def test_the_mode_switch_is_found_where_the_firmware_of_the_package_has_it() -> None:
+    """The firmware may be known better later; the same flags then stand for other places."""
+    first = PROFILES["1.0"]
+    wide = ItemLayout("4f4x", first.items["quaternion"].fields)
+    later = dataclasses.replace(
+        first, name="its own", items=dict(first.items) | {"quaternion": wide}
+    )
+    authority = Authority()
+    authority.feed(I.OBTAIN)
+    authority.feed(I.OBTAINED)
+    for firmware, mode in ((first, 8000), (later, 8000), (later, 0)):
+        assert authority.state is AuthorityState.HELD
+        items = {"quaternion": [1.0, 0.0, 0.0, 0.0], "rc": [0, 0, 0, 0, mode, -4545]}
+        authority.observe(TelemetryPacket(encode_telemetry(items, firmware), firmware))
+    assert authority.state is AuthorityState.PAUSED
+
+
 @pytest.mark.parametrize("firmware", PROFILES)
 def test_a_package_that_says_what_the_last_one_said_is_not_read(
     firmware: str, monkeypatch: pytest.MonkeyPatch

@@ -6,8 +6,6 @@ import asyncio
 import gc
 import os
 import random
-
-
 import select
 import sys
 import time
