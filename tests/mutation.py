@@ -63,19 +63,23 @@ class Explanation:
     Attributes:
         module: The file.
         source: The line, without its indentation.
+        within: The function that is meant, where the line stands in several; "" means all.
         operators: Beginnings of the names of the operators that are meant; () means all.
         reason: For a reader.
     """
 
     module: str
     source: str
+    within: str
     operators: tuple[str, ...]
     reason: str
 
     def fits(self, change: Change) -> bool:
         """Whether it speaks of that change."""
-        return (change.module, change.source) == (self.module, self.source) and (
-            not self.operators or change.operator.startswith(self.operators)
+        return (
+            (change.module, change.source) == (self.module, self.source)
+            and self.within in ("", change.function)
+            and (not self.operators or change.operator.startswith(self.operators))
         )
 
     def stands(self) -> bool:
@@ -87,7 +91,13 @@ def explanations(room: str) -> list[Explanation]:
     """The list of a room, one per line of code."""
     table = tomllib.loads(EXPLAINED.read_text(encoding="utf-8"))
     return [
-        Explanation(entry["module"], source, tuple(entry.get("operators", ())), entry["reason"])
+        Explanation(
+            entry["module"],
+            source,
+            entry.get("within", ""),
+            tuple(entry.get("operators", ())),
+            entry["reason"],
+        )
         for entry in table.get(room, [])
         for source in entry["lines"]
     ]

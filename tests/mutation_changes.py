@@ -112,6 +112,17 @@ def text_of(module: str) -> str:
     return (ROOT / module).read_text(encoding="utf-8")
 
 
+@cache
+def functions(module: str) -> list[tuple[range, str]]:
+    """Lines and name of each function, the shortest first."""
+    found = [
+        (range(node.lineno, (node.end_lineno or 0) + 1), node.name)
+        for node in ast.walk(ast.parse(text_of(module)))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+    return sorted(found, key=lambda function: len(function[0]))
+
+
 @dataclass(frozen=True, slots=True)
 class Change:
     """One place, said differently."""
@@ -125,6 +136,11 @@ class Change:
     def source(self) -> str:
         """The line of the change, which outlives its number."""
         return text_of(self.module).splitlines()[self.line - 1].strip()
+
+    @property
+    def function(self) -> str:
+        """Name of the innermost function around it, "" outside."""
+        return next((name for lines, name in functions(self.module) if self.line in lines), "")
 
     def text(self) -> str:
         """The module with the change."""
