@@ -524,7 +524,10 @@ def test_the_mode_switch_is_found_where_the_firmware_of_the_package_has_it() -> 
     authority.feed(I.OBTAINED)
     for firmware, mode in ((first, 8000), (later, 8000), (later, 0)):
         assert authority.state is AuthorityState.HELD
-        items = {"quaternion": [1.0, 0.0, 0.0, 0.0], "rc": [0, 0, 0, 0, mode, -4545]}
+        items: dict[str, list[float]] = {
+            "quaternion": [1, 0, 0, 0],
+            "rc": [0, 0, 0, 0, mode, -4545],
+        }
         authority.observe(TelemetryPacket(encode_telemetry(items, firmware), firmware))
     assert authority.state is AuthorityState.PAUSED
 

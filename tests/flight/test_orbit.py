@@ -192,6 +192,14 @@ def test_the_nose_is_turned_to_the_centre(place: tuple[float, float], yaw_deg: f
     assert steering.to_go_deg == 360
 
 
+def test_far_from_the_circle_most_of_the_speed_leads_to_it() -> None:
+    for north, wanted in ((1.0, 4.0), (40.0, -4.0)):
+        orbit = Orbit(radius=10, speed=2, turns=1, clockwise=True, max_speed=5)
+        steering = orbit.steer((north, 0.0), None, None, 0.02)
+        assert steering.north == pytest.approx(wanted)
+        assert math.hypot(steering.north, steering.east) <= 5
+
+
 async def test_what_is_refused_moves_nothing() -> None:
     async with rig() as flown, flown.aircraft.control() as control:
         await control.take_off()

@@ -82,16 +82,28 @@ async def test_without_a_block_nothing_is_forgiven() -> None:
     assert len(stalls) == 1
 
 
-def test_it_looks_again_when_the_newest_telemetry_would_be_too_old() -> None:
-    async def stalls_of_a_moment() -> int:
+def stalls_of_a_moment(*, is_stopped: bool) -> int:
+    """What is reported when telemetry has 50 ms left, on virtual time."""
+
+    async def watched() -> int:
         state = State()
         state.newest_at -= LIMIT - 0.05
-        _, stalls = watch(state)
+        watchdog, stalls = watch(state)
+        if is_stopped:
+            watchdog.stop()
         await asyncio.sleep(0.07)
         return len(stalls)
 
     loop = VirtualClockEventLoop()
     try:
-        assert loop.run_until_complete(stalls_of_a_moment()) == 1
+        return loop.run_until_complete(watched())
     finally:
         loop.close()
+
+
+def test_it_looks_again_when_the_newest_telemetry_would_be_too_old() -> None:
+    assert stalls_of_a_moment(is_stopped=False) == 1
+
+
+def test_once_stopped_it_looks_no_more() -> None:
+    assert stalls_of_a_moment(is_stopped=True) == 0
