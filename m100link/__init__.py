@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     # plain imports. A stub beside this file would be a second list to keep, and would hide it.
     from m100link import errors, sync
     from m100link.activation import ActivationProgress
-    from m100link.aircraft import Aircraft, connect
+    from m100link.aircraft import Aircraft, AuthorityEvent, ConnectionEvent, connect
     from m100link.errors import (
         AckTimeout,
         ActivationRefused,
@@ -128,6 +128,7 @@ __all__ = [
     "Authority",
     "AuthorityCode",
     "AuthorityError",
+    "AuthorityEvent",
     "AuthorityLost",
     "AuthorityRefused",
     "AuthorityState",
@@ -138,6 +139,7 @@ __all__ = [
     "Battery",
     "CommandNotSupported",
     "CommandRefused",
+    "ConnectionEvent",
     "Control",
     "ControlDevice",
     "ControlMode",

@@ -7,15 +7,16 @@ import logging
 from collections.abc import Callable, Coroutine, Generator
 from functools import partial
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from m100link.activation import ActivationProgress, activate
 from m100link.errors import (
     CommandRefused,
     LinkError,
+    LossReason,
     UsageError,
 )
-from m100link.flight.authority import Authority, AuthorityInput
+from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
 from m100link.flight.control import Control, PauseAction
 from m100link.flight.guards import Guards
 from m100link.flight.handover import release_authority
@@ -41,11 +42,37 @@ from m100link.telemetry.subscription import Hub, Latest, Newest, Policy, Subscri
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
-__all__ = ["Aircraft", "Connecting", "connect"]
+__all__ = ["Aircraft", "AuthorityEvent", "Connecting", "ConnectionEvent", "connect"]
 
 _logger = logging.getLogger("m100link.aircraft")
 
 A = TypeVar("A")
+
+
+class ConnectionEvent(NamedTuple):
+    """Something happened to the connection.
+
+    Attributes:
+        is_connected: Whether the line is open now.
+        error: Why it is not; None while it is.
+    """
+
+    is_connected: bool
+    error: LinkError | None
+
+
+class AuthorityEvent(NamedTuple):
+    """Control authority passed from one state to another.
+
+    Attributes:
+        before: State before.
+        after: State now.
+        reason: Why it was lost or paused.
+    """
+
+    before: AuthorityState
+    after: AuthorityState
+    reason: LossReason
 
 
 class Aircraft:
@@ -62,11 +89,13 @@ class Aircraft:
 
     def __init__(self, link: Link, *, firmware: FirmwareProfile | None = None) -> None:
         self._requests = Requests(link, firmware)  # not public: by it, movement could leave
-        self.authority = Authority(asyncio.get_running_loop().time)
+        self.authority = Authority(link.loop.time)
         self._telemetry = TelemetryStream(self.authority.observe)
         self._from_mobile: Hub[bytes] = Hub()
+        self._events: Hub[ConnectionEvent | AuthorityEvent] = Hub()
         self._claim = BlockClaim()
         self.link = link
+        self.authority.subscribe(self._on_authority)
         parts = link, self._requests, self.authority, self.state
         self._commander = Commander(*parts, task_sequences())
         notifications = Notifications(link, self._requests, self._on_telemetry)
@@ -96,6 +125,34 @@ class Aircraft:
             await self._claim.close()
         finally:
             await self.link.close()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the line is open; that it is silent is for :attr:`state` to tell."""
+        return self.link.is_open
+
+    async def wait_closed(self) -> LinkError | None:
+        """Wait until the line is gone.
+
+        Returns:
+            Why: :class:`LinkLost`, or :class:`LinkClosed` when the program closed it.
+        """
+        await self.link.wait_disconnected()
+        return self.link.failure
+
+    def events(self) -> Subscription[ConnectionEvent | AuthorityEvent]:
+        """What happens to the connection and to control authority from here on, as it happens.
+
+        ::
+
+            async with aircraft.events() as events:
+                async for event in events:
+                    print(event)
+
+        Raises (while iterating):
+            LinkLost, LinkClosed: The line is gone; a :class:`ConnectionEvent` comes first.
+        """
+        return self._events.subscribe(Newest(100))
 
     def statistics(self) -> LinkStatistics:
         """Counters of the link."""
@@ -318,6 +375,15 @@ class Aircraft:
         self._telemetry.fail(error)
         self._from_mobile.fail(error)
         self.authority.feed(AuthorityInput.LINK_LOST)
+        self._events.publish(ConnectionEvent(is_connected=False, error=error), self._now)
+        self._events.fail(error)
+
+    def _on_authority(self, before: AuthorityState, after: AuthorityState) -> None:
+        self._events.publish(AuthorityEvent(before, after, self.authority.reason), self._now)
+
+    @property
+    def _now(self) -> float:
+        return self.link.loop.time()
 
 
 class Connecting:

@@ -163,6 +163,10 @@ BY_HAND = {
         subscription = self._portal.call(self._aircraft.from_mobile, ARGUMENTS)
         return Subscription(self._portal, subscription, timeout)
     """,
+    "events": """
+        subscription = self._portal.call(self._aircraft.events, ARGUMENTS)
+        return Subscription(self._portal, subscription, timeout)
+    """,
     "ticks": "return Ticks(self._portal, self._portal.call(self._control.ticks, ARGUMENTS))",
     "hold": "return Hold(self._portal, self._control.hold(ARGUMENTS))",
     "follow": """
@@ -191,7 +195,7 @@ BY_HAND = {
 }
 """Bodies of methods that do more than hand on."""
 
-TIMED = ("telemetry", "from_mobile")
+TIMED = ("telemetry", "from_mobile", "events")
 """What is iterated, here with a time-out."""
 
 TYPES = {

@@ -16,10 +16,12 @@ from m100link import (
     ActivationProgress,
     ActivationRefused,
     Aircraft,
+    AuthorityEvent,
     AuthorityRefused,
     BadURL,
     CommandNotSupported,
     CommandRefused,
+    ConnectionEvent,
     Credentials,
     KeyRejected,
     LevelTooLow,
@@ -238,6 +240,42 @@ async def test_an_aircraft_says_what_it_is_and_in_which_state() -> None:
         flown.virtual.unplug()
         await asyncio.sleep(0.1)
         assert repr(flown.aircraft).endswith(", gone: virtual aircraft went away>")
+
+
+async def test_events_tell_of_authority_and_of_the_end_of_the_line() -> None:
+    async with rig() as flown, flown.aircraft.events() as events:
+        connected_before = flown.aircraft.is_connected
+        closed = asyncio.create_task(flown.aircraft.wait_closed())
+        async with flown.aircraft.control():
+            pass
+        flown.virtual.unplug()
+        seen = []
+        with pytest.raises(LinkLost):
+            async for event in events:
+                seen.append(event)
+        *authority, connection = seen
+        assert [event.after.name for event in authority if isinstance(event, AuthorityEvent)] == [
+            "OBTAINING",
+            "HELD",
+            "RELEASING",
+            "NONE",
+        ]
+        assert isinstance(connection, ConnectionEvent)
+        assert not connection.is_connected
+        assert (connected_before, flown.aircraft.is_connected) == (True, False)
+        assert isinstance(await closed, LinkLost)
+        assert connection.error is flown.aircraft.link.failure
+
+
+async def test_closing_ends_events_too() -> None:
+    async with rig() as flown, flown.aircraft.events() as events:
+        await flown.aircraft.aclose()
+        assert isinstance(await flown.aircraft.wait_closed(), LinkClosed)
+        event = await anext(events)
+        assert isinstance(event, ConnectionEvent)
+        assert isinstance(event.error, LinkClosed)
+        with pytest.raises(LinkClosed):
+            await anext(events)
 
 
 async def test_many_connections_in_a_row_leave_no_task_behind() -> None:

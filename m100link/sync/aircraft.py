@@ -11,7 +11,8 @@ from typing import Any, Self, TypeVar
 
 from m100link import aircraft as aio
 from m100link.activation import ActivationProgress
-from m100link.errors import CommandRefused
+from m100link.aircraft import AuthorityEvent, ConnectionEvent
+from m100link.errors import CommandRefused, LinkError
 from m100link.flight.authority import Authority
 from m100link.flight.block import PauseAction
 from m100link.flight.guards import Guards
@@ -64,6 +65,38 @@ class Aircraft:
     def authority(self) -> Authority:
         """Who controls the aircraft, as far as this program knows."""
         return self._aircraft.authority
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the line is open; that it is silent is for :attr:`state` to tell."""
+        return self._aircraft.is_connected
+
+    def wait_closed(self) -> LinkError | None:
+        """Wait until the line is gone.
+
+        Returns:
+            Why: :class:`LinkLost`, or :class:`LinkClosed` when the program closed it.
+        """
+        return self._portal.wait(lambda _: self._aircraft.wait_closed())
+
+    def events(
+        self, *, timeout: float | None = None
+    ) -> Subscription[ConnectionEvent | AuthorityEvent]:
+        """What happens to the connection and to control authority from here on, as it happens.
+
+        ::
+
+            with aircraft.events() as events:
+                for event in events:
+                    print(event)
+
+        Raises (while iterating):
+            LinkLost, LinkClosed: The line is gone; a :class:`ConnectionEvent` comes first.
+
+        Iterating waits up to ``timeout`` seconds for a value; None: for ever.
+        """
+        subscription = self._portal.call(self._aircraft.events)
+        return Subscription(self._portal, subscription, timeout)
 
     def statistics(self) -> LinkStatistics:
         """Counters of the link."""
