@@ -91,7 +91,7 @@ class FirmwareProfile:
         ioc_must_be_off: IOC forbids authority.
         generation: Which commands it knows: each command says since when it exists.
         item_flags: The bits of its items in the flag word of telemetry.
-        plans: What :mod:`m100link.protocol.packet` has worked out, per flag word of these items.
+        plans: What ``m100link.protocol.packet`` has worked out, per flag word of these items.
 
     Raises:
         UsageError: An item that does not exist, or fields that it does not have.
