@@ -19,6 +19,7 @@ from websockets.exceptions import WebSocketException
 from m100link.station.run import Running
 from tests.attacks import gaps
 from tests.attacks.gaps import measure, table
+from tests.attacks.losses import LOSSES, lose_at_random
 from tests.station.web.test_server import (
     address,
     opened,
@@ -163,3 +164,10 @@ async def test_an_operator_takes_over_from_whoever_while_a_spammer_asks() -> Non
         finally:
             attacker.terminate()
             await attacker.wait()
+
+
+@pytest.mark.pty
+async def test_whoever_is_lost_costs_a_hover_and_the_next_flies_on() -> None:
+    """One of each; ``python -m tests.attacks.losses`` has as many as are wanted."""
+    found = await lose_at_random(LOSSES, times=1, seed=1)
+    assert [name for name, _ in found] == [f"{which} {how.name}" for which, how in LOSSES]

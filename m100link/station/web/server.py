@@ -116,7 +116,7 @@ class Bridge:
     async def _health(self, request: Request) -> Response:
         state = self.agent.state
         report = {
-            "connection": state.connection,
+            "connection": "silent" if self.agent.is_silent else state.connection,
             "error": str(state.connection_fault.error()) if state.connection_fault else "",
             "clients": len(self.graph.sessions),
         }
