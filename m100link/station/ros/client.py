@@ -89,6 +89,7 @@ class Client:
         name: Who it is, for people.
         limits: What it may use.
         on_output: Called when there may be something to send.
+        on_disconnect: Called when the client has to be disconnected.
 
     Attributes:
         refused: Frames not carried out.
@@ -107,11 +108,13 @@ class Client:
         *,
         limits: Limits | None = None,
         on_output: Callable[[], None] = lambda: None,
+        on_disconnect: Callable[[], None] = lambda: None,
     ) -> None:
         self.graph = graph
         self.name = name
         self.limits = limits or Limits()
         self.on_output = on_output
+        self._on_disconnect = on_disconnect
         self.refused = 0
         self.close_reason: str | None = None
         self.recent_work = 0.0
@@ -391,6 +394,7 @@ class Client:
         """Let go of this client; its socket is closed by whoever holds it."""
         if self.close_reason is None:
             self.close_reason = reason
+            self._on_disconnect()
             self._output()
 
     @property

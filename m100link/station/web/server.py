@@ -158,6 +158,7 @@ class Bridge:
                 heaviest.disconnect(
                     f"it kept the station from running for {1000 * heaviest.recent_work:.0f} ms"
                 )
+                heaviest.close(self.agent.now)
             for one in sessions:
                 one.recent_work = 0.0
 
@@ -170,13 +171,15 @@ class Bridge:
             await websocket.close(_POLICY_VIOLATION)
             return
         name = f"rosbridge {peer}:{websocket.client.port}" if websocket.client else "rosbridge"
-        wake = asyncio.Event()
-        session = Client(self.graph, name, limits=self._limits, on_output=wake.set)
+        wake, closing = asyncio.Event(), asyncio.Event()
+        session = Client(
+            self.graph, name, limits=self._limits, on_output=wake.set, on_disconnect=closing.set
+        )
         session.heard_at, session.peer = self.agent.now, peer
         try:
             await websocket.accept()
             self._log.info("%s connected", name)
-            writing = asyncio.create_task(self._write(websocket, session, wake))
+            writing = asyncio.create_task(self._write(websocket, session, wake, closing))
             reading = asyncio.create_task(self._read(websocket, session))
             try:
                 await asyncio.wait((writing, reading), return_when=asyncio.FIRST_COMPLETED)
@@ -204,7 +207,13 @@ class Bridge:
             # Frames may wait in a row: others have their turn between them.
             await asyncio.sleep(0)
 
-    async def _write(self, websocket: WebSocket, session: Client, wake: asyncio.Event) -> None:
+    async def _write(
+        self,
+        websocket: WebSocket,
+        session: Client,
+        wake: asyncio.Event,
+        closing: asyncio.Event,
+    ) -> None:
         # A client that does not read does not answer pings either: the server cuts it off then,
         # and a send that waits for it ends.
         connection: WebSocketConnection = websocket.scope["state"]["connection"]
@@ -222,7 +231,12 @@ class Bridge:
                 session.charge(packed_at - began, now)
                 # The loop that flies has its turn in between; who wants too much waits longer,
                 # and loses messages.
-                await asyncio.sleep(session.work_pause(self.agent.now))
+                await asyncio.sleep(0)
+                pause = session.work_pause(self.agent.now)
+                if pause:  # who is to go does not stay for the seconds that its work has cost
+                    with contextlib.suppress(TimeoutError):
+                        async with asyncio.timeout(pause):
+                            await closing.wait()
             self._log.warning("%s is disconnected: %s", session.name, session.close_reason)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(1.0):
