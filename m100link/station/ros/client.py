@@ -63,7 +63,7 @@ class Limits:
     subscriptions: int = 100
     advertisements: int = 100
     calls: int = 16
-    waiting: int = 200
+    waiting: int = 500
     answers: int = 500
     queue_length: int = 100
     faults: int = 1000

@@ -106,6 +106,10 @@ class Outbox:
         self._queue: deque[tuple[Subscription, Publication]] = deque()
         # Messages in the queue that were not dropped.
         self._count = 0
+        # Subscriptions by how many of their messages wait, and how many the busiest has: so that
+        # dropping costs the same however many topics there are.
+        self._crowds: list[dict[Subscription, None]] = [{}]
+        self._most = 0
         # What is left of a message that is sent in pieces.
         self._ready: Iterator[str | bytes] = iter(())
         self._fragment_count = 0
@@ -133,7 +137,8 @@ class Outbox:
         self._by_topic.clear()
         self._queue.clear()
         self.answers.clear()
-        self._count = 0
+        self._count = self._most = 0
+        self._crowds = [{}]
 
     def deliver(self, publication: Publication, now: float) -> None:
         """A message was published; those of its topic get it."""
@@ -156,20 +161,35 @@ class Outbox:
 
     def _put(self, subscription: Subscription, publication: Publication) -> None:
         self._queue.append((subscription, publication))
-        subscription.pending += 1
+        crowds, pending = self._crowds, subscription.pending + 1
+        if pending > 1:
+            del crowds[pending - 1][subscription]
+        if pending > self._most:
+            self._most = pending
+            if pending == len(crowds):
+                crowds.append({})
+        crowds[pending][subscription] = None
+        subscription.pending = pending
         self._count += 1
         if self._count > self._limit:
-            self._drop_one(subscription)
+            self._drop_one()
         self._on_output()
 
-    def _drop_one(self, busiest: Subscription) -> None:
-        most = busiest.pending
-        for one in self.subscriptions.values():
-            if one.pending > most:
-                busiest, most = one, one.pending
-        busiest.pending -= 1
-        busiest.dropped += 1
+    def _take(self, subscription: Subscription) -> None:
+        """One message of it less."""
+        crowds, pending = self._crowds, subscription.pending
+        del crowds[pending][subscription]
+        if pending > 1:
+            crowds[pending - 1][subscription] = None
+        if pending == self._most and not crowds[pending]:
+            self._most = pending - 1
+        subscription.pending = pending - 1
         self._count -= 1
+
+    def _drop_one(self) -> None:
+        busiest = next(iter(self._crowds[self._most]))
+        self._take(busiest)
+        busiest.dropped += 1
         self.dropped += 1
         if len(self._queue) > 2 * self._limit:
             self._sweep()
@@ -208,8 +228,7 @@ class Outbox:
             if subscription.dropped:
                 subscription.dropped -= 1
                 continue
-            subscription.pending -= 1
-            self._count -= 1
+            self._take(subscription)
             return self._pack(subscription, publication)
         return None
 

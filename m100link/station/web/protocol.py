@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Iterable
+from functools import lru_cache
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,6 +19,7 @@ import uvicorn
 from starlette.websockets import WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame, Opcode
 from websockets.server import ServerProtocol
 
 from m100link.station.web.door import Door
@@ -32,6 +34,9 @@ PATIENCE = 5.0
 """Seconds in which a connection has to have asked something completely."""
 
 _FLUSH_TIME = 2.0
+
+_FRAMED = 512
+"""Messages that are kept framed: more than ten clients with every topic are behind each other."""
 
 ANSWER_TIME = 30.0
 """Seconds after which an answer that its client does not read to the end is given up."""
@@ -60,6 +65,14 @@ class Config(uvicorn.Config):
         super().__init__(app, **keywords, **own, headers=list(HEADERS), proxy_headers=False)
         self.door = Door()
         self.log = SparingLogger(logging.getLogger("m100link.station"))
+
+
+@lru_cache(maxsize=_FRAMED)
+def _framed(message: str | bytes) -> bytes:
+    """A message as a server sends it: the same bytes for every client, so they are made once."""
+    if isinstance(message, str):
+        return Frame(Opcode.TEXT, message.encode()).serialize(mask=False)
+    return Frame(Opcode.BINARY, message).serialize(mask=False)
 
 
 class _Handshake(ServerProtocol):
@@ -116,12 +129,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         await self.writable.wait()
         if self.disconnected or self.close_sent or self.transport.is_closing():
             raise WebSocketDisconnect(1006)
-        for message in messages:
-            if isinstance(message, str):
-                self.conn.send_text(message.encode())
-            else:
-                self.conn.send_binary(message)
-        self.transport.write(b"".join(self.conn.data_to_send()))
+        self.transport.write(b"".join((*self.conn.data_to_send(), *map(_framed, messages))))
 
 
 class HttpConnection(H11Protocol):

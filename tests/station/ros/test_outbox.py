@@ -6,7 +6,12 @@ import gc
 import json
 import sys
 import weakref
+from collections import Counter
 from types import FrameType
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
 
 from m100link.station.ros.graph import Graph, Publication, Topic
 from m100link.station.ros.outbox import Outbox, Wish
@@ -50,6 +55,31 @@ def test_the_oldest_of_the_busiest_topic_is_dropped_and_the_order_kept() -> None
     assert bench.outbox.dropped == 97
     bench.put(rare, 2)
     assert bench.take() == [("/0", 2)]
+
+
+@given(st.lists(st.integers(-1, 3), max_size=200), st.integers(1, 12))
+def test_what_is_dropped_is_of_a_topic_that_none_has_more_of(steps: list[int], limit: int) -> None:
+    bench = Bench(waiting=limit, topics=4)
+    waiting: list[tuple[str, float]] = []
+    for value, step in enumerate(steps):
+        if step < 0:
+            frame = bench.outbox.next_frame()
+            assert (frame is None) == (not waiting)
+            if frame is not None:
+                message = json.loads(frame)
+                assert (message["topic"], message["msg"]["data"]) == waiting.pop(0)
+            continue
+        before = bench.outbox.dropped
+        bench.put(bench.topics[step], value)
+        waiting.append((f"/{step}", value))
+        if bench.outbox.dropped > before:
+            counts = Counter(topic for topic, _ in waiting)
+            pending = {name: one.pending for name, one in bench.outbox.subscriptions.items()}
+            (busiest,) = (name for name in counts if pending[name] < counts[name])
+            assert counts[busiest] == max(counts.values())
+            waiting.remove(next(one for one in waiting if one[0] == busiest))
+        assert len(waiting) <= limit
+    assert bench.take() == waiting
 
 
 class WatchedPublication(Publication):
@@ -101,3 +131,31 @@ def test_a_dropped_message_is_not_dearer_than_a_delivered_one() -> None:
 
     dropped, delivered = calls(takes=False), calls(takes=True)
     assert count < dropped <= delivered
+
+
+def test_a_drop_costs_the_same_however_many_topics_there_are() -> None:
+    """Counted in lines of Python, so that a loop shows."""
+
+    def lines(topics: int) -> int:
+        bench = Bench(waiting=200, topics=topics)
+        publications = [
+            Publication(bench.topics[n % topics], {"data": float(n)}) for n in range(400)
+        ]
+        counted = 0
+
+        def count_lines(frame: FrameType, event: str, argument: object) -> Any:
+            nonlocal counted
+            counted += event == "line"
+            return count_lines
+
+        for one in publications[:200]:
+            bench.outbox.deliver(one, 0.0)
+        sys.settrace(count_lines)
+        try:
+            for one in publications[200:]:
+                bench.outbox.deliver(one, 0.0)
+        finally:
+            sys.settrace(None)
+        return counted
+
+    assert lines(100) < 1.2 * lines(2)
