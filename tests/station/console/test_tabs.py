@@ -1,0 +1,136 @@
+"""Sockets of tabs: who may have one, and who makes room."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import anyio
+import pytest
+
+pytest.importorskip("starlette")
+from starlette.websockets import WebSocket
+
+from m100link.station.console import tabs as module
+from m100link.station.console.tabs import Tabs
+from tests.station.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+
+class Page:
+    """A tab's page, from its socket on."""
+
+    def __init__(self, rig: Rig, tabs: Tabs, peer: str = "127.0.0.1", key: str = "") -> None:
+        self.rig = rig
+        self.key, self.tab = (key, tabs.tabs.get(key)) if key else tabs.open()
+        self._inbox: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+        self._inbox.put_nowait({"type": "websocket.connect"})
+        self.sent: list[dict[str, Any]] = []
+        self._count = 0
+        scope = {
+            "type": "websocket",
+            "path_params": {"key": self.key},
+            "client": (peer, 1),
+            "headers": [],
+        }
+        receive: Callable[[], Awaitable[Any]] = self._inbox.get
+        self.work = asyncio.create_task(tabs.serve(WebSocket(scope, receive, self._send)))
+
+    async def _send(self, message: Any) -> None:
+        self.sent.append(message)
+
+    def say(self) -> None:
+        """That it is alive."""
+        self._count += 1
+        said = {"op": "alive", "n": self._count, "at": 1000 * self.rig.agent.now}
+        self._inbox.put_nowait({"type": "websocket.receive", "text": json.dumps(said)})
+
+    def leave(self) -> None:
+        """Close the socket."""
+        self._inbox.put_nowait({"type": "websocket.disconnect", "code": 1000})
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it has a place."""
+        kinds = {message["type"] for message in self.sent}
+        return "websocket.accept" in kinds and "websocket.close" not in kinds
+
+
+@pytest.fixture
+def places(monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr(module, "PLACES", 3)
+    return 3
+
+
+async def test_a_tab_gets_instruments_until_it_leaves(rig: Rig) -> None:
+    tabs = Tabs(rig.front)
+    page = Page(rig, tabs)
+    await anyio.sleep(0.5)
+    told = [message for message in page.sent if message["type"] == "websocket.send"]
+    assert len(told) == pytest.approx(0.5 / module.LIVE_INTERVAL, abs=2)
+    page.leave()
+    await page.work
+    again = Page(rig, tabs, key=page.key)
+    await anyio.sleep(0.1)
+    assert again.is_open
+
+
+async def test_a_socket_is_for_a_tab_that_was_opened_and_for_one_at_a_time(rig: Rig) -> None:
+    tabs = Tabs(rig.front)
+    page = Page(rig, tabs)
+    await anyio.sleep(0.1)
+    for other in (Page(rig, tabs, key=page.key), Page(rig, tabs, key="guessed")):
+        await other.work
+        assert not other.is_open
+    assert page.is_open
+
+
+async def test_who_never_said_anything_makes_room(rig: Rig, places: int) -> None:
+    tabs = Tabs(rig.front)
+    pages = [Page(rig, tabs) for _ in range(places)]
+    await anyio.sleep(0.1)
+    for page in pages[1:]:
+        page.say()
+    await anyio.sleep(1.0)
+    newcomer = Page(rig, tabs, peer="10.0.0.2")
+    await anyio.sleep(0.1)
+    assert newcomer.is_open
+    assert [page.is_open for page in pages] == [False, True, True]
+    assert pages[0].sent[-1]["reason"] == "another tab needs the place"
+
+
+async def test_tabs_that_are_alive_are_not_turned_out(rig: Rig, places: int) -> None:
+    tabs = Tabs(rig.front)
+    pages = [Page(rig, tabs, peer=f"10.0.0.{number}") for number in range(places)]
+    await anyio.sleep(0.1)
+    for _ in range(30):
+        for page in pages:
+            page.say()
+        await anyio.sleep(0.5)
+    newcomer = Page(rig, tabs, peer="10.0.0.9")
+    await newcomer.work
+    assert not newcomer.is_open
+    assert all(page.is_open for page in pages)
+
+
+async def test_whoever_steers_needs_no_place_and_loses_none(rig: Rig, places: int) -> None:
+    tabs = Tabs(rig.front)
+    pages = [Page(rig, tabs) for _ in range(places)]
+    await anyio.sleep(0.1)
+    pilot = pages[0]
+    assert pilot.tab is not None
+    await pilot.tab.activate()
+    await pilot.tab.obtain()
+    pilot.say()
+    for _ in range(2):
+        await anyio.sleep(0.6)
+        pilot.say()
+    newcomers = [Page(rig, tabs, peer="10.0.0.2") for _ in range(places)]
+    await anyio.sleep(0.1)
+    assert pilot.is_open
+    assert pilot.tab.has_lease
+    assert all(page.is_open for page in newcomers)
+    assert [page.is_open for page in pages] == [True, False, False]
