@@ -111,7 +111,7 @@ if TYPE_CHECKING:
     from m100link.telemetry.subscription import Latest, Lossless, Newest, Policy, Subscription
     from m100link.wire import Key
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "PROFILES",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+import m100link
 from m100link.cli.app import VERBS, app, application
 from m100link.cli.outcome import ExitCode
 from tests.cli.conftest import CommandLine
@@ -38,7 +39,7 @@ def test_what_is_asked_wrongly_is_a_usage_error_without_a_traceback(
 
 def test_help_and_version(cli: CommandLine) -> None:
     version = cli("--version")
-    assert (version.status, version.out) == (0, "0.1.0\n")
+    assert (version.status, version.out) == (0, f"{m100link.__version__}\n")
     overview = cli("--help")
     for command in ("demo", "info", "activate", "monitor", "decode", "sim", "takeoff", "fly"):
         assert command in overview.out
