@@ -10,6 +10,7 @@ from __future__ import annotations
 import concurrent.futures
 import os
 import re
+import signal
 import subprocess
 import tarfile
 import time
@@ -261,7 +262,7 @@ def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) ->
         except BaseException:  # Ctrl-C above all: nothing stays behind
             pool.shutdown(wait=False, cancel_futures=True)
             for process in started:
-                process.terminate()
+                process.send_signal(signal.SIGINT)  # pytest ends what its tests have begun
             raise
     for title, (is_good, seconds) in ended.items():
         session.log(f"{'passed' if is_good else 'FAILED'} {seconds:4.0f} s  {title}")
