@@ -5,7 +5,8 @@
 The virtual aircraft flies in a process of its own. Beside ours in the same rounds and on the same
 event loop: a chain of ``loop.call_at``; and in a process of its own a loop of timerfd and epoll in
 C, where a compiler is. At 100 Hz it is the alarm below the ticker, whose own limit is 50 Hz. On a
-busy machine all of them measure how long a thread waits for a processor, and the ratios go to 1.
+busy machine all of them measure how long a thread waits for a processor, and the ratios go to 1:
+``chrt -f 5 python -m benchmarks.ticks`` keeps that out where the user may.
 """
 
 from __future__ import annotations
