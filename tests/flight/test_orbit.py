@@ -153,7 +153,9 @@ async def test_the_speed_of_the_envelope_is_kept_although_corrections_come_on_to
         ({"radius": 0.5}, "0.5 m radius"),
         ({"speed": 0.0}, "0 m/s"),
         ({"speed": 11.0}, "11 m/s"),
+        ({"speed": -0.5}, "-0.5 m/s"),
         ({"turns": 0.0}, "0 turns"),
+        ({"turns": -0.5}, "-0.5 turns"),
         ({"radius": math.nan}, "nan m radius"),
         ({"turns": math.nan}, "nan turns"),
         ({"speed": math.nan}, "nan m/s"),
@@ -165,6 +167,22 @@ def test_an_orbit_that_is_none_is_refused(options: dict[str, float], why: str) -
     with pytest.raises(UsageError, match="cannot be flown") as caught:
         Orbit(**wanted, clockwise=True, max_speed=10.0)
     assert why in caught.value.seen
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"radius": 1.0, "speed": 0.5},
+        {"radius": 40.0, "speed": 10.0},
+        {"speed": 0.1},
+        {"turns": 0.01},
+    ],
+    ids=str,
+)
+def test_the_smallest_the_fastest_and_a_piece_can_be_flown(options: dict[str, float]) -> None:
+    wanted = {"radius": 5.0, "speed": 2.0, "turns": 1.0} | options
+    orbit = Orbit(**wanted, clockwise=True, max_speed=10.0)
+    assert orbit.steer((wanted["radius"], 0.0), None, None, 0.02).off_m == pytest.approx(0)
 
 
 def test_an_orbit_that_needs_more_tilt_than_there_is_is_refused_with_what_can_be_flown() -> None:
