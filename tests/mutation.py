@@ -129,11 +129,16 @@ def run(room: str, arguments: argparse.Namespace) -> bool:
         kept = f"{arguments.record}-{room}.json" if arguments.record else f"{folder}/record"
         trials.record(ROOMS[room], Path(kept))
         trials.try_all(changes, on_end)
-    return report(room, changes, survivors, known)
+    return report(room, changes, survivors, known, is_whole=not arguments.sample)
 
 
 def report(
-    room: str, tried: list[Change], survivors: list[Change], known: list[Explanation]
+    room: str,
+    tried: list[Change],
+    survivors: list[Change],
+    known: list[Explanation],
+    *,
+    is_whole: bool,
 ) -> bool:
     """The figures of a room, and what its list says in vain."""
     unexplained = [
@@ -144,7 +149,7 @@ def report(
     for reason in known:
         if not reason.stands():
             print(f"explained, but no such line: {reason.module}: {reason.source}")
-        elif any(map(reason.fits, tried)) and not any(map(reason.fits, survivors)):
+        elif is_whole and any(map(reason.fits, tried)) and not any(map(reason.fits, survivors)):
             print(f"explained, but noticed by a test now: {reason.module}: {reason.source}")
         else:
             continue
