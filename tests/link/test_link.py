@@ -435,6 +435,8 @@ async def test_a_pulled_cable_fails_every_request_at_once_with_the_cause(
             await use
     await link.close()
     assert isinstance(link.failure, LinkLost), "closing later does not change what happened"
+    await asyncio.sleep(100)
+    assert link.statistics().repeats == 0, "what has failed is not tried again"
     assert "Input/output error" in caplog.text
 
 

@@ -77,6 +77,9 @@ async def test_a_reader_that_pauses_makes_the_writer_pause() -> None:
     assert there.log == [bytes(65_536) + b"xy"]
     assert here.log == ["pause", "resume"]
     assert end.get_write_buffer_size() == 0
+    other.pause_reading()
+    end.write(bytes(65_537))
+    assert here.log == ["pause", "resume", "pause"]
 
 
 async def test_a_reader_that_pauses_gets_nothing_that_was_under_way() -> None:
