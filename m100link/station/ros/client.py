@@ -283,9 +283,9 @@ class Client:
             self._outbox.offer(subscription, Publication(topic, topic.last), now)
 
     def _wish(self, message: dict[str, Any]) -> Wish:
-        size, compression = _packing(message)
+        size, compression = self._packing(message)
         return Wish(
-            _number(message, "throttle_rate", 0, 86_400_000) / 1000.0,
+            max(0, _number(message, "throttle_rate", -86_400_000, 86_400_000)) / 1000.0,
             min(_number(message, "queue_length", 0, 1_000_000), self.limits.queue_length),
             size,
             compression,
@@ -307,15 +307,16 @@ class Client:
 
     def _call_service(self, message: dict[str, Any], now: float) -> None:
         name = _text(message, "service")
-        identity = message.get("id")
+        wanted, _, tail = name.partition("#")  # as clients once wrote the id
+        identity = message.get("id") or tail or None
         packing: _Packing = (None, "none")
-        service = self.graph.services.get(canonical_name(name))
+        service = self.graph.services.get(canonical_name(wanted))
         try:
             if service is None:
                 raise _Fault(f"there is no service {name[:128]!r}; /rosapi/services lists them")
             if self._calls >= self.limits.calls:
                 raise _Fault(f"{self._calls} calls wait for their answers already")
-            packing = _packing(message)
+            packing = self._packing(message)
             request = service.type.read_request(message.get("args"))
         except (_Fault, BadMessage) as fault:
             # The answer says why: a status would say it twice.
@@ -325,6 +326,20 @@ class Client:
         self._calls += 1
         call = Call(self, service, request, (name, identity, packing), now)
         service.on_call(call)
+
+    def _packing(self, message: dict[str, Any]) -> _Packing:
+        """Size of fragments, None for whole messages, and compression."""
+        compression = message.get("compression") or "none"
+        if not isinstance(compression, str):
+            raise _Fault("compression is not a string")
+        if compression not in COMPRESSIONS:
+            wanted = f"there is no compression {compression[:64]!r} here"
+            self.status("warning", f"{wanted}, but {', '.join(COMPRESSIONS)}: sent without any")
+            compression = "none"
+        if message.get("fragment_size") is None:
+            return None, compression
+        size = _number(message, "fragment_size", 0, 1 << 31)
+        return max(size, _SMALLEST_FRAGMENT), compression
 
     def _fragment(self, message: dict[str, Any], now: float) -> None:
         try:
@@ -437,23 +452,10 @@ def _text(message: dict[str, Any], name: str) -> str:
 def _number(message: dict[str, Any], name: str, low: int, high: int) -> int:
     value = message.get(name)
     if value is None:
-        return low
+        return max(low, 0)
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise _Fault(f"{name} is a number from {low} to {high}")
     return int(value)
-
-
-def _packing(message: dict[str, Any]) -> _Packing:
-    """Size of fragments, None for whole messages, and compression."""
-    compression = message.get("compression") or "none"
-    if compression not in COMPRESSIONS:
-        raise _Fault(
-            f"there is no compression {str(compression)[:64]!r} here, but {', '.join(COMPRESSIONS)}"
-        )
-    if message.get("fragment_size") is None:
-        return None, compression
-    size = _number(message, "fragment_size", 0, 1 << 31)
-    return max(size, _SMALLEST_FRAGMENT), compression
 
 
 def _response(name: str, identity: object, values: str, result: bool) -> str:

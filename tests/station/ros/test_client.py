@@ -92,8 +92,8 @@ def test_publishing_needs_a_topic_that_takes_it_and_a_valid_message() -> None:
         ({"op": "advertise", "topic": "/steer"}, "type is missing"),
         ({"op": "subscribe"}, "topic is missing"),
         ({"op": "subscribe", "topic": 5}, "topic is missing"),
-        ({"op": "subscribe", "topic": "/height", "compression": "zip"}, "no compression"),
-        ({"op": "subscribe", "topic": "/height", "throttle_rate": -1}, "throttle_rate"),
+        ({"op": "subscribe", "topic": "/height", "compression": 5}, "compression is not"),
+        ({"op": "subscribe", "topic": "/height", "throttle_rate": "slow"}, "throttle_rate"),
         ({"op": "subscribe", "topic": "/height", "queue_length": "many"}, "queue_length"),
         ({"op": "subscribe", "topic": "/height", "fragment_size": "x"}, "fragment_size"),
         ({"op": "set_level", "level": "loud"}, "no level"),
@@ -463,8 +463,34 @@ def test_an_answer_is_packed_as_the_call_asks() -> None:
     pieces = bench.send("call_service", **call, fragment_size=100)
     assert len(pieces) > 1
     assert json.loads("".join(piece["data"] for piece in pieces)) == plain
-    (answer,) = bench.send("call_service", **call, compression="zip")
+    (answer,) = bench.send("call_service", **call, compression=5)
     assert (answer["op"], answer["result"]) == ("service_response", False)
+
+
+def test_a_compression_that_does_not_exist_is_none_with_a_warning() -> None:
+    bench = Bench()
+    bench.send("set_level", level="warning")
+    (status,) = bench.send("subscribe", topic="/height", compression="zip")
+    assert (status["level"], "'zip'" in status["msg"]) == ("warning", True)
+    status, answer = bench.send("call_service", service="/rosapi/topics", compression="zip")
+    assert (status["level"], answer["result"]) == ("warning", True)
+    bench.publish(1.0)
+    assert [frame["op"] for frame in bench.output()] == ["publish"]
+
+
+def test_a_negative_throttle_is_none() -> None:
+    bench = Bench()
+    assert bench.send("subscribe", topic="/height", throttle_rate=-1) == []
+    for height in (1.0, 2.0):
+        bench.publish(height)
+    assert len(bench.output()) == 2
+
+
+@pytest.mark.parametrize(("given", "told"), [({}, "9"), ({"id": "c"}, "c")])
+def test_a_call_may_have_its_id_behind_the_name(given: dict[str, str], told: str) -> None:
+    (answer,) = Bench().send("call_service", service="/rosapi/topics#9", **given)
+    assert (answer["result"], answer["id"]) == (True, told)
+    assert answer["service"] == "/rosapi/topics#9"
 
 
 def test_the_stamp_of_a_header_may_be_now() -> None:
