@@ -32,6 +32,11 @@ DOCS_OUTPUT = "docs/_build"
 # Branch coverage that `nox -s coverage` asks for, in percent.
 COVERED = {"m100link/wire": 100, "m100link/session": 100, "m100link/protocol": 100, "m100link": 93}
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
+ROSBRIDGE_SUITE, ROSBRIDGE_RELEASE = "https://github.com/RobotWebTools/rosbridge_suite", "0.11.17"
+ROS_PACKAGES = (
+    "python3-rospy python3-rosmaster python3-rosservice python3-rostopic python3-bson python3-pil "
+    "python3-std-msgs python3-std-srvs python3-sensor-msgs python3-geometry-msgs"
+)
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 
 # A version query in a frame, and a short flight, for the wheel.
@@ -293,6 +298,33 @@ def run_lines(
         session.log(f"{' '.join(line)}: exit status {process.returncode}\n{output.rstrip()}")
         is_good &= process.returncode == 0
     return is_good, time.monotonic() - begun
+
+
+@nox.session(default=False)
+def rosbridge(session: nox.Session) -> None:
+    """The station beside rosbridge_suite's own library. Needs a Python with rospy: ROS_PYTHON.
+
+    ROSBRIDGE_LIBRARY names the folder that holds the package `rosbridge_library`; without it the
+    release is fetched by git.
+    """
+    python = os.environ.get("ROS_PYTHON", "/usr/bin/python3")
+    modules = "rospy, rosmaster, rosservice, rostopic, bson, PIL, std_msgs, std_srvs, sensor_msgs"
+    needed = [python, "-c", f"import {modules}, geometry_msgs, rosgraph_msgs"]
+    if not Path(python).exists() or subprocess.run(needed, check=False).returncode:
+        session.skip(f"{python} does not import {modules}, …: on Debian {ROS_PACKAGES}")
+    library = os.environ.get("ROSBRIDGE_LIBRARY", "")
+    if not library:
+        there = Path(session.create_tmp()) / "rosbridge_suite"
+        if not there.exists():
+            clone = ("git", "clone", "--quiet", "--depth", "1", "--branch", ROSBRIDGE_RELEASE)
+            session.run(*clone, ROSBRIDGE_SUITE, str(there), external=True)
+        library = str((there / "rosbridge_library" / "src").resolve())
+    install(session, PACKAGE, *group("test"))
+    session.run(
+        *("pytest", "--import-mode=append", "tests/interop/test_rosbridge_library.py"),
+        *session.posargs,
+        env={"ROSBRIDGE_LIBRARY": library, "ROS_PYTHON": python},
+    )
 
 
 @nox.session(default=False)
