@@ -234,7 +234,10 @@ class Authority:
             return False
         _logger.debug("authority: %s -> %s", before.value, after.value)
         for listener in tuple(self._listeners):
-            listener(before, after)
+            try:
+                listener(before, after)
+            except Exception:  # the control block may be behind it, and has to hear of a loss
+                _logger.exception("a listener of authority failed")
         return True
 
     def _explain(self, reason: LossReason) -> None:

@@ -195,10 +195,17 @@ class SetpointLoop:
         """Repeat, and never end in silence: whoever flies by this has to hear of it."""
         try:
             await self._repeat()
+        except asyncio.CancelledError:
+            if self._setpoint is not None:  # not by stop(), which silences first
+                self._fail(RuntimeError("the task that repeats setpoints was cancelled"))
+            raise
         except Exception as error:  # noqa: BLE001 (whatever it is, it goes to the block)
-            if self._task is asyncio.current_task():
-                self._task = None  # so that the neutral gets a task of its own
-            self._on_failure(error)
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        if self._task is asyncio.current_task():
+            self._task = None  # so that the neutral gets a task of its own
+        self._on_failure(error)
 
     async def _repeat(self) -> None:
         with Alarm() as alarm:

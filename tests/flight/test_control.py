@@ -483,6 +483,22 @@ async def test_an_error_in_the_sending_task_takes_the_stop_path_and_reaches_the_
         assert flown.is_running is (stop == "hover")
 
 
+async def test_a_program_that_cancels_every_other_task_does_not_fly_on_unheard() -> None:
+    async with rig() as flown:
+        before = asyncio.all_tasks()
+        with pytest.raises(M100Error, match="was cancelled"):
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
+                await asyncio.sleep(1.0)
+                for task in asyncio.all_tasks() - before:
+                    task.cancel()
+                await asyncio.sleep(30.0)
+        flown.assert_stopped_in_order()
+        assert flown.is_released
+        await flown.assert_hovers()
+
+
 async def test_when_nothing_can_be_sent_at_all_the_block_ends_all_the_same(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

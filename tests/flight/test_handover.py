@@ -117,6 +117,30 @@ async def test_the_items_do_not_end_a_block_that_has_authority(firmware: str) ->
         await flown.assert_hovers()
 
 
+@each_firmware
+async def test_a_listener_that_fails_does_not_keep_a_loss_from_the_block(
+    firmware: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Else the block would fly on, untold, when the pilot comes back."""
+
+    def explode(*_: object) -> None:
+        raise ZeroDivisionError("a bug of the program")
+
+    async with rig(firmware=firmware) as flown:
+        flown.aircraft.authority.subscribe(explode)
+        with pytest.raises(AuthorityLost):
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                control.send(NORTH, lifetime=1.0)
+                flown.virtual.leave_f()
+                await asyncio.sleep(0.2)
+                flown.virtual.return_to_f()
+                await asyncio.sleep(5.0)
+                pytest.fail("went on")
+        assert "a listener of authority failed" in caplog.text
+        await flown.assert_hovers()
+
+
 # -- releases -------------------------------------------------------------------------------------
 
 

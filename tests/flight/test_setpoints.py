@@ -371,6 +371,23 @@ async def test_the_neutral_keeps_horizontal_mode_and_frame_and_nothing_else(
 # -- failures -------------------------------------------------------------------------------------
 
 
+async def test_a_task_that_others_cancel_says_so(rig: Rig) -> None:
+    """As programs do that cancel every task but their own."""
+    rig.set(NORTH, lifetime=1.0)
+    await asyncio.sleep(0.1)
+    for task in asyncio.all_tasks():
+        if task.get_name() == "m100link setpoints":
+            task.cancel()
+    await asyncio.sleep(0.1)
+    assert [str(failure) for failure in rig.failures] == [
+        "the task that repeats setpoints was cancelled"
+    ]
+    rig.set(NORTH)
+    await asyncio.sleep(0.1)
+    await rig.setpoints.stop()
+    assert len(rig.failures) == 1
+
+
 async def test_a_task_that_fails_says_so_and_the_next_setpoint_begins_another(rig: Rig) -> None:
     rig.set(NORTH, lifetime=1.0)
     rig.is_failing = True
