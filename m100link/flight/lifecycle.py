@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable
 from enum import Enum
 from typing import NamedTuple
 
-from m100link.errors import M100Error, UsageError
+from m100link.errors import LinkClosed, M100Error, UsageError
 
 __all__ = [
     "STOP_PLANS",
@@ -172,13 +172,17 @@ class BlockClaim:
 
     def __init__(self) -> None:
         self._close: Callable[[], Awaitable[None]] | None = None
+        self._is_closed = False
 
     def take(self, close: Callable[[], Awaitable[None]]) -> None:
         """A block begins; ``close`` stops it and waits for its end.
 
         Raises:
             UsageError: Another one has not ended.
+            LinkClosed: The connection is being closed: nobody could end another one.
         """
+        if self._is_closed:
+            raise LinkClosed("the aircraft was disconnected: no control block begins any more")
         if self._close is not None:
             raise UsageError(
                 "another control block of this program is running",
@@ -191,6 +195,7 @@ class BlockClaim:
         self._close = None
 
     async def close(self) -> None:
-        """Stop the block that runs, if there is one, and wait for the end of its stop path."""
+        """Let none begin any more, stop the one that runs, and wait for the end of its path."""
+        self._is_closed = True
         if self._close is not None:
             await self._close()

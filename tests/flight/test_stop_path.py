@@ -238,6 +238,30 @@ async def test_closing_while_a_block_is_entered_gives_back_what_may_be_granted()
             await task
 
 
+@each_firmware
+async def test_a_program_that_begins_again_and_again_does_not_outlive_the_connection(
+    firmware: str,
+) -> None:
+    """It obtained authority between the end of its block and the end of the line, and kept it."""
+    async with rig(firmware=firmware) as flown:
+
+        async def program() -> None:
+            for _ in range(50):
+                with contextlib.suppress(LinkClosed):
+                    async with flown.aircraft.control() as control:
+                        control.send(NORTH)
+                        await asyncio.sleep(0.1)
+
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+        task = asyncio.create_task(program())
+        await asyncio.sleep(0.25)  # its stop path runs
+        await flown.aircraft.aclose()
+        await task
+        await asyncio.sleep(0.1)
+        assert flown.is_released
+
+
 # -- what raises on the way in --------------------------------------------------------------------
 
 
