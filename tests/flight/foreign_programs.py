@@ -7,6 +7,7 @@ signal, a break or a failure: whatever happens then is the library's doing.
 from __future__ import annotations
 
 import asyncio
+import gc
 import sys
 from collections.abc import AsyncIterator
 
@@ -46,7 +47,58 @@ async def in_a_task(aircraft: m100link.Aircraft) -> None:
     del flying  # main leaves connect() while it flies
 
 
-PROGRAMS = {"loop": in_a_loop, "generator": in_a_generator, "task": in_a_task}
+async def in_a_group(aircraft: m100link.Aircraft) -> None:
+    async def fail() -> None:
+        await asyncio.sleep(0.7)
+        raise ZeroDivisionError("a bug beside the flight")
+
+    async with aircraft.control() as control, asyncio.TaskGroup() as group:
+        group.create_task(control.follow(lambda _: NORTH))
+        group.create_task(fail())
+
+
+async def in_a_dropped_generator(aircraft: m100link.Aircraft) -> None:
+    async def legs() -> AsyncIterator[int]:
+        async with aircraft.control() as control:
+            while True:
+                control.send(NORTH, lifetime=1.0)
+                await asyncio.sleep(0.1)
+                yield 1
+
+    flight = legs()
+    for _ in range(6):
+        await anext(flight)
+    del flight
+    gc.collect()
+    await asyncio.sleep(2.0)
+
+
+async def in_a_loop_that_stops(aircraft: m100link.Aircraft) -> None:
+    asyncio.get_running_loop().call_later(0.7, asyncio.get_running_loop().stop)
+    await in_a_loop(aircraft)
+
+
+async def in_blocks(aircraft: m100link.Aircraft) -> None:
+    async def blocks() -> None:
+        while True:
+            async with aircraft.control() as control:
+                control.send(NORTH)
+                await asyncio.sleep(0.2)
+
+    flying = asyncio.create_task(blocks())
+    await asyncio.sleep(0.4)  # its stop path runs: main leaves connect()
+    del flying
+
+
+PROGRAMS = {
+    "loop": in_a_loop,
+    "generator": in_a_generator,
+    "task": in_a_task,
+    "group": in_a_group,
+    "dropped": in_a_dropped_generator,
+    "stopped": in_a_loop_that_stops,
+    "blocks": in_blocks,
+}
 
 
 async def fly(program: str, port: str) -> None:

@@ -256,6 +256,19 @@ def test_leaving_connect_gives_the_foreign_aircraft_back_before_the_line_closes(
         assert_given_back(there)
 
 
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize("program", ["group", "dropped", "stopped", "blocks"])
+def test_a_program_that_ends_oddly_gives_the_foreign_aircraft_back(
+    firmware: str, program: str
+) -> None:
+    """A sibling fails, a generator is collected, the loop stops, or blocks begin to the end."""
+    with foreign_flight(program, firmware) as (there, process):
+        process.wait(timeout=30.0)
+        assert_given_back(there)
+        assert process.stdout is not None
+        assert b"went on" not in process.stdout.read()
+
+
 @pytest.mark.parametrize("latitude", [math.nan, 89.5, math.inf])
 def test_an_impossible_position_of_the_foreign_aircraft_leaves_no_authority_behind(
     latitude: float,
