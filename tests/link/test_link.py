@@ -106,9 +106,9 @@ async def test_a_repeat_is_executed_once_and_answered_from_memory() -> None:
 class _Kept(asyncio.Protocol):
     """Keeps the bytes that come, as frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, cipher: Cipher | None = None) -> None:
         self.frames: list[Frame] = []
-        self._decoder = FrameDecoder()
+        self._decoder = FrameDecoder(cipher)
 
     def data_received(self, data: bytes) -> None:
         self.frames += self._decoder.feed(data)
@@ -329,6 +329,24 @@ async def test_a_command_that_came_encrypted_is_answered_plain_once_the_key_is_g
     peer.link.acknowledge(kept[0], b"plain")
     assert await task == b"plain"
     await link.close()
+
+
+@pytest.mark.parametrize("is_encrypted", [True, False])
+async def test_a_command_is_answered_as_it_came(is_encrypted: bool) -> None:
+    link, kept = Link(), _Kept(Cipher(KEY))
+    link.cipher = Cipher(KEY)
+    link.on_received = lambda frame, now: link.acknowledge(frame, b"answer")
+    end = connect_in_memory(kept, link)
+    cipher = Cipher(KEY) if is_encrypted else None
+    end.write(encode_frame(b"question", session=2, sequence=7, cipher=cipher))
+    await settle()
+    (frame,) = kept.frames
+    assert (frame.encrypted, frame.data) == (is_encrypted, b"answer")
+    await link.close()
+
+
+async def test_a_link_belongs_to_the_loop_in_which_it_was_made() -> None:
+    assert Link().loop is asyncio.get_running_loop()
 
 
 async def test_the_log_shows_frames_in_both_directions_cut_short_and_no_key(
