@@ -296,12 +296,15 @@ def test_a_frame_nested_in_a_good_frame_is_its_data_and_nothing_else() -> None:
 # -- waiting and giving up -------------------------------------------------------------------------
 
 
-def test_each_start_byte_is_counted_by_the_fault_of_what_it_begins() -> None:
+@pytest.mark.parametrize("is_warm", [False, True], ids=["cold", "warm"])
+def test_each_start_byte_is_counted_by_the_fault_of_what_it_begins(is_warm: bool) -> None:
     """The length of this frame is 0xAA, so that a start byte follows its start byte."""
     wire = bytearray(encode_frame(bytes(154), session=0, sequence=0))
     assert wire[:2] == b"\xaa\xaa"
-    wire[20] ^= 1
     decoder = FrameDecoder()
+    if is_warm:
+        assert len(decoder.feed(bytes(wire))) == 1
+    wire[20] ^= 1
     assert decoder.feed(bytes(wire) + bytes(20)) == []
     assert {cause: n for cause, n in decoder.discards.items() if n} == {
         Discard.FRAME_CRC: 1,
