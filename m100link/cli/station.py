@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
+import queue
 import signal
+import threading
 import webbrowser
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from cyclopts import Parameter
 
@@ -26,6 +30,10 @@ if TYPE_CHECKING:
 
 __all__ = ["console", "serve"]
 
+
+_MOST_UNTOLD = 200
+_LAST_WORDS = 1.0
+"""Seconds that the end waits for what is still to be told."""
 
 _ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "origins", "unused")
 """Settings that are not options of both commands, or not of the command line at all."""
@@ -151,22 +159,61 @@ async def _serve(
     # Events are told here: logging, which nobody has set up, would print the warnings once more.
     logging.getLogger(JOURNAL_LOG).addHandler(logging.NullHandler())
     logging.getLogger(JOURNAL_LOG).propagate = False
-    async with run(settings, with_console=with_console) as station:
-        for event in station.agent.journal.events:
-            _tell(event)
-        station.agent.journal.on_event.append(_tell)
-        _announce(settings, station, as_json=options.json_output)
-        _warn(settings)
-        if isinstance(station, RunningApart):
-            # The code in the console's address works once, and a front that is new has another.
-            station.front.on_restart.append(
-                lambda: _announce(settings, station, as_json=options.json_output)
-            )
-        if station.console_port is not None and open_browser:
-            await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
-        await ended.wait()
-        err.print("ending: the aircraft hovers, control authority goes back")
+    with _Teller() as teller:
+
+        def tell(event: Event) -> None:
+            style = {"warning": "yellow", "error": "red"}.get(event.level)
+            teller.do(lambda: err.print(event.text, style=style, markup=False))
+
+        async with run(settings, with_console=with_console) as station:
+            for event in station.agent.journal.events:
+                tell(event)
+            station.agent.journal.on_event.append(tell)
+            _announce(settings, station, as_json=options.json_output)
+            _warn(settings)
+            if isinstance(station, RunningApart):
+                # The code in the console's address works once; a front that is new has another.
+                station.front.on_restart.append(
+                    lambda: teller.do(
+                        lambda: _announce(settings, station, as_json=options.json_output)
+                    )
+                )
+            if station.console_port is not None and open_browser:
+                await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
+            await ended.wait()
+            teller.do(lambda: err.print("ending: the aircraft hovers, control authority goes back"))
     return ExitCode.OK
+
+
+class _Teller:
+    """Tells in a thread of its own what happens while an aircraft flies.
+
+    A terminal that was stopped by Ctrl-S and a pipe that nobody reads or that was closed are no
+    reason to hold up setpoints, or to raise where something happened.
+    """
+
+    def __init__(self) -> None:
+        self._work: queue.Queue[Callable[[], object] | None] = queue.Queue(_MOST_UNTOLD)
+        self._thread = threading.Thread(target=self._run, name="m100link: talk", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(queue.Full):
+            self._work.put(None, timeout=_LAST_WORDS)
+            self._thread.join(_LAST_WORDS)
+
+    def do(self, print_it: Callable[[], object]) -> None:
+        """Have something printed; what nobody reads in time is not."""
+        with contextlib.suppress(queue.Full):
+            self._work.put_nowait(print_it)
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError):  # nobody reads it any more
+            while (print_it := self._work.get()) is not None:
+                print_it()
 
 
 def _console_url(settings: Settings, running: Running | RunningApart) -> str:
@@ -206,8 +253,3 @@ def _warn(settings: Settings) -> None:
             "[yellow]warning:[/] --allow-origin null lets in pages opened from files, and "
             "sandboxed frames of any web page"
         )
-
-
-def _tell(event: Event) -> None:
-    style = {"warning": "yellow", "error": "red"}.get(event.level)
-    err.print(event.text, style=style, markup=False)

@@ -10,7 +10,9 @@ import signal
 import ssl
 import subprocess
 import sys
+import threading
 import urllib.request
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -24,6 +26,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from websockets.asyncio.client import connect
+
+from m100link.cli.station import _MOST_UNTOLD, _Teller
 
 COMMAND = (sys.executable, "-c", "from m100link.cli import main; main()")
 pytestmark = pytest.mark.anyio
@@ -150,6 +154,56 @@ async def test_a_front_that_died_is_told_once_and_its_console_can_be_opened_agai
     async with asyncio.timeout(30):
         _, talk = await process.communicate()
     assert talk.count(b"the fronts ended (SIGKILL)") == 1
+
+
+async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
+    read, write = os.pipe()
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "serve", "--sim", "--port", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=write,
+    )
+    os.close(write)
+    assert process.stdout is not None
+    url = json.loads(await process.stdout.readline())["rosbridge"][0]
+    os.close(read)  # each event from now on is a broken pipe
+    async with connect(url, close_timeout=1) as client:
+        for service, args in (
+            ("activation", []),
+            ("sdk_control_authority", [1]),
+            ("drone_task_control", [4]),
+            ("sdk_control_authority", [0]),
+        ):
+            call = {"op": "call_service", "service": f"/dji_sdk/{service}", "args": args}
+            await client.send(json.dumps(call))
+            assert json.loads(await client.recv())["values"]["result"] is True, service
+    process.send_signal(signal.SIGTERM)
+    async with asyncio.timeout(30):
+        assert await process.wait() == 0
+
+
+def test_what_is_not_read_holds_up_nobody() -> None:
+    told: list[int] = []
+    stopped = threading.Event()
+    with _Teller() as teller:
+        teller.do(lambda: told.append(1))
+        teller.do(partial(stopped.wait, 60))  # Ctrl-S
+        for number in range(10 * _MOST_UNTOLD):
+            teller.do(partial(told.append, number))
+        stopped.set()
+    assert told[:2] == [1, 0]
+    assert len(told) <= 1 + _MOST_UNTOLD
+
+
+def test_a_closed_pipe_ends_the_talk_and_nothing_else() -> None:
+    def broken() -> None:
+        raise BrokenPipeError
+
+    told: list[int] = []
+    with _Teller() as teller:
+        teller.do(broken)
+        teller.do(lambda: told.append(1))
+    assert told == []
 
 
 @pytest.mark.parametrize("host", ["::1", "127.0.0.2", "localhost"])
