@@ -7,6 +7,7 @@ import contextlib
 import gc
 import os
 import pty
+import random
 import threading
 import time
 import tty
@@ -364,3 +365,37 @@ async def test_a_second_cancellation_does_not_wait_for_the_port(
     finally:
         may_open.set()  # or the thread would keep the program from ending
     await until(lambda: bool(opened) and not opened[0].is_open)
+
+
+async def test_unplugging_at_any_moment_ends_the_link_and_leaves_nothing(
+    complaints: list[dict[str, Any]],
+) -> None:
+    """Amid requests, pushes, junk from the line, a line that takes nothing, and a close."""
+    watch(complaints)
+    dice = random.Random(10)
+    before = open_descriptors()
+    for _ in range(60):
+        terminal = Terminal()
+        lost: list[LinkError] = []
+        link = await open_link(terminal.path, on_lost=lost.append)
+        stop = terminal.answer_everything() if dice.random() < 0.6 else None
+        os.write(terminal.master, dice.randbytes(dice.randrange(1, 4000)))
+        tasks = [asyncio.create_task(link.request(b"x", timeout=1000)) for _ in range(5)]
+        for _ in range(dice.randrange(30)):
+            link.push(dice.randbytes(dice.randrange(1, 900)))
+            await asyncio.sleep(0)
+        closing = asyncio.create_task(link.close()) if dice.random() < 0.3 else None
+        await asyncio.sleep(dice.choice((0.0, 0.001, 0.003)))
+        if stop is not None:
+            stop()
+        terminal.unplug()
+        async with asyncio.timeout(PATIENCE):
+            results = await asyncio.gather(*tasks, return_exceptions=True)
+            await (closing or link.close())
+        assert {type(result) for result in results} <= {bytes, LinkLost, LinkClosed}
+        assert len(lost) == 1
+        terminal.close()
+    gc.collect()
+    await asyncio.sleep(0)
+    assert open_descriptors() == before
+    assert complaints == []
