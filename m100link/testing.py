@@ -16,7 +16,7 @@ and then::
 Fixtures:
 
 ``virtual_aircraft``
-    A Matrice 100 that stands ready to fly, on virtual time: ten minutes of flight take a second.
+    A Matrice 100 that stands ready to fly, on virtual time: ten minutes take seconds.
 ``virtual_clock``
     Virtual time alone. Tests that use it, or ``virtual_aircraft``, run on an event loop whose time
     jumps to the next timer instead of waiting.

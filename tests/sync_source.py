@@ -134,7 +134,7 @@ def connect(
 CONNECT_PARAMETERS
 ) -> Aircraft:
 CONNECT_DOC
-    portal = Portal()
+    portal = Portal(clock_of(line))
     try:
         aircraft = portal.wait(lambda _: _connected(aio.connect(CONNECT_ARGUMENTS)))
     except BaseException:
@@ -394,6 +394,7 @@ def aircraft_source() -> str:
     own = (
         "from m100link import aircraft as aio\n"
         "from m100link.flight.authority import Authority\n"
+        "from m100link.sim.ports.url import clock_of\n"
         "from m100link.sync.control import Control\n"
     )
     return whole("The aircraft without ``await``.", exports, own, writer, parts)

@@ -52,7 +52,7 @@ class Lockstep(Run):
 
     def __init__(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(capsys)
-        monkeypatch.setattr(sync_aircraft, "Portal", lambda: Portal(LockstepEventLoop))
+        monkeypatch.setattr(sync_aircraft, "Portal", lambda _: Portal(LockstepEventLoop))
 
     def __call__(self, name: str, *arguments: str) -> str:
         load(name).main(*arguments)

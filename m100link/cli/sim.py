@@ -10,7 +10,7 @@ import signal
 import sys
 import termios
 import tty
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,6 +32,7 @@ from m100link.sim.orders.scenario import Scenario
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.pty import PtyPort
 from m100link.sim.ports.tcp import TcpServer, serve_tcp
+from m100link.sim.ports.url import LINE_OPTIONS, SITE_OPTIONS
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
@@ -48,8 +49,8 @@ app = cyclopts.App(
 
 _OfTheLine: Any = options_of(
     LineFaults,
-    [one.name for one in fields(LineFaults)],
-    called={"baud_rate": "--line-baud"},
+    LINE_OPTIONS,
+    called={field: f"--{option}" for field, option in LINE_OPTIONS.items()},
 )
 
 
@@ -65,17 +66,8 @@ class FaultOptions(_OfTheLine):  # type: ignore[misc] # a class that is made has
 
 _OfTheSite: Any = options_of(
     AircraftSettings,
-    (
-        *("latitude_deg", "longitude_deg", "ground_altitude", "heading_deg"),
-        *("wind_north", "wind_east", "gusts", "noise", "movement_timeout", "server_delay"),
-        "gimbal_follows",
-    ),
-    called={
-        "latitude_deg": "--latitude",
-        "longitude_deg": "--longitude",
-        "heading_deg": "--heading",
-        "noise": "--sensor-noise",
-    },
+    SITE_OPTIONS,
+    called={field: f"--{option}" for field, option in SITE_OPTIONS.items()},
     defaults={"noise": 1.0},
 )
 

@@ -17,8 +17,9 @@ EXAMPLES = (
     "serial:///dev/ttyUSB0:230400",
     "/dev/ttyUSB0",
     "tcp://192.168.1.5:7000",
+    "sim://?firmware=3.1&seed=7",
 )
-"""Three strings that work, for error messages."""
+"""Strings that work, for error messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ def parse_url(url: str, *, baud_rate: int | None = None) -> ConnectionString:
         baud_rate: Rate when the string has none; 230400 by default.
 
     Raises:
-        BadURL: It is none of these; the message shows three that work.
+        BadURL: It is none of these; the message shows some that work.
     """
     text = url.strip()
     scheme, separator, rest = text.partition("://")

@@ -21,6 +21,7 @@ from m100link.link.link import Link, LinkStatistics
 from m100link.protocol.command import Request
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.firmware import FirmwareProfile
+from m100link.sim.ports.url import clock_of
 from m100link.sync.control import Control
 from m100link.sync.portal import Portal
 from m100link.sync.subscription import Subscription
@@ -325,7 +326,7 @@ def connect(
         PortNotFound, PortPermissionDenied, PortBusy, PortFailed: The port cannot be opened.
         SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
     """
-    portal = Portal()
+    portal = Portal(clock_of(line))
     try:
         aircraft = portal.wait(
             lambda _: _connected(

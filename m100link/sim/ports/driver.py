@@ -11,17 +11,17 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
-from urllib.parse import parse_qsl
 
-from m100link.errors import BadURL, UsageError
+from m100link.errors import UsageError
 from m100link.link import connect_in_memory
+from m100link.sim.ports.url import aircraft_of, check_clock
 from m100link.sim.telemetry import is_telemetry
-from m100link.sim.virtual import VirtualAircraft
 
 if TYPE_CHECKING:
     from m100link.link import MemoryTransport
     from m100link.link.url import ConnectionString
     from m100link.sim.orders.scenario import Scenario
+    from m100link.sim.virtual import VirtualAircraft
 
 __all__ = ["Backlog", "Driver", "Port", "StreamPort", "open_sim"]
 
@@ -277,26 +277,13 @@ class StreamPort(asyncio.Protocol):
 async def open_sim(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:
     """Transport of ``sim://`` URLs: a new virtual aircraft that lives as long as the connection.
 
-    ``sim://?firmware=2.3&seed=7`` sets the firmware profile and the seed.
-
     Raises:
         BadURL: An option that does not exist, or a value that it cannot have.
+        UsageError: A speed that the event loop does not have.
     """
-    options = dict(parse_qsl(address.target.lstrip("/").lstrip("?"), keep_blank_values=True))
-    unknown = set(options) - {"firmware", "seed"}
-    if unknown:
-        raise BadURL(
-            f"sim:// has no option {unknown.pop()!r}",
-            remedy="write it like sim://?firmware=2.3&seed=7",
-        )
-    try:
-        aircraft = VirtualAircraft(
-            firmware=options.get("firmware", "1.0"), seed=int(options.get("seed", "0"))
-        )
-    except ValueError as error:
-        raise BadURL(f"{address}: {error}", remedy="write it like sim://?seed=7") from error
-    driver = Driver(aircraft)
-    return connect_in_memory(protocol, _OwnedPort(driver))
+    url = f"{address.scheme}://{address.target}"
+    check_clock(url, asyncio.get_running_loop())
+    return connect_in_memory(protocol, _OwnedPort(Driver(aircraft_of(url))))
 
 
 class _OwnedPort(StreamPort):
