@@ -50,6 +50,8 @@ class Machine(SphinxDirective):
         )
         if of["before"]:
             text += f" The column “before” is commit {of['before']}, by turns in the same rounds."
+        if "note" in of:
+            text += f" {of['note']}"
         return [nodes.paragraph(text=text)]
 
 
