@@ -10,6 +10,7 @@ import pytest
 
 from m100link.errors import PayloadTooLarge, UsageError
 from m100link.wire import MAX_DATA_SIZE, Cipher, Discard, Frame, FrameDecoder, encode_frame
+from m100link.wire import frame as module
 from tests.support import (
     KEY,
     all_frames,
@@ -358,6 +359,13 @@ def test_more_kinds_of_headers_than_are_remembered_are_all_understood() -> None:
     frames, decoder = decode(stream + stream[:1000])
     assert frames == all_frames(stream + stream[:1000])
     assert decoder.frames > 4352  # which is more than it remembers
+    assert len(decoder._headers) <= 4096
+
+
+def test_what_is_remembered_of_frames_to_send_is_bounded() -> None:
+    for size, session, is_ack in itertools.product(range(80), range(32), (False, True)):
+        encode_frame(bytes(size), session=session, sequence=1, is_ack=is_ack)
+    assert 0 < len(module._kinds) <= 4096
 
 
 def test_feeding_nothing_gives_nothing() -> None:
