@@ -223,7 +223,7 @@ class ClosedLoops:
             here = position_of(self._state)
             now = clock()
             place = frame.to_local(here.latitude_deg, here.longitude_deg)
-            steering = path.steer(place, _velocity(self._state), now - before)
+            steering = path.steer((*place, here.height_m), _velocity(self._state), now - before)
             before = now
             setpoint = Setpoint.velocity(
                 north=steering.north,

@@ -25,6 +25,7 @@ _MAX_TURN_RAD_S = 0.5  # of the velocity, on a rounded corner
 _CORNER_M_S = 0.4  # round a corner that is not rounded
 _REACHED_M = 0.3  # from such a corner, when the next leg begins
 _CLIMB_M_S = 2.0  # a steeper leg is flown more slowly
+_LOW_OR_HIGH_M = 1.0  # so far from the height of the path it slows down, and at twice that it waits
 _TOO_SHORT_M = 0.05  # two points of a path so near to each other are one
 _SHARP_M = 0.5  # a smaller radius is a corner
 
@@ -148,11 +149,13 @@ class Path:
         if not 0 <= corner_radius < math.inf:
             raise UsageError(f"{corner_radius:g} m is not the radius of a corner")
         corners = [points[0]]
+        leaving = [points[0][2]]  # the height with which the next leg begins
         for point in points[1:]:
             if math.dist(point[:2], corners[-1][:2]) >= _TOO_SHORT_M:
                 corners.append(point)
-            else:  # straight up or down: that height is what the next leg begins with
-                corners[-1] = point
+                leaving.append(point[2])
+            else:  # straight up or down, before the next leg
+                leaving[-1] = point[2]
         if len(corners) < 2:
             raise UsageError(
                 "the points of the path are all one place",
@@ -162,32 +165,33 @@ class Path:
         self._max_speed = max_speed
         self._pieces: list[_Leg | _Bend] = []
         # Where along the path which height is wanted, and how fast it may be flown.
-        self._heights: list[tuple[float, float]] = [(0.0, corners[0][2])]
+        self._heights: list[tuple[float, float]] = [(0.0, leaving[0])]
         self._limits: list[tuple[float, float, float]] = []  # from, to, m/s
         self.length = 0.0
-        self._lay(corners, corner_radius)
+        self._lay(corners, leaving, corner_radius)
         self._limits.append((self.length, self.length, 0.0))
         for (begin, low), (end, high) in pairwise(self._heights):
-            if high != low:
+            if high != low and end > begin:
                 self._limits.append((begin, end, _CLIMB_M_S * (end - begin) / abs(high - low)))
         self._index = 0  # of the piece that is flown
         self._asked = 0.0  # speed along the path at the tick before
 
     # -- laying the path -------------------------------------------------------------------------
 
-    def _lay(self, corners: list[_Point], corner_radius: float) -> None:
+    def _lay(self, corners: list[_Point], leaving: list[float], corner_radius: float) -> None:
         at = corners[0][:2]
         for index in range(1, len(corners)):
             corner = corners[index]
             if index + 1 == len(corners):
                 self._add_leg(at, corner[:2])
-                self._heights.append((self.length, corner[2]))
+                self._add_height(corner[2], leaving[index])
                 return
             before, after = corners[index - 1], corners[index + 1]
             radius, cut, turn = _rounding(before, corner, after, corner_radius)
-            if radius < _SHARP_M and abs(turn) > math.radians(5):
+            is_sharp = radius < _SHARP_M and abs(turn) > math.radians(5)
+            if is_sharp or leaving[index] != corner[2]:
                 self._add_leg(at, corner[:2])
-                self._heights.append((self.length, corner[2]))
+                self._add_height(corner[2], leaving[index])
                 self._limits.append((self.length, self.length, _CORNER_M_S))
                 at = corner[:2]
                 continue
@@ -199,6 +203,14 @@ class Path:
             else:
                 self._heights.append((self.length, corner[2]))
             at = end
+
+    def _add_height(self, arriving: float, leaving: float) -> None:
+        """At the end of what is laid; where the two differ, it climbs or descends in place."""
+        if arriving == leaving:
+            self._heights.append((self.length, arriving))
+            return
+        reached = max(self._heights[-1][0], self.length - _REACHED_M)
+        self._heights += (reached, arriving), (reached, leaving), (self.length, leaving)
 
     def _add_leg(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         length = math.dist(start, end)
@@ -224,19 +236,19 @@ class Path:
     # -- flying it -------------------------------------------------------------------------------
 
     def steer(
-        self, place: tuple[float, float], velocity: tuple[float, float] | None, elapsed: float
+        self, place: _Point, velocity: tuple[float, float] | None, elapsed: float
     ) -> PathSteering:
         """The next velocity.
 
         Args:
-            place: North and east, m.
+            place: North, east and height, m.
             velocity: North and east, m/s; None when it is unknown.
             elapsed: Seconds since the call before.
         """
-        piece, along, right, ahead = self._locate(place)
+        piece, along, right, ahead = self._locate(place[:2])
         at = piece.begins_at + along
         to_go = self.length - at
-        speed = self._wanted_speed(at, to_go, elapsed)
+        speed = self._wanted_speed(at, to_go, place[2], elapsed)
         to_right = -ahead[1], ahead[0]
         running, drifting = speed, 0.0
         if velocity is not None:
@@ -272,12 +284,15 @@ class Path:
                 return piece, along, right, ahead
             self._index += 1
 
-    def _wanted_speed(self, at: float, to_go: float, elapsed: float) -> float:
+    def _wanted_speed(self, at: float, to_go: float, height: float, elapsed: float) -> float:
         """Speed along the path: gently up, down before what is slow; back when it flew beyond."""
         wanted = self._speed
         for begin, end, limit in self._limits:
             if at <= end:
                 wanted = min(wanted, limit + _BRAKING * max(0.0, begin - at))
+        # It does not leave a place below or above the path that somebody laid over an obstacle.
+        off = abs(self._height(at) - height)
+        wanted *= max(0.0, min(1.0, 2.0 - off / _LOW_OR_HIGH_M))
         if to_go < 0:
             wanted = _BRAKING * to_go
         self._asked = min(wanted, max(0.0, self._asked) + _ACCELERATION * elapsed)

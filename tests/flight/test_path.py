@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import pytest
 
@@ -23,6 +24,7 @@ class Flown:
     fastest: float
     miss_m: float
     heights: list[float]
+    places: list[Point]
 
 
 def fly(
@@ -30,20 +32,24 @@ def fly(
 ) -> Flown:
     path = Path(points, speed=speed, corner_radius=radius, max_speed=max_speed)
     (north, east), vn, ve, step = points[0][:2], 0.0, 0.0, 0.02
+    height, places = points[0][2], []
     off, fastest, heights = 0.0, 0.0, []
     for tick in range(30_000):
-        steering = path.steer((north, east), (vn, ve), step)
+        steering = path.steer((north, east, height), (vn, ve), step)
         asked = math.hypot(steering.north, steering.east)
         assert asked <= max_speed + 1e-6
         off = max(off, steering.off_m)
         heights.append(steering.height)
+        height += max(-3.0, min(3.0, 1.5 * (steering.height - height))) * step
+        places.append((north, east, height))
         vn += (steering.north - vn) * step / lag
         ve += (steering.east - ve) * step / lag
         north, east = north + vn * step, east + ve * step
         fastest = max(fastest, math.hypot(vn, ve))
-        if abs(steering.to_go_m) < 0.2 and math.hypot(vn, ve) < 0.2:
+        is_high = abs(height - points[-1][2]) < 0.5
+        if is_high and abs(steering.to_go_m) < 0.3 and math.hypot(vn, ve) < 0.2:
             miss = math.dist((north, east), points[-1][:2])
-            return Flown(tick * step, off, fastest, miss, heights)
+            return Flown(tick * step, off, fastest, miss, heights, places)
     raise AssertionError("it did not arrive")
 
 
@@ -87,6 +93,37 @@ def test_heights_are_reached_along_the_way_and_steep_legs_flown_slowly() -> None
     assert steep.heights[-1] == pytest.approx(32, abs=0.5)
 
 
+@pytest.mark.parametrize("radius", [0.0, 2.0])
+@pytest.mark.parametrize(
+    "points",
+    [
+        [(0, 0, 5), (0, 0, 30), (40, 0, 30)],
+        [(0, 0, 30), (40, 0, 30), (40, 0, 5), (80, 0, 5)],
+        [(0, 0, 5), (40, 0, 5), (40, 0, 30), (40, 40, 30)],
+        [(0, 0, 5), (40, 0, 5), (40, 0, 25)],
+    ],
+    ids=["first", "between", "at a corner", "last"],
+)
+def test_straight_up_and_down_is_flown_in_place(points: list[Point], radius: float) -> None:
+    flown = fly(points, speed=6.0, radius=radius)
+    legs = list(pairwise(points))
+    assert max(min(_away(place, *leg) for leg in legs) for place in flown.places) < 1.0
+
+
+def _away(place: Point, start: Point, end: Point) -> float:
+    """Metres from a leg."""
+    along = [e - s for s, e in zip(start, end, strict=True)]
+    share = sum(a * (p - s) for a, s, p in zip(along, start, place, strict=True))
+    share = max(0.0, min(1.0, share / sum(a * a for a in along)))
+    return math.dist(place, [s + share * a for s, a in zip(start, along, strict=True)])
+
+
+def test_it_waits_for_a_height_that_it_does_not_have() -> None:
+    path = Path([(0, 0, 20), (40, 0, 20)], speed=5.0, corner_radius=0, max_speed=10)
+    assert path.steer((10, 0, 15), (0, 0), 1.0).north == pytest.approx(0)
+    assert path.steer((10, 0, 19.5), (0, 0), 1.0).north > 0
+
+
 def test_length_counts_the_rounded_corners() -> None:
     assert Path(SQUARE, speed=1, corner_radius=0, max_speed=10).length == pytest.approx(80)
     rounded = Path(SQUARE, speed=1, corner_radius=4, max_speed=10).length
@@ -101,7 +138,7 @@ def test_points_above_each_other_and_twice_the_same_are_one() -> None:
         max_speed=10,
     )
     assert path.length == pytest.approx(20)
-    assert path.steer((0, 0), None, 0.02).height == pytest.approx(5)
+    assert path.steer((0, 0, 5), None, 0.02).height == pytest.approx(5)
 
 
 @pytest.mark.parametrize(
