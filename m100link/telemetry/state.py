@@ -93,6 +93,11 @@ class AircraftState(RecordViews):
         self._cells_of: dict[int, tuple[_Cell, ...]] = {}  # by flag word; few ever occur
         self.newest_at: float | None = None
 
+    def __repr__(self) -> str:
+        known = {name: value for name, value in self.situation().items() if value is not None}
+        age = "no telemetry" if self.newest_age is None else f"{self.newest_age:.2f} s old"
+        return f"<AircraftState {age}{''.join(f', {name} {known[name]}' for name in known)}>"
+
     def update(self, sample: Sample) -> None:
         """Take over what the sample carries."""
         now, flags = sample.received_at, sample.flags

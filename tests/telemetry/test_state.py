@@ -110,3 +110,11 @@ def test_items_that_came_together_and_part_each_keep_their_own(seed: int, clock:
             len(arrivals[item.name]),
             max(gaps, default=0.0),
         )
+
+
+def test_it_shows_itself_at_a_prompt(clock: Clock) -> None:
+    state = AircraftState(clock)
+    assert repr(state) == "<AircraftState no telemetry>"
+    state.update(sample(clock.now, battery=(87,)))
+    clock.now += 0.25
+    assert repr(state) == "<AircraftState 0.25 s old, battery_percent 87>"
