@@ -132,12 +132,12 @@ class Aircraft:
         return self.link.is_open
 
     async def wait_closed(self) -> LinkError | None:
-        """Wait until the line is gone.
+        """Wait until the line is gone, however long that takes.
 
         Returns:
             Why: :class:`LinkLost`, or :class:`LinkClosed` when the program closed it.
         """
-        await self.link.wait_disconnected()
+        await self.link.wait_disconnected(timeout=None)
         return self.link.failure
 
     def events(self) -> Subscription[ConnectionEvent | AuthorityEvent]:

@@ -267,6 +267,15 @@ async def test_events_tell_of_authority_and_of_the_end_of_the_line() -> None:
         assert connection.error is flown.aircraft.link.failure
 
 
+async def test_waiting_for_the_end_of_the_line_takes_as_long_as_it_lasts() -> None:
+    async with rig() as flown:
+        closed = asyncio.create_task(flown.aircraft.wait_closed())
+        await asyncio.sleep(60.0)
+        assert not closed.done()
+        flown.virtual.unplug()
+        assert isinstance(await closed, LinkLost)
+
+
 async def test_closing_ends_events_too() -> None:
     async with rig() as flown, flown.aircraft.events() as events:
         await flown.aircraft.aclose()

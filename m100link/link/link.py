@@ -277,10 +277,10 @@ class Link(asyncio.Protocol):
             return
         await self.wait_disconnected()
 
-    async def wait_disconnected(self) -> None:
-        """Wait until the transport has let go of the line, at most a second."""
+    async def wait_disconnected(self, timeout: float | None = CLOSE_TIMEOUT) -> None:
+        """Wait until the transport has let go of the line; None: however long that takes."""
         try:
-            async with asyncio.timeout(CLOSE_TIMEOUT):
+            async with asyncio.timeout(timeout):
                 await self._disconnected.wait()
         except TimeoutError:
             _logger.warning("%s: the port did not report its end within a second", self.name)

@@ -73,7 +73,7 @@ class Aircraft:
         return self._aircraft.is_connected
 
     def wait_closed(self) -> LinkError | None:
-        """Wait until the line is gone.
+        """Wait until the line is gone, however long that takes.
 
         Returns:
             Why: :class:`LinkLost`, or :class:`LinkClosed` when the program closed it.
