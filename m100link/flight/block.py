@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -28,6 +29,8 @@ from m100link.flight.tasks import Commander
 from m100link.flight.watchdog import TelemetryWatchdog
 
 __all__ = ["ControlBlock", "PauseAction"]
+
+_logger = logging.getLogger("m100link.flight")
 
 PauseAction = Literal["raise", "wait"]
 """What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""
@@ -73,6 +76,8 @@ class ControlBlock:
         self._stop_path = StopPath(commander, self._life, setpoints, stop)
         self.taking_off = self._stop_path.taking_off
         self._stopping = Errand(self._stop_path.run, self._on_stopped)
+        self._is_over = asyncio.Event()
+        self._keeper: asyncio.Task[None] | None = None  # by hand: see _keep()
         self._on_signal = partial(self.end, StopCause.SIGNALLED)
         self._watchdog = TelemetryWatchdog(
             commander.state,
@@ -156,6 +161,21 @@ class ControlBlock:
         if not self._life.is_open:
             await self._stopping.ended()
             self.require_flying("control")
+        self._keeper = asyncio.create_task(self._keep(), name="m100link control by hand")
+
+    async def _keep(self) -> None:
+        """Stand in for the block that is not there when the program ends without releasing.
+
+        asyncio.run cancels every task on its way out and waits for those, and for no other: what
+        begins after that must be waited for in one of them.
+        """
+        try:
+            await self._is_over.wait()
+        except asyncio.CancelledError:
+            _logger.warning("control was obtained and not released when the program ended")
+            self.end(StopCause.LEFT)
+            await self._stopping.ended()
+            raise
 
     async def release(self) -> None:
         """End what was obtained by hand, and wait for the end of the stop path.
@@ -262,6 +282,7 @@ class ControlBlock:
         self._watchdog.stop()
         self._commander.requests.free_firmware()
         self._claim.give_back()
+        self._is_over.set()
         SIGNALS.leave(self._on_signal)  # last: a signal that came may end the process here
 
     # -- what may be sent ------------------------------------------------------------------------
@@ -285,9 +306,10 @@ class ControlBlock:
         if life.failure is not None:
             self._is_told = True
             raise life.failure.again()
-        state, remedy = self._authority.state.value, "use it inside `async with aircraft.control()`"
+        state = self._authority.state.value
+        remedy = "use it inside `async with aircraft.control()`, or obtain() it"
         if life.state in (BlockState.STOPPING, BlockState.OVER):
-            state = "over with this block"
+            state, remedy = "over with this block", "ask for a new one: aircraft.control()"
         elif life.state is BlockState.PAUSED:
             state, remedy = "paused by the pilot", "wait_resumable() and resume()"
         raise NoAuthority(

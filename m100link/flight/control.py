@@ -49,6 +49,7 @@ def _closed_loop(
     """A closed loop as a method of Control: its arguments and its words stand there."""
 
     async def fly(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> Arrival:
+        self._block.require_flying(loop.__name__)  # what ended the block comes first
         return await loop(self._loops, *args, **kwargs)
 
     return update_wrapper(fly, loop)

@@ -261,3 +261,41 @@ def test_it_can_be_made_where_no_event_loop_runs() -> None:
         loop.run_until_complete(scene.__aexit__(None, None, None))
     finally:
         loop.close()
+
+
+@pytest.mark.parametrize("is_sending", [False, True])
+def test_a_program_that_ends_without_release_lands_and_releases_first(is_sending: bool) -> None:
+    """asyncio.run cancels every task on its way out; the stop path has to outlive that."""
+    seen: list[Rig] = []
+    scene = rig()
+
+    async def program() -> None:
+        flown = await scene.__aenter__()
+        seen.append(flown)
+        control = await flown.aircraft.control(stop="land").obtain()
+        await control.take_off()
+        if is_sending:
+            control.send(NORTH)
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        runner.run(program())
+    assert not seen[0].is_running
+    assert seen[0].is_released
+
+
+async def test_after_its_end_every_call_says_what_ended_it() -> None:
+    async with rig() as flown:
+        control = await flown.aircraft.control(stop="land").obtain()
+        await control.take_off()
+        await flown.aircraft.aclose()
+        with pytest.raises(LinkClosed, match="disconnected while this block was flying"):
+            await control.fly_to(north=1.0, east=0.0, up=0.0)
+
+
+async def test_nothing_waits_for_its_end_any_more_when_it_was_released() -> None:
+    async with rig() as flown:
+        before = asyncio.all_tasks()
+        control = await flown.aircraft.control().obtain()
+        await control.release()
+        await asyncio.sleep(0.1)
+        assert asyncio.all_tasks() == before
