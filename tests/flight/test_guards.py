@@ -284,15 +284,19 @@ async def test_above_the_envelope_climbing_and_thrust_are_refused_descending_is_
         control.send(velocity(up=0))
 
 
-@pytest.mark.parametrize("setpoint", [CLIMB_BY_TILT, THRUST], ids=["climb", "thrust"])
-async def test_without_a_height_nothing_climbs(setpoint: Setpoint) -> None:
+@pytest.mark.parametrize(
+    ("setpoint", "what"),
+    [(CLIMB_BY_TILT, "a setpoint that climbs"), (THRUST, "thrust")],
+    ids=["climb", "thrust"],
+)
+async def test_without_a_height_nothing_climbs(setpoint: Setpoint, what: str) -> None:
     """The item stops at 5 m; whoever believes it flies to the Moon."""
     async with hovering(Guards(envelope=Envelope(max_height_m=10))) as (flown, control):
         flown.virtual.set_rates(position=0)
         await asyncio.sleep(1.5)
         error = refusal(flown, control, setpoint)
         assert (error.guard, error.measured, error.limit) == ("envelope", None, 10)
-        assert "the position item is 1." in error.seen
+        assert error.seen.startswith(f"{what} was refused: the position item is 1.")
         assert "max_height_m=math.inf" in error.remedy
         control.send(Setpoint.tilt(roll_deg=0, pitch_deg=0, up=-1, yaw_rate_deg_s=0))
         control.send(Setpoint.tilt(roll_deg=0, pitch_deg=0, height=9, yaw_rate_deg_s=0))

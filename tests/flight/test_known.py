@@ -40,6 +40,11 @@ def test_a_value_is_known_until_its_age_limit_and_no_longer(record: type[Any]) -
     assert known(AircraftState(lambda: 0.0), record) is None
 
 
+def test_of_a_status_that_is_sent_once_a_second_one_may_be_lost_and_not_two() -> None:
+    assert known(told("flight_status", (3,), 2.1), FlightStatus) is not None
+    assert known(told("flight_status", (3,), 3.0), FlightStatus) is None
+
+
 def test_who_needs_a_younger_value_says_so() -> None:
     state = told("position", POSSIBLE["position"], 0.6)
     assert known(state, Position) is not None

@@ -210,6 +210,17 @@ def test_the_nose_is_turned_to_the_centre(place: tuple[float, float], yaw_deg: f
     assert steering.to_go_deg == 360
 
 
+@pytest.mark.parametrize(
+    ("off_deg", "moves"), [(0.0, True), (4.9, True), (-4.9, True), (5.1, False), (-5.1, False)]
+)
+def test_it_begins_to_move_when_the_nose_is_within_5_degrees_of_the_centre(
+    off_deg: float, moves: bool
+) -> None:
+    orbit = Orbit(radius=10, speed=2, turns=1, clockwise=True, max_speed=5)
+    steering = orbit.steer((10.0, 0.0), (0.0, 0.0), 180.0 + off_deg, 0.02)
+    assert (steering.east > 0) is moves
+
+
 def test_far_from_the_circle_most_of_the_speed_leads_to_it() -> None:
     for north, wanted in ((1.0, 4.0), (40.0, -4.0)):
         orbit = Orbit(radius=10, speed=2, turns=1, clockwise=True, max_speed=5)
