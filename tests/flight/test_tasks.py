@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from itertools import islice, pairwise
+from collections.abc import Iterable
+from itertools import chain, count, islice, pairwise, repeat
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -21,9 +24,13 @@ from m100link import (
     TaskRefused,
     TaskResultCode,
 )
-from m100link.flight.tasks import task_sequences
+from m100link.flight.tasks import Commander, run_task, task_sequences
+from m100link.protocol import encode_telemetry, profile
+from m100link.protocol.codes import TaskStartCode
 from m100link.protocol.commands.control import QueryTask, StartTask, Task
 from m100link.sim import LineFaults
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
 from tests.rig import FIRMWARES, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -253,3 +260,98 @@ async def test_setpoints_stop_while_a_task_flies() -> None:
         count = len(flown.moves)
         await control.land()
         assert len(flown.moves) <= count + 1
+
+
+# -- what counts as done --------------------------------------------------------------------------
+
+HOVERING: dict[str, tuple[float, ...]] = {
+    "flight_status": (FlightPhase.IN_AIR,),
+    "position": (0.8, 0.1, 400.0, 1.2, 5),
+    "velocity": (0.0, 0.0, 0.0, 5),
+}
+STANDING: dict[str, tuple[float, ...]] = {"flight_status": (FlightPhase.STANDBY,)}
+SILENCE, EXECUTING, NOT_CURRENT = None, TaskResultCode.EXECUTING, TaskResultCode.NOT_CURRENT
+
+
+class Told:
+    """Accepts any task, shows the same items for ever and answers queries in the order given.
+
+    Attributes:
+        queries: How many were asked.
+    """
+
+    def __init__(
+        self, items: dict[str, tuple[float, ...]], answers: Iterable[TaskResultCode | None]
+    ) -> None:
+        self.queries = 0
+        self._items = items
+        self._answers = iter(answers)
+        self._state = AircraftState(asyncio.get_running_loop().time)
+
+    async def execute(self, command: object, **_: object) -> TaskStartCode | TaskResultCode:
+        if isinstance(command, StartTask):
+            return TaskStartCode.STARTED
+        self.queries += 1
+        answer = next(self._answers)
+        if answer is None:
+            raise AckTimeout("no answer")
+        return answer
+
+    async def run(self, task: Task, *, timeout: float) -> None:
+        """Begin the task and wait for its end."""
+        parts = SimpleNamespace(requests=self, state=self._state, task_sequences=count())
+        telling = asyncio.create_task(self._tell())
+        try:
+            await run_task(cast(Commander, parts), task, timeout=timeout)
+        finally:
+            telling.cancel()
+
+    async def _tell(self) -> None:
+        firmware = profile("3.1")
+        while True:
+            data = encode_telemetry(self._items, firmware)
+            self._state.update(Sample(data, firmware, asyncio.get_running_loop().time()))
+            await asyncio.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    ("answers", "asked"),
+    [
+        ([SILENCE] * 3, 3),
+        ([SILENCE, SILENCE, EXECUTING, SILENCE, SILENCE, SILENCE], 6),
+        ([EXECUTING, SILENCE, EXECUTING, SILENCE, SILENCE, EXECUTING, NOT_CURRENT], 7),
+    ],
+    ids=str,
+)
+async def test_three_queries_in_a_row_without_an_answer_leave_it_to_telemetry(
+    answers: list[TaskResultCode | None], asked: int
+) -> None:
+    """A landing that is seen done from the start: only what the last answer says keeps it."""
+    told = Told(STANDING, chain(answers, repeat(TaskResultCode.FAILED)))
+    await told.run(Task.LAND, timeout=20)
+    assert told.queries == asked
+
+
+@pytest.mark.parametrize(
+    ("shown", "is_done"),
+    [
+        ({}, True),
+        ({"velocity": (3.0, 0.0, 0.1, 5)}, True),
+        ({"velocity": (0.0, 0.0, 0.2, 5)}, False),
+        ({"velocity": (0.0, 0.0, -0.2, 5)}, False),
+        ({"velocity": None}, True),
+        ({"position": (0.8, 0.1, 400.0, 0.9, 5)}, False),
+        ({"position": None}, False),
+        ({"flight_status": (FlightPhase.TAKING_OFF,)}, False),
+        ({"flight_status": (FlightPhase.LANDING,)}, False),
+        ({"flight_status": None}, False),
+    ],
+    ids=str,
+)
+async def test_a_take_off_is_seen_done_when_it_hovers_a_metre_up_or_more(
+    shown: dict[str, Any], is_done: bool
+) -> None:
+    items = {name: values for name, values in (HOVERING | shown).items() if values is not None}
+    told = Told(items, repeat(NOT_CURRENT))
+    with contextlib.nullcontext() if is_done else pytest.raises(NotObserved):
+        await told.run(Task.TAKE_OFF, timeout=5)
