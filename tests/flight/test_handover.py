@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 import m100link
 from m100link import AuthorityLost, AuthorityRefused, AuthorityState
+from m100link.flight.handover import obtain_authority, release_authority
+from m100link.flight.tasks import Commander
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
 from m100link.sim import NO_FAULTS, AssistantSettings, LineFaults
@@ -179,6 +183,45 @@ async def test_a_release_that_is_answered_with_something_else_is_none(
         assert flown.aircraft.authority.state is AuthorityState.UNRELEASED
         assert f"may not be released: code 0x{code:04X}" in caplog.text
         handlers[RequestAuthority] = known
+        assert await flown.aircraft.release_authority()
+
+
+class Slow:
+    """Firmware that wants two requests, and an answer to each that comes after a while."""
+
+    firmware = SimpleNamespace(authority_requests=2)
+    knows_firmware = True
+
+    def __init__(self, code: AuthorityCode, after: float) -> None:
+        self._code = code
+        self._after = after
+
+    async def execute(self, _: object, **__: object) -> AuthorityCode:
+        await asyncio.sleep(self._after)
+        return self._code
+
+
+async def test_a_release_that_is_put_off_again_and_again_ends_after_two_seconds(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with rig() as flown:
+        await obtain_authority(flown.aircraft._commander)
+        slow = Slow(AuthorityCode.RELEASING, after=0.35)
+        parts = SimpleNamespace(requests=slow, authority=flown.aircraft.authority)
+        start = flown.now
+        assert not await release_authority(cast(Commander, parts))
+        assert flown.now - start == pytest.approx(2.0, abs=0.01)
+        assert flown.aircraft.authority.state is AuthorityState.UNRELEASED
+        assert "may not be released" in caplog.text
+
+
+async def test_a_request_for_authority_that_is_lost_is_repeated_after_half_a_second() -> None:
+    async with rig() as flown:
+        flown.virtual.set_faults(NO_FAULTS, to_aircraft=LineFaults(loss=1.0))
+        start = flown.now
+        asyncio.get_running_loop().call_later(0.1, flown.virtual.set_faults)
+        await obtain_authority(flown.aircraft._commander)
+        assert flown.now - start == pytest.approx(0.55, abs=0.1)
         assert await flown.aircraft.release_authority()
 
 
