@@ -10,6 +10,7 @@ from cyclopts import App, CycloptsError
 
 import m100link
 from m100link.cli.outcome import ExitCode, complain
+from m100link.cli.terminal import ReaderGone, speak_to_anybody
 from m100link.errors import M100Error, UsageError
 
 __all__ = ["VERBS", "app", "run"]
@@ -109,12 +110,20 @@ def _show_warnings() -> None:
 def run() -> None:
     """Parse the command line, run the command, exit with its status."""
     try:
+        with speak_to_anybody():
+            status = _status_of(sys.argv[1:])
+    except ReaderGone:
+        status = ExitCode.OK
+    sys.exit(status)
+
+
+def _status_of(words: list[str]) -> int:
+    try:
         _show_warnings()
-        words = sys.argv[1:]
         asked = app if VERBS.keys() & set(words) else application(overview=True)
         status = asked(words, exit_on_error=False, print_error=True, result_action="return_value")
     except CycloptsError:
-        sys.exit(ExitCode.USAGE)
+        return ExitCode.USAGE
     except M100Error as error:
-        sys.exit(complain(error))
-    sys.exit(status if isinstance(status, int) else ExitCode.OK)
+        return complain(error)
+    return status if isinstance(status, int) else ExitCode.OK

@@ -7,11 +7,11 @@ from collections.abc import Awaitable, Callable
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.prompt import Confirm
 
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
+from m100link.cli.terminal import read_line
 from m100link.errors import NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards
@@ -180,7 +180,7 @@ async def _run(
     credentials = app.credentials(url)  # what is wrong with them is told before a port is opened
     async with connect(url, **link.arguments()) as aircraft:
         if not yes and not url.startswith("sim:"):
-            _confirm(aircraft, what)
+            await _confirm(aircraft, what)
         await _activate(aircraft, credentials)
         async with aircraft.control(guards=guards) as control:
             await flight(control)
@@ -196,7 +196,7 @@ async def _activate(aircraft: Aircraft, credentials: Credentials) -> None:
     await aircraft.activate(credentials, progress=tell)
 
 
-def _confirm(aircraft: Aircraft, what: str) -> None:
+async def _confirm(aircraft: Aircraft, what: str) -> None:
     """Ask the person in front of the terminal.
 
     Raises:
@@ -207,7 +207,8 @@ def _confirm(aircraft: Aircraft, what: str) -> None:
             f"{what} was not confirmed", remedy="say --yes when nobody is there to be asked"
         )
     err.print(f"{aircraft.link.name}: firmware {aircraft.firmware}")
-    if not Confirm.ask(f"Clear of people? Really {what}?", default=False, console=err):
+    err.print(f"Clear of people? Really {what}? \\[y/N] ", end="")
+    if (await read_line()).lower() not in ("y", "yes"):
         raise UsageError(f"{what} was not confirmed")
 
 

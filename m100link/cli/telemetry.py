@@ -264,10 +264,14 @@ async def _plot_live(url: str, fields: tuple[str, ...], link: LinkOptions, durat
         shown = Live(console=out, refresh_per_second=5) if sys.stdout.isatty() else None
         with shown or contextlib.nullcontext():
             task = asyncio.ensure_future(_until(duration, collect(aircraft)))
-            while not task.done():
-                await asyncio.wait([task], timeout=0.2)
-                if shown is not None:
-                    shown.update(Text("\n".join(_lines(points))))
+            try:
+                while not task.done():
+                    await asyncio.wait([task], timeout=0.2)
+                    if shown is not None:
+                        shown.update(Text("\n".join(_lines(points))))
+            finally:
+                task.cancel()
+                await asyncio.wait([task])
         task.result()
     if shown is None:
         _draw(points)
