@@ -38,6 +38,7 @@ __all__ = [
     "ItemLayout",
     "Record",
     "RecordViews",
+    "item_of",
     "layouts",
 ]
 
@@ -268,6 +269,21 @@ BY_NAME: dict[str, Item] = {item.name: item for item in ITEMS}
 
 BY_RECORD: dict[type[Any], Item] = {item.record: item for item in ITEMS}
 """The items by record class, in the order of the flag bits."""
+
+
+def item_of(record: type[Any]) -> Item:
+    """The item that becomes that record.
+
+    Raises:
+        UsageError: Not a telemetry record.
+    """
+    for item in ITEMS:
+        if item.record is record:
+            return item
+    raise UsageError(
+        f"{record!r} is not a telemetry record",
+        remedy="use m100link.Attitude, m100link.Position, …",
+    )
 
 
 def layouts(*firmwares: str) -> dict[str, ItemLayout]:

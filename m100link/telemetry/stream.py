@@ -10,7 +10,7 @@ from typing import Any
 
 from m100link.errors import LayoutMismatch, LinkError, TelemetryStalled, UsageError
 from m100link.protocol.firmware import FIRMWARE_1_0, FirmwareProfile
-from m100link.protocol.items import ITEMS
+from m100link.protocol.items import item_of
 from m100link.protocol.packet import field_span
 from m100link.protocol.records import Time
 from m100link.telemetry.device_clock import DeviceClock
@@ -106,13 +106,7 @@ class TelemetryStream:
         """See :meth:`m100link.Aircraft.telemetry`."""
         wanted = 0
         for record in records:
-            item = next((item for item in ITEMS if item.record is record), None)
-            if item is None:
-                raise UsageError(
-                    f"{record!r} is not a telemetry record",
-                    remedy="use m100link.Attitude, m100link.Position, …",
-                )
-            wanted |= 1 << item.bit
+            wanted |= 1 << item_of(record).bit
         if rate_hz is not None and not rate_hz > 0:
             raise UsageError(f"a rate of {rate_hz} Hz is not a rate")
         return self._hub.subscribe(
