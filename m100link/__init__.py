@@ -105,6 +105,7 @@ if TYPE_CHECKING:
         Velocity,
     )
     from m100link.session import SessionMode
+    from m100link.telemetry.columns import Columns, Table
     from m100link.telemetry.device_clock import DeviceClock, HostTime
     from m100link.telemetry.sample import Sample
     from m100link.telemetry.state import AircraftState, ItemStatistics
@@ -137,6 +138,7 @@ __all__ = [
     "BadSetpoint",
     "BadURL",
     "Battery",
+    "Columns",
     "CommandNotSupported",
     "CommandRefused",
     "ConnectionEvent",
@@ -192,6 +194,7 @@ __all__ = [
     "Setpoint",
     "SilentLine",
     "Subscription",
+    "Table",
     "Task",
     "TaskError",
     "TaskFailed",
@@ -225,6 +228,7 @@ _ROOMS = (
     "telemetry.sample",
     "telemetry.state",
     "telemetry.subscription",
+    "telemetry.columns",
     "requests",
     "notifications",
     "activation",

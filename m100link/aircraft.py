@@ -34,11 +34,12 @@ from m100link.protocol.commands.activation import (
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.requests import Requests
+from m100link.telemetry.columns import Columns, Table
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.stream import TelemetryStream
-from m100link.telemetry.subscription import Hub, Latest, Newest, Policy, Subscription
+from m100link.telemetry.subscription import Hub, Latest, Lossless, Newest, Policy, Subscription
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
@@ -307,6 +308,29 @@ class Aircraft:
             TelemetryOverflow: A ``Lossless`` consumer fell behind.
         """
         return self._telemetry.subscribe(records, policy or Latest(), rate_hz)
+
+    async def collect(
+        self, *records: type[Any], seconds: float, rate_hz: float | None = None
+    ) -> Table:
+        """Take a row of numbers from every package with one of these records, for so long.
+
+        Args:
+            records: As in :meth:`telemetry`; they are the columns.
+            seconds: How long, above 0. All rows are kept in memory.
+            rate_hz: At most so many rows per second.
+
+        Raises:
+            TelemetryStalled, TelemetryOverflow: Nothing came; the program was blocked too long.
+            UsageError, LinkLost, LinkClosed: See each class; no rows are handed out.
+        """
+        columns = Columns(*records, utc_offset_s=self.utc_offset_s)
+        samples = self.telemetry(*records, policy=Lossless(2000), rate_hz=rate_hz)
+        return await columns.collect(samples, seconds)
+
+    @property
+    def utc_offset_s(self) -> float:
+        """UTC (POSIX time, s) minus the event loop's time, taken when this connected."""
+        return self._telemetry.utc_offset_s
 
     @property
     def state(self) -> AircraftState:

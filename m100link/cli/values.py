@@ -8,17 +8,9 @@ from typing import Any
 
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, BY_RECORD, ITEMS
+from m100link.telemetry.columns import columns_of
 
 __all__ = ["columns_of", "items_named", "row"]
-
-
-def columns_of(records: Iterable[type[Any]]) -> list[str]:
-    """Names of the columns of those records, such as ``position.height_m``."""
-    return [
-        f"{BY_RECORD[record].name}.{field}"
-        for record in records
-        for field in (*record._fields, *BY_RECORD[record].views)
-    ]
 
 
 def row(record: Any) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from m100link.sim.ports.url import clock_of
 from m100link.sync.control import Control
 from m100link.sync.portal import Portal
 from m100link.sync.subscription import Subscription
+from m100link.telemetry.columns import Table
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
@@ -244,6 +245,27 @@ class Aircraft:
             self._aircraft.telemetry, *records, policy=policy, rate_hz=rate_hz
         )
         return Subscription(self._portal, subscription, timeout)
+
+    def collect(self, *records: type[Any], seconds: float, rate_hz: float | None = None) -> Table:
+        """Take a row of numbers from every package with one of these records, for so long.
+
+        Args:
+            records: As in :meth:`telemetry`; they are the columns.
+            seconds: How long, above 0. All rows are kept in memory.
+            rate_hz: At most so many rows per second.
+
+        Raises:
+            TelemetryStalled, TelemetryOverflow: Nothing came; the program was blocked too long.
+            UsageError, LinkLost, LinkClosed: See each class; no rows are handed out.
+        """
+        return self._portal.wait(
+            lambda _: self._aircraft.collect(*records, seconds=seconds, rate_hz=rate_hz)
+        )
+
+    @property
+    def utc_offset_s(self) -> float:
+        """UTC (POSIX time, s) minus the event loop's time, taken when this connected."""
+        return self._aircraft.utc_offset_s
 
     @property
     def state(self) -> AircraftState:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable, Sequence
 from struct import Struct
 from typing import Any
@@ -47,14 +48,21 @@ class TelemetryStream:
     Attributes:
         state: Newest value and age of every item.
         mismatches: Packages refused because they do not fit the firmware profile.
+        utc_offset_s: See :attr:`m100link.Aircraft.utc_offset_s`.
     """
 
-    __slots__ = ("_clock", "_firmware", "_hub", "_observe", "_ticks", "mismatches", "state")
+    __slots__ = (
+        *("_clock", "_firmware", "_hub", "_observe", "_ticks"),
+        *("mismatches", "state", "utc_offset_s"),
+    )
 
     def __init__(self, observe: Callable[[Sample], None]) -> None:
         self._observe = observe
-        self.state = AircraftState(asyncio.get_running_loop().time)
+        clock = asyncio.get_running_loop().time
+        self.state = AircraftState(clock)
         self.mismatches = 0
+        # Once: a wall clock that is set during a flight must not bend its columns.
+        self.utc_offset_s = time.time() - clock()
         self._hub: Hub[Sample] = Hub()
         # What packages have been read as, or the clock was asked for, last.
         self._firmware = FIRMWARE_1_0

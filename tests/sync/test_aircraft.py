@@ -62,6 +62,13 @@ def test_a_port_that_is_not_there_is_told_and_leaves_no_thread(connect: Connect)
     assert threading.active_count() == before
 
 
+def test_rows_are_collected_for_as_long_as_asked(connect: Connect) -> None:
+    with connect() as aircraft:
+        table = aircraft.collect(Attitude, seconds=0.5)
+        assert len(table) == pytest.approx(50, abs=2)
+        assert table.rows[0][1] - table.rows[0][0] == pytest.approx(aircraft.utc_offset_s, abs=1e-3)
+
+
 def test_activation_reports_its_progress_here(connect: Connect) -> None:
     aircraft = connect()
     threads: list[int] = []

@@ -1,0 +1,167 @@
+"""Telemetry as rows of equal width: a number per column, NaN where nothing was received."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from html import escape
+from importlib import import_module
+from operator import attrgetter
+from typing import Any
+
+from m100link.errors import LinkError, TelemetryStalled, UsageError
+from m100link.protocol.items import ITEMS, item_of
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Subscription
+
+__all__ = ["Columns", "Table", "columns_of"]
+
+_SHOWN = 10  # rows that a notebook shows
+
+
+def columns_of(records: Iterable[type[Any]]) -> list[str]:
+    """Names of the columns of those records, such as ``position.height_m``."""
+    return [
+        f"{item.name}.{field}"
+        for item in map(item_of, records)
+        for field in (*item.record._fields, *item.views)
+    ]
+
+
+class Columns:
+    """Turns samples into rows of numbers that all have the same columns.
+
+    ::
+
+        columns = Columns(Attitude, Velocity, utc_offset_s=aircraft.utc_offset_s)
+        async for sample in samples:
+            writer.writerow(columns.row(sample))
+
+    Args:
+        records: Record classes, each counted once; none at all: every item.
+        utc_offset_s: :attr:`Aircraft.utc_offset_s`.
+
+    Attributes:
+        names: ``received_at`` (the event loop's monotonic clock, s), ``utc`` (POSIX time, s), and
+            ``item.field`` for the fields and views of each record, as in ``m100link echo --csv``.
+
+    Raises:
+        UsageError: Not a telemetry record.
+    """
+
+    __slots__ = ("_readers", "_utc_offset_s", "names")
+
+    def __init__(self, *records: type[Any], utc_offset_s: float) -> None:
+        wanted = dict.fromkeys(item_of(record).record for record in records)
+        classes = tuple(wanted) or tuple(item.record for item in ITEMS)
+        self.names = ("received_at", "utc", *columns_of(classes))
+        self._utc_offset_s = utc_offset_s
+        self._readers = [
+            (record, [attrgetter(name) for name in (*record._fields, *item_of(record).views)])
+            for record in classes
+        ]
+
+    def __repr__(self) -> str:
+        return f"<Columns {', '.join(self.names)}>"
+
+    def row(self, sample: Sample) -> tuple[float, ...]:
+        """A number per name. NaN: the package, or its firmware, does not have the value.
+
+        Enumerations are their numbers.
+        """
+        values = [sample.received_at, sample.received_at + self._utc_offset_s]
+        for record, readers in self._readers:
+            found = sample.get(record)
+            for read in readers:
+                value = None if found is None else read(found)
+                values.append(math.nan if value is None else float(value))
+        return tuple(values)
+
+    async def collect(self, samples: Subscription[Sample], seconds: float) -> Table:
+        """See :meth:`m100link.Aircraft.collect`."""
+        if not 0 < seconds < math.inf:
+            raise UsageError(
+                f"nothing can be collected for {seconds} s", remedy="a finite number above 0"
+            )
+        end = asyncio.get_running_loop().time() + seconds
+        rows: list[tuple[float, ...]] = []
+        async with samples:
+            try:
+                async with asyncio.timeout_at(end):
+                    async for sample in samples:
+                        # A program that was blocked finds packages of after the end in its queue.
+                        if sample.received_at >= end:
+                            break
+                        rows.append(self.row(sample))
+            except TimeoutError as error:
+                if isinstance(error, LinkError):
+                    raise
+        if not rows:
+            raise TelemetryStalled(
+                f"none of the items wanted arrived within {seconds:g} s",
+                cause="they are not sent, or more rarely than that",
+                remedy="see which items arrive: m100link hz",
+            )
+        return Table(self.names, rows)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Table:
+    """Rows of telemetry, oldest first: a row per package.
+
+    Attributes:
+        names: Name per column, see :class:`Columns`.
+        rows: The rows, as wide as there are names; NaN is what was not received.
+    """
+
+    names: tuple[str, ...]
+    rows: list[tuple[float, ...]]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        return f"<Table of {len(self.rows)} rows: {', '.join(self.names)}>"
+
+    def column(self, name: str) -> list[float]:
+        """The values of one column.
+
+        Raises:
+            UsageError: There is no such column; the message lists them.
+        """
+        if name not in self.names:
+            raise UsageError(
+                f"no column is called {name!r}", remedy=f"columns: {', '.join(self.names)}"
+            )
+        index = self.names.index(name)
+        return [row[index] for row in self.rows]
+
+    def to_numpy(self) -> Any:
+        """The rows as a numpy array of float64, shape (rows, names).
+
+        Raises:
+            UsageError: numpy is not installed; m100link does not need it for anything else.
+        """
+        try:
+            numpy = import_module("numpy")
+        except ModuleNotFoundError:
+            raise UsageError(
+                "an array needs numpy, which is not installed", remedy="pip install numpy"
+            ) from None
+        return numpy.array(self.rows, dtype=float).reshape(len(self.rows), len(self.names))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the first rows."""
+        head = "".join(f"<th>{escape(name)}</th>" for name in self.names)
+        body = "".join(
+            f"<tr>{''.join(f'<td>{_shown(value)}</td>' for value in row)}</tr>"
+            for row in self.rows[:_SHOWN]
+        )
+        caption = f"{min(_SHOWN, len(self.rows))} of {len(self.rows)} rows"
+        return f"<table><caption>{caption}</caption><tr>{head}</tr>{body}</table>"
+
+
+def _shown(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.12g}"
