@@ -15,7 +15,7 @@ from m100link import Attitude, Lossless, Position
 
 SECONDS, RATE_HZ = 5, 10
 COLUMNS = [
-    *("seconds", "latitude_deg", "longitude_deg", "height_m", "gps_health"),
+    *("seconds", "utc", "latitude_deg", "longitude_deg", "height_m", "gps_health"),
     *("roll_deg", "pitch_deg", "yaw_deg", "battery_percent"),
 ]
 
@@ -42,6 +42,7 @@ async def main(url: str) -> None:
                 writer.writerow(
                     [
                         f"{seconds:.3f}",
+                        f"{sample.received_at + aircraft.utc_offset_s:.3f}",
                         f"{position.latitude_deg:.8f}",
                         f"{position.longitude_deg:.8f}",
                         f"{position.height_m:.3f}",

@@ -13,6 +13,7 @@ import csv
 import importlib.util
 import io
 import re
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -135,6 +136,9 @@ def test_telemetry_to_csv(run: Run, url: str) -> None:
     assert len(rows) == 50
     seconds = [float(row["seconds"]) for row in rows]
     assert seconds == pytest.approx([index / 10 for index in range(50)], abs=0.001)
+    utc = [float(row["utc"]) for row in rows]
+    assert utc[0] == pytest.approx(time.time(), abs=60.0)
+    assert [at - utc[0] for at in utc] == pytest.approx(seconds, abs=0.002)
     assert {row["gps_health"] for row in rows} == {"5"}
     # Not yet received is empty, never 0.
     batteries = [row["battery_percent"] for row in rows]
