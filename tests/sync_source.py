@@ -60,7 +60,8 @@ class Aircraft:
     def __init__(self, portal: Portal, aircraft: aio.Aircraft) -> None:
         self._portal = portal
         self._aircraft = aircraft
-        self.close = portal.close_after(aircraft.aclose)
+        SIGNALS.connected(portal)
+        self.close = portal.close_after(aircraft.aclose, partial(SIGNALS.closed, portal))
         """End the control block that runs, then close the line. May be called again."""
 
     def __repr__(self) -> str:
@@ -181,7 +182,7 @@ BY_HAND = {
             SIGNALS.join(self)
         try:
             self._portal.wait(lambda _: self._control.obtain())
-        except BaseException:
+        except Exception:
             SIGNALS.leave(self)
             raise
         return self
@@ -346,6 +347,7 @@ def is_used(name: str, text: str) -> bool:
 
 FIXED_IMPORTS = {
     "collections.abc": "Callable",
+    "functools": "partial",
     "types": "TracebackType",
     "typing": "Any, Self, TypeVar",
     "m100link.errors": "M100Error",

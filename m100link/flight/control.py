@@ -159,6 +159,11 @@ class Control:
         return self._block.is_flying
 
     @property
+    def is_stopping(self) -> bool:
+        """Whether its stop path runs."""
+        return self._block.state is BlockState.STOPPING
+
+    @property
     def is_over(self) -> bool:
         """Whether the stop path has ended."""
         return self._block.state is BlockState.OVER

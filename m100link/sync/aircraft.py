@@ -6,6 +6,7 @@ It has the one with ``await`` and hands every call to the thread in which that l
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -24,6 +25,7 @@ from m100link.protocol.firmware import FirmwareProfile
 from m100link.sim.ports.url import clock_of
 from m100link.sync.control import Control
 from m100link.sync.portal import Portal
+from m100link.sync.signals import SIGNALS
 from m100link.sync.subscription import Subscription
 from m100link.telemetry.columns import Table
 from m100link.telemetry.device_clock import DeviceClock
@@ -46,7 +48,8 @@ class Aircraft:
     def __init__(self, portal: Portal, aircraft: aio.Aircraft) -> None:
         self._portal = portal
         self._aircraft = aircraft
-        self.close = portal.close_after(aircraft.aclose)
+        SIGNALS.connected(portal)
+        self.close = portal.close_after(aircraft.aclose, partial(SIGNALS.closed, portal))
         """End the control block that runs, then close the line. May be called again."""
 
     def __repr__(self) -> str:

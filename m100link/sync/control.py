@@ -93,7 +93,7 @@ class Control:
             SIGNALS.join(self)
         try:
             self._portal.wait(lambda _: self._control.obtain())
-        except BaseException:
+        except Exception:
             SIGNALS.leave(self)
             raise
         return self
@@ -110,6 +110,11 @@ class Control:
             self._portal.wait(lambda _: self._control.release())
         finally:
             SIGNALS.leave(self)
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether its stop path runs."""
+        return self._control.is_stopping
 
     @property
     def has_authority(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import os
 import queue
 import threading
 from collections.abc import Callable, Coroutine
@@ -96,11 +97,12 @@ class Portal:
         self._thread = portal.call(threading.get_ident)
         # Whose clock passes only while somebody waits; None: it does not ask.
         self._lockstep = self._loop if isinstance(self._loop, LockstepEventLoop) else None
+        self._process = os.getpid()  # the child of a fork has no such thread
         self.is_open = True
 
     def soon(self, function: Callable[[], object]) -> None:
         """Call it in the event loop, and do not wait for it. Allowed in a signal handler."""
-        if self.is_open:
+        if self.is_open and self._process == os.getpid():
             self._loop.call_soon_threadsafe(function)
 
     def call(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -154,6 +156,11 @@ class Portal:
     def _require_open(self) -> None:
         if not self.is_open:
             raise UsageError("the aircraft was closed", remedy="connect() again")
+        if self._process != os.getpid():
+            raise UsageError(
+                "the aircraft belongs to the process from which this one was forked",
+                remedy="fork before connect(), and fly from one process",
+            )
         if threading.get_ident() == self._thread:
             raise UsageError(
                 "a call that waits was made in the thread of the aircraft, and would wait for ever",
@@ -165,16 +172,28 @@ class Portal:
         self.is_open = False
         self._resources.close()
 
-    def close_after(self, close: Callable[[], Coroutine[Any, Any, None]]) -> Callable[[], None]:
-        """What awaits ``close`` and then closes this; the end of the program calls it too."""
+    def close_after(
+        self, close: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], None]
+    ) -> Callable[[], None]:
+        """What awaits ``close`` and then closes this; the end of the program calls it too.
+
+        Args:
+            close: In the event loop.
+            on_end: Called last, in the thread that closes.
+        """
 
         def end() -> None:
-            atexit.unregister(end)
+            if self._process != os.getpid():
+                return  # it is the parent's to close
             if self.is_open:
+                # Refused in its own thread, which cannot wait: it must not look closed.
+                self._require_open()
                 try:
                     self.wait(lambda _: close())
                 finally:
                     self.close()
+            atexit.unregister(end)
+            on_end()
 
         atexit.register(end)
         return end

@@ -23,6 +23,11 @@ class Flying(Protocol):
         ...
 
     @property
+    def is_stopping(self) -> bool:
+        """Whether its stop path runs."""
+        ...
+
+    @property
     def is_over(self) -> bool:
         """Whether its stop path has ended too."""
         ...
@@ -39,35 +44,61 @@ class SyncSignals:
     gets KeyboardInterrupt, or SystemExit for what would have killed it, and its blocks wait for the
     end of their stop path on the way out. Until that has come, further signals do nothing.
 
-    A signal that the program handles itself is left alone, and so are all of them outside the main
-    thread.
+    Signals can be taken in the main thread alone, which often waits while others fly: so they are
+    taken when it connects, until it closes. While nothing flies they do what they did before. A
+    signal that the program handles itself is left alone.
     """
 
     def __init__(self) -> None:
+        # Lists are replaced, not changed: a signal comes between any two lines.
         self._blocks: list[Flying] = []
+        self._aircraft: list[object] = []  # that are connected
+        self._changes = threading.Lock()  # of the two: several threads fly
         self._previous: dict[signal.Signals, Any] = {}  # dispositions to put back
+
+    def connected(self, aircraft: object) -> None:
+        """It may be flown from now on, in whatever thread."""
+        with self._changes:
+            self._aircraft = [*self._aircraft, aircraft]
+        self._take()
+
+    def closed(self, aircraft: object) -> None:
+        """It will not fly any more."""
+        with self._changes:
+            self._aircraft = [other for other in self._aircraft if other is not aircraft]
+        self._put_back()
 
     def join(self, block: Flying) -> None:
         """Interrupt that block when a signal comes."""
+        with self._changes:
+            self._blocks = [*self._without(block), block]
+        self._take()
+
+    def leave(self, block: Flying) -> None:
+        """That block was left; it is watched until it has ended."""
+        if block.is_flying or block.is_stopping:
+            return
+        with self._changes:
+            self._blocks = self._without(block)
+        self._put_back()
+
+    def _without(self, block: Flying) -> list[Flying]:
+        return [other for other in self._blocks if other is not block and not other.is_over]
+
+    def _take(self) -> None:
         if threading.current_thread() is not threading.main_thread():
             return
-        self._blocks = [other for other in self._blocks if not other.is_over]
         for number in _NUMBERS:
             previous = signal.getsignal(number)
             if previous in (signal.SIG_DFL, signal.default_int_handler):
                 self._previous[number] = previous
                 signal.signal(number, self._on_signal)
-        self._blocks.append(block)
-
-    def leave(self, block: Flying) -> None:
-        """That block has ended."""
-        if threading.current_thread() is not threading.main_thread():
-            return
-        self._blocks = [other for other in self._blocks if other is not block]
-        if not self._blocks:
-            self._put_back()
 
     def _put_back(self) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if self._aircraft or not all(block.is_over for block in self._blocks):
+            return
         for number, previous in self._previous.items():
             if signal.getsignal(number) == self._on_signal:
                 signal.signal(number, previous)
@@ -78,10 +109,14 @@ class SyncSignals:
         flying = [block for block in self._blocks if block.is_flying]
         for block in flying:
             block.interrupt()
-        if not flying and not all(block.is_over for block in self._blocks):
+        if not flying and any(block.is_stopping for block in self._blocks):
             return  # on its way out: the stop path runs, and is not cut short
         if number == signal.SIGINT:
             raise KeyboardInterrupt
+        if not self._blocks:  # as if this had never been here
+            signal.signal(number, self._previous.pop(signal.Signals(number), signal.SIG_DFL))
+            signal.raise_signal(number)
+            return
         raise SystemExit(128 + number)
 
 

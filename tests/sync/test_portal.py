@@ -112,15 +112,59 @@ def test_a_call_in_the_thread_of_the_loop_would_wait_for_ever_and_is_refused(
 
 def test_closing_awaits_what_is_to_be_closed_once(portal: Portal) -> None:
     closed: list[int] = []
+    ended: list[int] = []
 
     async def close() -> None:
         closed.append(threading.get_ident())
 
-    end = portal.close_after(close)
+    end = portal.close_after(close, lambda: ended.append(threading.get_ident()))
     end()
     end()
     assert len(closed) == 1
     assert closed[0] != threading.get_ident()
+    assert threading.get_ident() in ended
+
+
+def test_closing_in_the_thread_of_the_loop_is_refused_and_leaves_it_open(portal: Portal) -> None:
+    closed: list[int] = []
+
+    async def close() -> None:
+        closed.append(1)
+
+    end = portal.close_after(close, lambda: None)
+    with pytest.raises(UsageError, match="in the thread of the aircraft"):
+        portal.call(end)
+    assert portal.is_open
+    end()
+    assert closed == [1]
+
+
+def test_in_the_child_of_a_fork_a_call_is_refused() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert run.stdout.split() == ["refused", "0", "closed"]
+
+
+FORKED = """
+import asyncio, os, sys
+from m100link.errors import UsageError
+from m100link.sync.portal import Portal
+
+async def close():
+    print("closed", flush=True)
+
+portal = Portal()
+portal.close_after(close, lambda: None)
+child = os.fork()
+if not child:
+    try:
+        portal.call(int)
+    except UsageError:
+        print("refused", flush=True)
+    os._exit(0)
+print(os.waitpid(child, 0)[1], flush=True)
+"""
 
 
 PROGRAM = """
@@ -132,7 +176,7 @@ async def close():
     print("closed in order")
 
 portal = Portal()
-portal.close_after(close)
+portal.close_after(close, lambda: print("over"))
 print(portal.call(int, "7"))
 """
 
@@ -145,5 +189,5 @@ def test_a_program_that_closes_nothing_closes_at_its_end() -> None:
         timeout=50,
         check=True,
     )
-    assert ended.stdout.splitlines() == ["7", "closed in order"]
+    assert ended.stdout.splitlines() == ["7", "closed in order", "over"]
     assert ended.stderr == ""

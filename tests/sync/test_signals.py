@@ -14,12 +14,18 @@ class Block:
 
     def __init__(self) -> None:
         self.is_flying = True
+        self.is_stopping = False
         self.is_over = False
         self.interrupted = 0
 
     def interrupt(self) -> None:
         self.interrupted += 1
         self.is_flying = False
+        self.is_stopping = True
+
+    def end(self) -> None:
+        self.is_flying = self.is_stopping = False
+        self.is_over = True
 
 
 @pytest.fixture
@@ -52,6 +58,7 @@ def test_a_signal_interrupts_every_block_and_the_program(
         assert caught.value.code == 128 + number
     assert [block.interrupted for block in blocks] == [1, 1]
     for block in blocks:
+        block.end()
         watch.leave(block)
 
 
@@ -63,6 +70,7 @@ def test_while_the_stop_path_runs_a_signal_does_nothing(watch: SyncSignals) -> N
     signal.raise_signal(signal.SIGINT)
     signal.raise_signal(signal.SIGTERM)
     assert block.interrupted == 1
+    block.end()
     watch.leave(block)
 
 
@@ -73,6 +81,7 @@ def test_a_block_that_has_ended_does_not_keep_signals_from_acting(watch: SyncSig
     with pytest.raises(KeyboardInterrupt):
         signal.raise_signal(signal.SIGINT)
     assert block.interrupted == 0
+    block.end()
     watch.leave(block)
 
 
@@ -80,10 +89,12 @@ def test_a_second_block_goes_on_being_watched(watch: SyncSignals) -> None:
     first, second = Block(), Block()
     watch.join(first)
     watch.join(second)
+    first.end()
     watch.leave(first)
     with pytest.raises(KeyboardInterrupt):
         signal.raise_signal(signal.SIGINT)
     assert (first.interrupted, second.interrupted) == (0, 1)
+    second.end()
     watch.leave(second)
 
 
@@ -95,8 +106,59 @@ def test_what_the_program_handles_itself_is_left_alone(watch: SyncSignals) -> No
     signal.raise_signal(signal.SIGTERM)
     assert caught == [signal.SIGTERM]
     assert block.interrupted == 0
+    block.end()
     watch.leave(block)
     signal.signal(signal.SIGTERM, before)
+
+
+def test_what_another_thread_flies_is_stopped_too(watch: SyncSignals) -> None:
+    aircraft, block = object(), Block()
+    watch.connected(aircraft)
+    thread = threading.Thread(target=lambda: watch.join(block))
+    thread.start()
+    thread.join()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert block.interrupted == 1
+    block.end()
+    watch.leave(block)
+    watch.closed(aircraft)
+
+
+def test_what_was_left_before_its_end_is_still_stopped(watch: SyncSignals) -> None:
+    block = Block()
+    watch.join(block)
+    watch.join(block)
+    watch.leave(block)  # as where it was obtained a second time, which is refused
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert block.interrupted == 1
+    watch.leave(block)
+    signal.raise_signal(signal.SIGINT)  # nothing: its stop path runs
+    block.end()
+    watch.leave(block)
+
+
+def test_before_it_flies_a_signal_acts(watch: SyncSignals) -> None:
+    block = Block()
+    block.is_flying = False
+    watch.join(block)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    watch.leave(block)
+    block.end()
+    watch.leave(block)
+
+
+def test_while_nothing_flies_a_signal_does_what_it_did_before(watch: SyncSignals) -> None:
+    aircraft = object()
+    caught: list[int] = []
+    watch.connected(aircraft)
+    watch._previous[signal.SIGTERM] = lambda number, frame: caught.append(number)
+    signal.raise_signal(signal.SIGTERM)
+    assert caught == [signal.SIGTERM]
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    watch.closed(aircraft)
 
 
 def test_outside_the_main_thread_nothing_is_taken(watch: SyncSignals) -> None:
@@ -105,4 +167,5 @@ def test_outside_the_main_thread_nothing_is_taken(watch: SyncSignals) -> None:
     thread.start()
     thread.join()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    block.end()
     watch.leave(block)
