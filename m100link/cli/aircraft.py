@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import sys
-from typing import Any
+from typing import Annotated, Any
 
 from rich.table import Table
 
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
+from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
 from m100link.protocol.items import BY_RECORD
 
@@ -23,7 +24,7 @@ def info(
     /,
     *,
     link: LinkOptions | None = None,
-    seconds: float = 1.1,
+    duration: Annotated[float, Above0] = 1.1,
     json: bool = False,
 ) -> int:
     """Show what is at the other end: version, firmware profile, telemetry items, line quality.
@@ -31,16 +32,16 @@ def info(
     Args:
         url: Where the aircraft is.
         link: How to talk to it.
-        seconds: How long to watch telemetry.
+        duration: Seconds to watch telemetry.
         json: One JSON object instead of tables.
     """
-    return run_async(_info(url, link or LinkOptions(), seconds, json or not sys.stdout.isatty()))
+    return run_async(_info(url, link or LinkOptions(), duration, json or not sys.stdout.isatty()))
 
 
-async def _info(url: str, link: LinkOptions, seconds: float, as_json: bool) -> int:
+async def _info(url: str, link: LinkOptions, duration: float, as_json: bool) -> int:
     async with connect(url, **link.arguments()) as aircraft:
         version = await aircraft.version()
-        await asyncio.sleep(seconds)
+        await asyncio.sleep(duration)
         numbers = dataclasses.asdict(aircraft.statistics())
         described: dict[str, Any] = {
             "url": url,
@@ -107,7 +108,7 @@ def activate(
     *,
     app: AppOptions | None = None,
     link: LinkOptions | None = None,
-    wait: float = 60.0,
+    wait: Annotated[float, Above0] = 60.0,
     json: bool = False,
 ) -> int:
     """Activate the aircraft for an app; waits while the aircraft asks DJI's server.

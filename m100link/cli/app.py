@@ -72,6 +72,14 @@ VERBS = {
     ),
 }
 
+# Options by former name, for scripts that were written with it: the help has today's only.
+_FORMER = {
+    "info": {"--seconds": "--duration"},
+    "sim": {"--for": "--duration"},
+    "serve": {"--baud-rate": "--baud"},
+    "console": {"--baud-rate": "--baud"},
+}
+
 
 def application(*, overview: bool = False) -> App:
     """The commands under one name.
@@ -117,11 +125,24 @@ def run() -> None:
     sys.exit(status)
 
 
+def _renamed(words: list[str]) -> list[str]:
+    """The words with today's names of options."""
+    former = _FORMER.get(words[0], {}) if words else {}
+    options = words[: words.index("--")] if "--" in words else words
+    made = []
+    for word in options:
+        name, *value = word.split("=", 1)
+        made.append("=".join([former.get(name, name), *value]))
+    return made + words[len(options) :]
+
+
 def _status_of(words: list[str]) -> int:
     try:
         _show_warnings()
         asked = app if VERBS.keys() & set(words) else application(overview=True)
-        status = asked(words, exit_on_error=False, print_error=True, result_action="return_value")
+        status = asked(
+            _renamed(words), exit_on_error=False, print_error=True, result_action="return_value"
+        )
     except CycloptsError:
         return ExitCode.USAGE
     except M100Error as error:

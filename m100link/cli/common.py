@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from m100link import errors
-from m100link.cli.options import options_of
+from m100link.cli.options import Above0, Counted, options_of
 from m100link.cli.outcome import ExitCode, complain
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
@@ -50,8 +50,8 @@ class LinkOptions:
     """
 
     firmware: Annotated[str | None, Parameter(env_var="M100LINK_PROFILE")] = None
-    baud: int | None = None
-    timeout: float = 3.0
+    baud: Annotated[int | None, Counted] = None
+    timeout: Annotated[float, Above0] = 3.0
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of :func:`m100link.connect`."""

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
+from m100link.cli.options import Above0
 from m100link.cli.terminal import read_line
 from m100link.errors import NotObserved, UsageError
 from m100link.flight.control import Control
@@ -92,8 +93,8 @@ def fly(
     *,
     app: AppOptions | None = None,
     link: LinkOptions | None = None,
-    max_height: float = 50.0,
-    max_radius: float = 150.0,
+    max_height: Annotated[float, Above0] = 50.0,
+    max_radius: Annotated[float, Above0] = 150.0,
     yes: Yes = False,
 ) -> int:
     """Fly so many metres north, east and up from here, and hover there.

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
-from typing import Any
+from typing import Annotated, Any
 
 from rich.live import Live
 from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import LinkOptions, Url, out, run_async
+from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
@@ -39,7 +40,7 @@ def monitor(
     /,
     *,
     link: LinkOptions | None = None,
-    duration: float | None = None,
+    duration: Annotated[float | None, Above0] = None,
     json: bool = False,
 ) -> int:
     """Watch telemetry: every item with its value, age, measured rate and jitter.

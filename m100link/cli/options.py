@@ -8,20 +8,33 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 from m100link.protocol.firmware import PROFILES
 
-__all__ = ["Firmware", "attribute_texts", "options_of"]
+__all__ = ["Above0", "Counted", "Firmware", "attribute_texts", "options_of"]
 
 if TYPE_CHECKING:
     Firmware = str
 else:
     Firmware = Literal[tuple(PROFILES)]  # checkers want it spelt out, people want them all offered
+
+
+def _above_0(_: object, value: float | None) -> None:
+    if value is not None and not 0.0 < value < math.inf:
+        raise ValueError("must be a number above 0")
+
+
+Above0 = Parameter(validator=_above_0)
+"""Seconds and rates: 0, negative numbers, NaN and infinity are asked wrongly."""
+
+Counted = Parameter(validator=validators.Number(gte=1))
+"""Pieces: at least one."""
 
 
 def attribute_texts(source: type) -> dict[str, str]:

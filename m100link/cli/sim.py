@@ -19,7 +19,7 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from m100link.cli.common import out
-from m100link.cli.options import Firmware, options_of
+from m100link.cli.options import Above0, Firmware, options_of
 from m100link.cli.outcome import print_json
 from m100link.cli.sim_live import LiveView, read_keys
 from m100link.errors import UsageError
@@ -136,7 +136,7 @@ def run(
     pace: bool = True,
     count: int = 1,
     scenario: Path | None = None,
-    duration: Annotated[float | None, Parameter(name="--for")] = None,
+    duration: Annotated[float | None, Above0] = None,
     json_output: Annotated[bool, Parameter(name="--json")] = False,
     assistant: AssistantOptions = AssistantOptions(),
     faults: FaultOptions = FaultOptions(),

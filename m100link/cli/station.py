@@ -42,7 +42,7 @@ _FromSettings: Any = options_of(
     Settings,
     [one.name for one in fields(Settings) if one.name not in _ELSEWHERE],
     environment=ENVIRONMENT,
-    called={"also_ports": "--also-port"},
+    called={"also_ports": "--also-port", "baud_rate": "--baud"},
     is_layer=True,
 )
 

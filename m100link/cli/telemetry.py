@@ -18,6 +18,7 @@ from rich.text import Text
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import line_plot
 from m100link.cli.common import LinkOptions, Url, out, run_async
+from m100link.cli.options import Above0, Counted
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
@@ -43,9 +44,9 @@ def echo(
     /,
     *items: str,
     link: LinkOptions | None = None,
-    rate: float | None = None,
-    duration: float | None = None,
-    count: int | None = None,
+    rate: Annotated[float | None, Above0] = None,
+    duration: Annotated[float | None, Above0] = None,
+    count: Annotated[int | None, Counted] = None,
     csv: bool = False,
     json: bool = False,
 ) -> int:
@@ -115,7 +116,7 @@ def hz(
     /,
     *,
     link: LinkOptions | None = None,
-    duration: float = 5.0,
+    duration: Annotated[float, Above0] = 5.0,
     json: bool = False,
 ) -> int:
     """Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock.
@@ -204,7 +205,7 @@ def plot(
     /,
     *fields: str,
     link: LinkOptions | None = None,
-    duration: float = 10.0,
+    duration: Annotated[float, Above0] = 10.0,
 ) -> int:
     """Plot columns over time: live from an aircraft, or of a recorded span.
 

@@ -30,11 +30,11 @@ def test_info_tells_what_is_there(simulator: Simulator) -> None:
 def test_info_of_later_firmware_and_with_a_forced_profile(tmp_path: Path) -> None:
     running = Simulator(tmp_path, "--firmware", "3.1")
     try:
-        [described] = process("info", running.port, "--json", "--seconds", "0.3").objects
+        [described] = process("info", running.port, "--json", "--duration", "0.3").objects
         assert described["firmware"] == "3.1"
         assert len(described["serial"]) == 10
         [forced] = process(
-            *("info", running.port, "--json", "--seconds", "0.3", "--firmware", "2.3")
+            *("info", running.port, "--json", "--duration", "0.3", "--firmware", "2.3")
         ).objects
         assert forced["firmware"] == "2.3"
         assert forced["firmware_is_forced"] is True
@@ -56,5 +56,5 @@ def test_activate_waits_for_the_server_and_a_second_time_is_success(
     assert "again in 2 s" in first.err
     second = process("activate", simulator.port, *app)
     assert second.objects[0]["attempts"] == 1
-    [described] = process("info", simulator.port, "--json", "--seconds", "0.1").objects
+    [described] = process("info", simulator.port, "--json", "--duration", "0.1").objects
     assert described["activated"] is True

@@ -15,7 +15,21 @@ from tests.cli.conftest import CommandLine
     [
         ("no-such-command",),
         ("info", "sim://", "--no-such-option"),
-        ("info", "sim://", "--seconds", "soon"),
+        ("info", "sim://", "--duration", "soon"),
+        ("info", "sim://", "--duration", "0"),
+        ("info", "sim://", "--timeout", "0"),
+        ("info", "sim://", "--timeout", "-1"),
+        ("info", "sim://", "--baud", "0"),
+        ("activate", "sim://", "--wait", "0"),
+        ("monitor", "sim://", "--duration", "-1"),
+        ("echo", "sim://", "--count", "0"),
+        ("echo", "sim://", "--rate", "0"),
+        ("echo", "sim://", "--duration", "nan"),
+        ("hz", "sim://", "--duration", "inf"),
+        ("plot", "sim://", "--duration", "0"),
+        ("fly", "sim://", "1", "0", "0", "--max-height", "0"),
+        ("sim", "--duration", "0"),
+        ("sim", "--count", "0"),
         ("demo", "--speed", "0"),
         ("demo", "--speed", "1000"),
         ("demo", "--side", "0.5"),
@@ -59,3 +73,24 @@ def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.M
     outcome = cli("info", "sim://")
     assert outcome.status == ExitCode.USAGE
     assert "DEBUG, INFO, WARNING or ERROR" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("former", "today"),
+    [
+        (("info", "sim://", "--seconds", "0"), ("info", "sim://", "--duration", "0")),
+        (("info", "sim://", "--seconds=0"), ("info", "sim://", "--duration=0")),
+        (("sim", "--for", "0"), ("sim", "--duration", "0")),
+        (("serve", "--baud-rate", "x"), ("serve", "--baud", "x")),
+        (("console", "--baud-rate=x"), ("console", "--baud=x")),
+    ],
+    ids=lambda words: " ".join(words),
+)
+def test_an_option_is_known_by_its_former_name_and_told_by_todays(
+    cli: CommandLine, former: tuple[str, ...], today: tuple[str, ...]
+) -> None:
+    assert cli(*former) == cli(*today)
+    option = next(word for word in today if word.startswith("--")).partition("=")[0]
+    told = cli(today[0], "--help").out
+    assert option in told
+    assert former[-1 if "=" in former[-1] else -2].partition("=")[0] + " " not in told

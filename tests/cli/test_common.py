@@ -41,7 +41,7 @@ def test_the_url_may_come_from_the_environment(
     cli: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("M100LINK_URL", "sim://?firmware=2.3")
-    outcome = cli("info", "--seconds", "0.1")
+    outcome = cli("info", "--duration", "0.1")
     assert outcome.status == 0
     assert outcome.objects[0]["firmware"] == "2.3"
 
@@ -125,7 +125,7 @@ def test_a_wrong_baud_rate_is_bytes_without_a_frame(
 
 @pytest.mark.pty
 def test_the_right_baud_rate_by_option(cli: CommandLine, port: VirtualPort) -> None:
-    outcome = cli("info", port.name, "--baud", "230400", "--seconds", "0.2")
+    outcome = cli("info", port.name, "--baud", "230400", "--duration", "0.2")
     assert outcome.status == 0
 
 
@@ -197,7 +197,9 @@ def test_a_key_file_that_is_not_there(cli: CommandLine, tmp_path: Path) -> None:
     assert "cannot be read" in outcome.err
 
 
-@pytest.mark.parametrize("command", [("activate", "sim://", "--app-id", "7"), ("sim", "--for=1")])
+@pytest.mark.parametrize(
+    "command", [("activate", "sim://", "--app-id", "7"), ("sim", "--duration=1")]
+)
 def test_a_key_file_that_others_may_read_is_not_used(
     cli: CommandLine, key_file: Path, command: tuple[str, ...]
 ) -> None:

@@ -164,7 +164,7 @@ def test_it_starts_activated_for_a_program_that_does_not_activate(start: Any) ->
 
 
 def test_it_ends_by_itself_after_its_time(start: Any) -> None:
-    simulator = start("--for", "2", "--speed", "10")
+    simulator = start("--duration", "2", "--speed", "10")
     assert simulator.process.wait(timeout=PATIENCE) == 0
 
 

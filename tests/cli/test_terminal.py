@@ -116,7 +116,7 @@ def test_what_cannot_be_encoded_is_one_ascii_character(
         (("plot", "sim://", "quaternion.yaw_deg", "--duration", "1"), " |"),
         (("demo", "--speed", "20"), "mission flown"),
         (("monitor", "sim://", "--duration", "1"), "yaw "),
-        (("sim", "--for", "1"), "attitude"),
+        (("sim", "--duration", "1"), "attitude"),
         (("sim", "ctl"), "rc-mode"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
