@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 
 from m100link import UsageError
-from m100link.flight.path import Path
+from m100link.flight.path import Path, PathSteering
 
 Point = tuple[float, float, float]
 
@@ -159,3 +159,175 @@ def test_what_cannot_be_flown_is_refused_by_name(
 ) -> None:
     with pytest.raises(UsageError, match=words):
         Path(points, **{"speed": 2.0, "corner_radius": 2.0, "max_speed": 10.0, **options})
+
+
+# -- what is asked for at a place, once there was time to become as fast as one may ---------------
+
+STRAIGHT: list[Point] = [(0, 0, 5), (100, 0, 5)]
+
+
+def asked_at(
+    points: list[Point],
+    place: tuple[float, float],
+    velocity: tuple[float, float] | None = None,
+    *,
+    speed: float = 5.0,
+    radius: float = 0.0,
+    height: float = 5.0,
+) -> PathSteering:
+    path = Path(points, speed=speed, corner_radius=radius, max_speed=10.0)
+    return path.steer((*place, height), velocity, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("right", "drifting", "east"),
+    [
+        (0.0, 0.0, 0.0),
+        (1.0, 0.0, -1.0),
+        (-2.0, 0.0, 2.0),
+        (0.0, 0.5, -0.2),
+        (0.0, -1.0, 0.4),
+        (1.0, -1.0, -0.6),
+        (50.0, 0.0, -8.0),
+        (-50.0, 0.0, 8.0),
+    ],
+)
+def test_beside_the_path_it_is_led_back_and_what_drifts_is_damped(
+    right: float, drifting: float, east: float
+) -> None:
+    steering = asked_at(STRAIGHT, (50.0, right), (5.0, drifting))
+    assert (steering.north, steering.east) == pytest.approx((5.0, east))
+    assert steering.off_m == pytest.approx(abs(right))
+    assert steering.to_go_m == pytest.approx(50.0)
+
+
+def test_far_beside_a_fast_path_coming_back_goes_before_being_fast() -> None:
+    steering = asked_at(STRAIGHT, (50.0, 50.0), speed=9.0)
+    assert (steering.north, steering.east) == pytest.approx((6.0, -8.0), abs=1e-4)
+
+
+def test_it_becomes_faster_by_a_metre_per_second_each_second() -> None:
+    path = Path(STRAIGHT, speed=3.0, corner_radius=0.0, max_speed=10.0)
+    speeds = [path.steer((10.0, 0.0, 5.0), None, 0.5).north for _ in range(8)]
+    assert speeds == pytest.approx([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("to_go", "north"), [(20.0, 5.0), (10.0, 4.0), (1.0, 0.4), (0.0, 0.0), (-1.0, -0.4)]
+)
+def test_towards_its_end_it_becomes_slow_and_beyond_it_comes_back(
+    to_go: float, north: float
+) -> None:
+    assert asked_at(STRAIGHT, (100.0 - to_go, 0.0)).north == pytest.approx(north)
+
+
+def test_flown_beyond_its_end_it_may_go_forward_again_from_rest() -> None:
+    path = Path(STRAIGHT, speed=3.0, corner_radius=0.0, max_speed=10.0)
+    assert path.steer((105.0, 0.0, 5.0), None, 0.1).north == pytest.approx(-2.0)
+    assert path.steer((90.0, 0.0, 5.0), None, 0.1).north == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("before", "speed", "ahead_deg"),
+    [(10.0, 4.4, 0.0), (1.0, 0.8, 0.0), (0.31, 0.524, 0.0), (0.29, 0.4, 90.0)],
+)
+def test_at_a_sharp_corner_it_is_slow_and_turns_when_it_is_near(
+    before: float, speed: float, ahead_deg: float
+) -> None:
+    points: list[Point] = [(0, 0, 5), (20, 0, 5), (20, 40, 5)]
+    steering = asked_at(points, (20.0 - before, 0.0))
+    ahead = steering.north if ahead_deg == 0 else steering.east
+    assert ahead == pytest.approx(speed, abs=1e-6)
+    assert steering.ahead_deg == pytest.approx(ahead_deg)
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
+@pytest.mark.parametrize(
+    ("radius", "slow"), [(1.0, 0.5), (4.0, 2.0), (6.0, 3.0), (8.0, math.sqrt(12.0))]
+)
+def test_a_rounded_corner_is_as_slow_as_turn_rate_and_tilt_want_it(
+    radius: float, slow: float, side: int
+) -> None:
+    points: list[Point] = [(0, 0, 5), (20, 0, 5), (20, 20 * side, 5)]
+    half = radius * math.sqrt(0.5)
+    place = 20 - radius + half, (radius - half) * side
+    steering = asked_at(points, place, radius=radius)
+    assert steering.ahead_deg == pytest.approx(45 * side)
+    assert steering.off_m == pytest.approx(0.0, abs=1e-9)
+    assert steering.to_go_m == pytest.approx(radius * math.pi / 4 + 20 - radius)
+    ahead = (steering.north + side * steering.east) * math.sqrt(0.5)
+    inwards = (side * steering.east - steering.north) * math.sqrt(0.5)
+    assert ahead == pytest.approx(slow)
+    # Turned inwards by the lag of the velocity times the acceleration towards the centre.
+    assert inwards == pytest.approx(0.65 * slow * slow / radius)
+
+
+@pytest.mark.parametrize("outwards", [1.0, -1.0])
+def test_beside_a_rounded_corner_it_is_led_back_to_it(outwards: float) -> None:
+    points: list[Point] = [(0, 0, 5), (20, 0, 5), (20, 20, 5)]
+    share = math.sqrt(0.5) * (4.0 + outwards)
+    steering = asked_at(points, (16 + share, 4 - share), (0.0, 0.0), radius=4.0)
+    assert steering.off_m == pytest.approx(1.0)
+    assert (steering.east - steering.north) * math.sqrt(0.5) == pytest.approx(outwards)
+
+
+def test_the_turn_is_asked_for_early_and_ended_early() -> None:
+    points: list[Point] = [(0, 0, 5), (20, 0, 5), (20, 20, 5)]
+    # Where it will be 0.65 s later: on the leg before the bend, or on the bend.
+    assert asked_at(points, (14.5, 0.0), (2.0, 0.0), radius=4.0).east == pytest.approx(0.0)
+    assert asked_at(points, (15.0, 0.0), (2.0, 0.0), radius=4.0).east == pytest.approx(0.65)
+    for turned_deg, still_turns in ((60, True), (80, False)):
+        turned = math.radians(turned_deg)
+        place = 16 + 4 * math.sin(turned), 4 - 4 * math.cos(turned)
+        velocity = 2 * math.cos(turned), 2 * math.sin(turned)
+        steering = asked_at(points, place, velocity, radius=4.0)
+        towards_deg = math.degrees(math.atan2(steering.east, steering.north))
+        assert steering.ahead_deg == pytest.approx(turned_deg)
+        assert (towards_deg > turned_deg + 1) is still_turns
+
+
+@pytest.mark.parametrize(("radius", "is_round"), [(0.45, False), (0.55, True)])
+def test_a_radius_below_half_a_metre_is_a_corner(radius: float, is_round: bool) -> None:
+    points: list[Point] = [(0, 0, 5), (20, 0, 5), (20, 20, 5)]
+    length = Path(points, speed=1.0, corner_radius=radius, max_speed=10.0).length
+    assert (length < 40) is is_round
+
+
+@pytest.mark.parametrize(("apart", "is_one"), [(0.04, True), (0.06, False)])
+def test_points_nearer_than_5_cm_are_one(apart: float, is_one: bool) -> None:
+    points: list[Point] = [(0, 0, 2), (apart, 0, 7), (20, 0, 7)]
+    assert (asked_at(points, (0.0, 0.0)).height == 7.0) is is_one
+
+
+def test_a_bend_takes_at_most_half_of_the_shorter_leg() -> None:
+    points: list[Point] = [(0, 0, 5), (6, 0, 5), (6, 40, 5)]
+    path = Path(points, speed=1.0, corner_radius=20.0, max_speed=10.0)
+    assert path.length == pytest.approx(3 + 1.5 * math.pi + 37)
+
+
+@pytest.mark.parametrize(("at", "height"), [(0.0, 5.0), (25.0, 10.0), (50.0, 15.0), (99.0, 24.8)])
+def test_the_height_of_a_leg_rises_evenly_and_is_asked_for_ahead_of_the_lag(
+    at: float, height: float
+) -> None:
+    points: list[Point] = [(0, 0, 5), (100, 0, 25)]
+    assert asked_at(points, (at, 0.0), (0.0, 0.0)).height == pytest.approx(height)
+    assert asked_at(points, (at, 0.0), (1.0, 0.0)).height == pytest.approx(height + 0.13)
+
+
+@pytest.mark.parametrize(("high", "north"), [(35.0, 2.0), (2.0, 5.0), (65.0, 1.0)])
+def test_a_steep_leg_is_as_slow_as_two_metres_per_second_upwards_want_it(
+    high: float, north: float
+) -> None:
+    points: list[Point] = [(0, 0, 5), (30, 0, high), (100, 0, high)]
+    assert asked_at(points, (0.0, 0.0)).north == pytest.approx(north)
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["above", "below"])
+@pytest.mark.parametrize(
+    ("off", "north"), [(0.9, 5.0), (1.0, 5.0), (1.5, 2.5), (2.0, 0.0), (3, 0.0)]
+)
+def test_beyond_a_metre_from_the_height_of_the_path_it_becomes_slow_and_waits_at_two(
+    off: float, north: float, side: int
+) -> None:
+    steering = asked_at(STRAIGHT, (20.0, 0.0), height=5.0 + side * off)
+    assert steering.north == pytest.approx(north)
