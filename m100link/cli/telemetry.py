@@ -52,7 +52,8 @@ def echo(
 ) -> int:
     """Print telemetry as it arrives: one JSON object, or one row of CSV, per package.
 
-    Every column is named item.field; ``received_at`` is this computer's monotonic clock, s.
+    Every column is named item.field; ``received_at`` is this computer's monotonic clock, s, and
+    ``utc`` the same as POSIX time.
 
     Args:
         url: Where the aircraft is.
@@ -79,14 +80,18 @@ async def _echo(
     as_csv: bool,
 ) -> None:
     records = items_named(items)
-    columns = ["received_at", *columns_of(records)]
+    columns = ["received_at", "utc", *columns_of(records)]
     writer = csv.DictWriter(sys.stdout, columns, lineterminator="\n")
 
     async def print_all(aircraft: Aircraft) -> None:
         printed = 0
         async with aircraft.telemetry(*records, policy=Lossless(2000), rate_hz=rate) as samples:
             async for sample in samples:
-                values = _values(sample, records)
+                values = {
+                    "received_at": round(sample.received_at, 6),
+                    "utc": round(sample.received_at + aircraft.utc_offset_s, 6),
+                    **_values(sample, records),
+                }
                 if as_csv:
                     writer.writerow(values)
                 else:
@@ -103,7 +108,7 @@ async def _echo(
 
 
 def _values(sample: Sample, records: list[type[Any]]) -> dict[str, Any]:
-    values: dict[str, Any] = {"received_at": round(sample.received_at, 6)}
+    values: dict[str, Any] = {}
     for record in records:
         found = sample.get(record)
         if found is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import time
 from pathlib import Path
 
 import pytest
@@ -19,12 +20,17 @@ def test_echo_as_json_and_as_csv(simulator: Simulator) -> None:
     assert len(outcome.objects) == 5
     times = [line["received_at"] for line in outcome.objects]
     assert times == sorted(times)
+    assert list(outcome.objects[0])[:2] == ["received_at", "utc"]
+    utc = [line["utc"] for line in outcome.objects]
+    assert utc[-1] == pytest.approx(time.time(), abs=60.0)
+    assert [at - utc[0] for at in utc] == pytest.approx([at - times[0] for at in times], abs=1e-5)
     assert outcome.objects[0]["position.gps_health"] == 5
     table = process("echo", simulator.port, "position", "--csv", "--rate", "10", "--count", "10")
     rows = list(csv.DictReader(io.StringIO(table.out)))
     assert len(rows) == 10
     seconds = float(rows[-1]["received_at"]) - float(rows[0]["received_at"])
     assert seconds > 0.75, "faster than asked for"
+    assert float(rows[0]["utc"]) == pytest.approx(time.time(), abs=60.0)
 
 
 def test_hz_measures(simulator: Simulator) -> None:
