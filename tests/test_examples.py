@@ -12,10 +12,13 @@ import asyncio
 import csv
 import importlib.util
 import io
+import json
 import re
+import sys
 import time
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -182,3 +185,32 @@ def test_authority_loss(run: Run) -> None:
 
 def test_authority_loss_without_any_loss(run: Run) -> None:
     assert run("authority_loss", "sim://").splitlines()[-1] == "landed"
+
+
+def cells_of_the_notebook() -> list[str]:
+    notebook = json.loads((EXAMPLES / "notebook.ipynb").read_text(encoding="utf-8"))
+    assert notebook["nbformat"] == 4
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert [cell["outputs"] for cell in cells] == [[]] * len(cells)  # kept without
+    return ["".join(cell["source"]) for cell in cells]
+
+
+def test_the_notebook_flies_cell_by_cell(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)  # not installed: a table instead
+    names: dict[str, Any] = {}
+    try:
+        for index, cell in enumerate(cells_of_the_notebook()):
+            exec(compile(cell, f"cell {index}", "exec"), names)
+    finally:
+        names["aircraft"].close()
+    assert names["control"].is_over
+    assert not names["aircraft"].is_connected
+    arrivals, table = capsys.readouterr().out.split(" north    east  height\n")
+    assert arrivals.count("within 0.") == 3
+    track = [tuple(map(float, line.split())) for line in table.splitlines()]
+    assert len(track) >= 20
+    assert max(north for north, _, _ in track) == pytest.approx(10.0, abs=1.0)
+    assert max(east for _, east, _ in track) == pytest.approx(8.0, abs=1.0)
+    assert track[-1] == pytest.approx((0.0, 0.0, 3.0), abs=0.6)
