@@ -42,7 +42,8 @@ class SyncSignals:
 
     The aircraft live in threads of their own, so the program may be interrupted wherever it is: it
     gets KeyboardInterrupt, or SystemExit for what would have killed it, and its blocks wait for the
-    end of their stop path on the way out. Until that has come, further signals do nothing.
+    end of their stop path on the way out. Until that has come, further signals do nothing; one that
+    is the first, because the program left its block by itself, acts then.
 
     Signals can be taken in the main thread alone, which often waits while others fly: so they are
     taken when it connects, until it closes. While nothing flies they do what they did before. A
@@ -55,6 +56,8 @@ class SyncSignals:
         self._aircraft: list[object] = []  # that are connected
         self._changes = threading.Lock()  # of the two: several threads fly
         self._previous: dict[signal.Signals, Any] = {}  # dispositions to put back
+        self._has_acted = False  # since a block joined last: the program knows that it is to end
+        self._pending: int | None = None  # came during a stop path, and acts behind it
 
     def connected(self, aircraft: object) -> None:
         """It may be flown from now on, in whatever thread."""
@@ -72,6 +75,7 @@ class SyncSignals:
         """Interrupt that block when a signal comes."""
         with self._changes:
             self._blocks = [*self._without(block), block]
+            self._has_acted = False
         self._take()
 
     def leave(self, block: Flying) -> None:
@@ -80,7 +84,14 @@ class SyncSignals:
             return
         with self._changes:
             self._blocks = self._without(block)
+            pending = self._pending
+            if pending is not None and any(other.is_stopping for other in self._blocks):
+                pending = None
+            if pending is not None:
+                self._pending = None
         self._put_back()
+        if pending is not None:
+            signal.raise_signal(pending)
 
     def _without(self, block: Flying) -> list[Flying]:
         return [other for other in self._blocks if other is not block and not other.is_over]
@@ -110,7 +121,10 @@ class SyncSignals:
         for block in flying:
             block.interrupt()
         if not flying and any(block.is_stopping for block in self._blocks):
-            return  # on its way out: the stop path runs, and is not cut short
+            if not self._has_acted:
+                self._pending = number
+            return  # the stop path runs, and is not cut short
+        self._has_acted = True
         if number == signal.SIGINT:
             raise KeyboardInterrupt
         if not self._blocks:  # as if this had never been here

@@ -139,6 +139,17 @@ def test_what_was_left_before_its_end_is_still_stopped(watch: SyncSignals) -> No
     watch.leave(block)
 
 
+def test_the_first_signal_in_a_stop_path_acts_behind_it(watch: SyncSignals) -> None:
+    block = Block()
+    watch.join(block)
+    block.is_flying, block.is_stopping = False, True  # the program left it
+    signal.raise_signal(signal.SIGINT)
+    block.end()
+    with pytest.raises(KeyboardInterrupt):
+        watch.leave(block)
+    watch.leave(block)  # once
+
+
 def test_before_it_flies_a_signal_acts(watch: SyncSignals) -> None:
     block = Block()
     block.is_flying = False
