@@ -20,7 +20,7 @@ __all__ = ["activate", "info"]
 
 
 def info(
-    url: Url,
+    url: Url = None,
     /,
     *,
     link: LinkOptions | None = None,
@@ -35,7 +35,9 @@ def info(
         duration: Seconds to watch telemetry.
         json: One JSON object instead of tables.
     """
-    return run_async(_info(url, link or LinkOptions(), duration, json or not sys.stdout.isatty()))
+    link = link or LinkOptions()
+    as_json = json or not sys.stdout.isatty()
+    return run_async(_info(link.place(url), link, duration, as_json))
 
 
 async def _info(url: str, link: LinkOptions, duration: float, as_json: bool) -> int:
@@ -103,7 +105,7 @@ def _print_info(described: dict[str, Any]) -> None:
 
 
 def activate(
-    url: Url,
+    url: Url = None,
     /,
     *,
     app: AppOptions | None = None,
@@ -120,7 +122,8 @@ def activate(
         wait: Seconds until it gives up.
         json: One JSON object instead of talk.
     """
-    return run_async(_activate(url, app or AppOptions(), link or LinkOptions(), wait, json))
+    link = link or LinkOptions()
+    return run_async(_activate(link.place(url), app or AppOptions(), link, wait, json))
 
 
 async def _activate(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
@@ -29,11 +29,10 @@ err = Console(stderr=True, highlight=False)
 
 
 Url = Annotated[
-    str,
+    str | None,
     Parameter(
         help="Where the aircraft is: serial:///dev/ttyUSB0:230400, /dev/ttyUSB0, "
-        "tcp://host:port, sim://",
-        env_var="M100LINK_URL",
+        "tcp://host:port, sim://; without it, that of --url or M100LINK_URL",
     ),
 ]
 
@@ -44,11 +43,13 @@ class LinkOptions:
     """How to talk to it.
 
     Attributes:
+        url: Where the aircraft is (M100LINK_URL), if no argument says it.
         firmware: Force a firmware profile instead of choosing it from the version answer.
         baud: Baud rate when the URL has none.
         timeout: Seconds until an aircraft has to answer.
     """
 
+    url: str | None = None
     firmware: Annotated[str | None, Parameter(env_var="M100LINK_PROFILE")] = None
     baud: Annotated[int | None, Counted] = None
     timeout: Annotated[float, Above0] = 3.0
@@ -56,6 +57,38 @@ class LinkOptions:
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of :func:`m100link.connect`."""
         return {"firmware": self.firmware, "baud_rate": self.baud, "timeout": self.timeout}
+
+    def place(self, argument: str | None) -> str:
+        """Where the aircraft is: the argument, else ``--url``, else the environment.
+
+        Raises:
+            UsageError: Nobody says it, or argument and option name two.
+        """
+        if None not in (argument, self.url) and argument != self.url:
+            raise UsageError(
+                f"two aircraft are named: {argument} and {self.url}", remedy="leave out one of them"
+            )
+        url = argument or self.url or os.environ.get("M100LINK_URL")
+        if not url:
+            raise UsageError(
+                "no URL says where the aircraft is",
+                remedy="give it as first argument or with --url, or set M100LINK_URL",
+            )
+        return url
+
+    def place_among(
+        self, words: Iterable[str], is_other: Callable[[str], bool]
+    ) -> tuple[str, tuple[str, ...]]:
+        """Where the aircraft is, and the words that follow.
+
+        Args:
+            words: Arguments of which the first may be a URL.
+            is_other: Whether a word has the shape of what follows.
+        """
+        first, *rest = words = tuple(words) or ("",)
+        if not first or is_other(first):
+            return self.place(None), tuple(filter(None, words))
+        return self.place(first), tuple(rest)
 
 
 _OfTheApp: Any = options_of(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -28,7 +29,7 @@ _Flight = Callable[[Control], Awaitable[object]]
 
 
 def takeoff(
-    url: Url,
+    url: Url = None,
     /,
     *,
     app: AppOptions | None = None,
@@ -47,7 +48,7 @@ def takeoff(
 
 
 def land(
-    url: Url,
+    url: Url = None,
     /,
     *,
     app: AppOptions | None = None,
@@ -66,7 +67,7 @@ def land(
 
 
 def home(
-    url: Url,
+    url: Url = None,
     /,
     *,
     app: AppOptions | None = None,
@@ -85,12 +86,7 @@ def home(
 
 
 def fly(
-    url: Url,
-    north: float,
-    east: float,
-    up: float,
-    /,
-    *,
+    *place: Annotated[str, Parameter(name=["[URL] NORTH EAST UP"], allow_leading_hyphen=True)],
     app: AppOptions | None = None,
     link: LinkOptions | None = None,
     max_height: Annotated[float, Above0] = 50.0,
@@ -99,19 +95,18 @@ def fly(
 ) -> int:
     """Fly so many metres north, east and up from here, and hover there.
 
-    Negative numbers go behind ``--``: m100link fly URL -- -5 0 1.
-
     Args:
-        url: Where the aircraft is.
-        north: Metres north.
-        east: Metres east.
-        up: Metres up.
+        place: Where the aircraft is (else that of --url or M100LINK_URL), and metres north, east
+            and up, such as: sim:// -5 0 1.5
         app: The app that is registered with DJI.
         link: How to talk to it.
         max_height: Height above the take-off point that is not exceeded, m.
         max_radius: Distance from here that is not exceeded, m.
         yes: Do not ask.
     """
+    link = link or LinkOptions()
+    url, words = link.place_among(place, _is_number)
+    north, east, up = _metres(words)
     guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
 
     def progress(found: GuidanceProgress) -> None:
@@ -132,7 +127,30 @@ def fly(
     )
 
 
-def release(url: Url, /, *, app: AppOptions | None = None, link: LinkOptions | None = None) -> int:
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _metres(words: Sequence[str]) -> tuple[float, float, float]:
+    """Metres north, east and up.
+
+    Raises:
+        UsageError: Not three numbers.
+    """
+    strange = [word for word in words if not _is_number(word)]
+    if strange or len(words) != 3:
+        seen = f"{strange[0]!r} is not a number" if strange else f"{len(words)} numbers were given"
+        raise UsageError(seen, remedy="metres north, east and up: m100link fly sim:// 5 0 1.5")
+    north, east, up = map(float, words)
+    return north, east, up
+
+
+def release(
+    url: Url = None, /, *, app: AppOptions | None = None, link: LinkOptions | None = None
+) -> int:
     """Give control authority back; the aircraft hovers and the pilot flies on.
 
     Args:
@@ -142,8 +160,10 @@ def release(url: Url, /, *, app: AppOptions | None = None, link: LinkOptions | N
     """
 
     async def run() -> None:
-        async with connect(url, **(link or LinkOptions()).arguments()) as aircraft:
-            await _activate(aircraft, (app or AppOptions()).credentials(url))
+        options = link or LinkOptions()
+        place = options.place(url)
+        async with connect(place, **options.arguments()) as aircraft:
+            await _activate(aircraft, (app or AppOptions()).credentials(place))
             if not await aircraft.release_authority():
                 raise NotObserved(
                     "the aircraft did not say that it has control authority back",
@@ -157,7 +177,7 @@ def release(url: Url, /, *, app: AppOptions | None = None, link: LinkOptions | N
 
 
 def _fly(
-    url: str,
+    url: str | None,
     app: AppOptions | None,
     link: LinkOptions | None,
     yes: bool,
@@ -165,8 +185,8 @@ def _fly(
     flight: _Flight,
     guards: Guards | None = None,
 ) -> int:
-    options = app or AppOptions(), link or LinkOptions()
-    return run_async(_run(url, *options, yes, what, flight, guards))
+    link = link or LinkOptions()
+    return run_async(_run(link.place(url), app or AppOptions(), link, yes, what, flight, guards))
 
 
 async def _run(

@@ -36,7 +36,7 @@ _STALE_S = 2.0
 
 
 def monitor(
-    url: Url,
+    url: Url = None,
     /,
     *,
     link: LinkOptions | None = None,
@@ -54,7 +54,8 @@ def monitor(
         json: One JSON object per second instead of the table; the default in a pipe.
     """
     as_json = json or not sys.stdout.isatty()
-    return run_async(_monitor(url, link or LinkOptions(), duration, as_json))
+    link = link or LinkOptions()
+    return run_async(_monitor(link.place(url), link, duration, as_json))
 
 
 async def _monitor(url: str, link: LinkOptions, duration: float | None, as_json: bool) -> int:

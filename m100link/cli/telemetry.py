@@ -22,7 +22,7 @@ from m100link.cli.options import Above0, Counted
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
-from m100link.protocol.items import BY_RECORD
+from m100link.protocol.items import BY_NAME, BY_RECORD
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Lossless
 
@@ -40,7 +40,7 @@ async def _until(seconds: float | None, work: Any) -> None:
 
 
 def echo(
-    url: Url,
+    url: Url = None,
     /,
     *items: str,
     link: LinkOptions | None = None,
@@ -67,7 +67,9 @@ def echo(
     """
     if csv and json:
         return complain(UsageError("--csv and --json exclude each other"))
-    return run_async(_echo(url, items, link or LinkOptions(), rate, duration, count, csv))
+    link = link or LinkOptions()
+    place, names = link.place_among([url or "", *items], BY_NAME.__contains__)
+    return run_async(_echo(place, names, link, rate, duration, count, csv))
 
 
 async def _echo(
@@ -117,7 +119,7 @@ def _values(sample: Sample, records: list[type[Any]]) -> dict[str, Any]:
 
 
 def hz(
-    url: Url,
+    url: Url = None,
     /,
     *,
     link: LinkOptions | None = None,
@@ -132,7 +134,8 @@ def hz(
         duration: Seconds to measure.
         json: One JSON object instead of the table; the default in a pipe.
     """
-    return run_async(_hz(url, link or LinkOptions(), duration, json or not sys.stdout.isatty()))
+    link = link or LinkOptions()
+    return run_async(_hz(link.place(url), link, duration, json or not sys.stdout.isatty()))
 
 
 async def _hz(url: str, link: LinkOptions, duration: float, as_json: bool) -> None:
@@ -206,7 +209,9 @@ def _number(value: float | None, factor: float, digits: int) -> str:
 
 
 def plot(
-    source: Annotated[str, Parameter(help="A URL, or a CSV file that `m100link echo --csv` wrote")],
+    source: Annotated[
+        str | None, Parameter(help="A URL, or a CSV file that `m100link echo --csv` wrote")
+    ] = None,
     /,
     *fields: str,
     link: LinkOptions | None = None,
@@ -220,16 +225,19 @@ def plot(
         link: How to talk to the aircraft.
         duration: Seconds to plot live.
     """
-    wanted = fields or ("position.height_m",)
     known = columns_of(BY_RECORD)
+    if source is not None and source in known:
+        fields, source = (source, *fields), None
+    wanted = fields or ("position.height_m",)
     for field in wanted:
         if field not in known:
             return complain(
                 UsageError(f"no column is called {field!r}", remedy=f"columns: {', '.join(known)}")
             )
-    if source.endswith(".csv"):
+    if source is not None and source.endswith(".csv"):
         return _plot_file(Path(source), wanted)
-    return run_async(_plot_live(source, wanted, link or LinkOptions(), duration))
+    link = link or LinkOptions()
+    return run_async(_plot_live(link.place(source), wanted, link, duration))
 
 
 def _plot_file(path: Path, fields: tuple[str, ...]) -> int:

@@ -46,6 +46,62 @@ def test_the_url_may_come_from_the_environment(
     assert outcome.objects[0]["firmware"] == "2.3"
 
 
+@pytest.mark.parametrize(
+    ("arguments", "verb"),
+    [
+        (("info", "--duration", "0.1"), "version"),
+        (("activate",), "activated"),
+        (("monitor", "--duration", "1.2", "--json"), "position"),
+        (("echo", "position", "--count", "1"), "position.height_m"),
+        (("echo", "--count", "1"), "received_at"),
+        (("hz", "--duration", "0.1"), "items"),
+        (("plot", "position.height_m", "--duration", "0.5"), "position.height_m"),
+        (("plot", "--duration", "0.5"), "position.height_m"),
+        (("takeoff",), "done: take off"),
+        (("release",), "released"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+@pytest.mark.parametrize("by_option", [False, True], ids=["environment", "option"])
+def test_every_verb_finds_the_aircraft_without_an_argument(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    verb: str,
+    by_option: bool,
+) -> None:
+    if by_option:
+        arguments = (*arguments, "--url", "sim://")
+    else:
+        monkeypatch.setenv("M100LINK_URL", "sim://")
+    outcome = cli(*arguments)
+    assert outcome.status == 0, outcome
+    assert verb in outcome.out
+
+
+def test_fly_tells_its_url_from_its_numbers(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An aircraft on the ground refuses to fly: so far it came, with the numbers as they are."""
+    for arguments in (("sim://", "-5", "0", "1"), ("--url", "sim://", "-5", "0", "1")):
+        outcome = cli("fly", *arguments)
+        assert outcome.status == ExitCode.USAGE
+        assert "take off first" in outcome.err
+    monkeypatch.setenv("M100LINK_URL", "sim://")
+    assert "take off first" in cli("fly", "-5", "0", "1").err
+    assert "take off first" in cli("fly", "--", "-5", "0", "1").err
+    assert "'north' is not a number" in cli("fly", "sim://", "north", "0", "1").err
+    assert "2 numbers were given" in cli("fly", "5", "0").err
+    assert "'--yse' is not a number" in cli("fly", "5", "0", "1", "--yse").err
+    assert "'nan' is not a number" in cli("fly", "sim://", "nan", "0", "1").err
+
+
+def test_two_aircraft_are_one_too_many(cli: CommandLine) -> None:
+    outcome = cli("takeoff", "sim://", "--url", "sim://?seed=2")
+    assert outcome.status == ExitCode.USAGE
+    assert "two aircraft are named: sim:// and sim://?seed=2" in outcome.err
+
+
 def test_no_such_port(cli: CommandLine) -> None:
     outcome = cli("info", "/dev/m100-that-does-not-exist")
     assert outcome.status == ExitCode.PORT
