@@ -16,6 +16,7 @@ import pytest
 playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
 pytest.importorskip("nicegui", reason="the extra `station` is not installed")
 from websockets.asyncio.client import ClientConnection, connect  # noqa: E402 - after the skips
+from websockets.exceptions import ConnectionClosed  # noqa: E402 - as above
 
 from tests.waiting import PATIENCE  # noqa: E402 - as above
 
@@ -49,16 +50,21 @@ async def address() -> AsyncIterator[str]:
 class Watch:
     """Telemetry of the virtual aircraft, by rosbridge."""
 
-    def __init__(self, socket: ClientConnection) -> None:
-        self._socket = socket
+    def __init__(self) -> None:
         self.newest: dict[str, Any] = {}
 
-    async def run(self) -> None:
+    async def run(self, url: str) -> None:
+        """Watch until cancelled; a connection that was given up is followed by another."""
+        async for socket in connect(url, ping_interval=None):
+            with contextlib.suppress(ConnectionClosed):
+                await self._watch(socket)
+
+    async def _watch(self, socket: ClientConnection) -> None:
         for topic in ("velocity", "height_above_takeoff", "flight_status", "attitude"):
-            await self._socket.send(
+            await socket.send(
                 json.dumps({"op": "subscribe", "topic": f"/dji_sdk/{topic}", "throttle_rate": 20})
             )
-        async for text in self._socket:
+        async for text in socket:
             message = json.loads(text)
             self.newest[message["topic"].removeprefix("/dji_sdk/")] = message["msg"]
 
@@ -165,11 +171,10 @@ async def console_in_browser(browser: Any, *options: str) -> AsyncIterator[Conso
     async with (
         running_console(*options) as (report, process),
         context_of(browser) as context,
-        connect(report["rosbridge"][0]) as socket,
     ):
         console = Console(report["console"], process, context)
-        console.watch = Watch(socket)
-        watching = asyncio.create_task(console.watch.run())
+        console.watch = Watch()
+        watching = asyncio.create_task(console.watch.run(report["rosbridge"][0]))
         await until(lambda: len(console.watch.newest) == 4)
         yield console
         watching.cancel()
