@@ -113,13 +113,13 @@ PROGRAMS = sorted(str(path) for path in Path("examples").glob("*.py"))
 # In the order in which `nox` begins them: what takes longest, first.
 KINDS = {
     "browser": Kind(
-        {"browser": [pytest(*workers(3), "tests/browser")]}, groups=("test", "browser")
+        {"browser": [pytest(*workers(2), "tests/browser")]}, groups=("test", "browser")
     ),
     "tests": Kind(
         {
-            "tests": [pytest(*OWN_SESSIONS, *workers(3), "-m", "not pty")],
+            "tests": [pytest(*OWN_SESSIONS, *workers(2), "-m", "not pty")],
             # They keep real time and mostly wait.
-            "tests (pty)": [pytest(*OWN_SESSIONS, *workers(4), "-m", "pty")],
+            "tests (pty)": [pytest(*OWN_SESSIONS, *workers(3), "-m", "pty")],
         },
         groups=("test",),
     ),
@@ -255,8 +255,8 @@ def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) ->
     """Run commands side by side and print what each said when it ends; fail at the end."""
     ended: dict[str, tuple[bool, float]] = {}
     started: list[subprocess.Popen[str]] = []
-    # Half of them wait for aircraft and browsers most of the time.
-    with concurrent.futures.ThreadPoolExecutor(2 + (os.cpu_count() or 1)) as pool:
+    # Half of them wait for aircraft and browsers most of the time; flights in real time want some.
+    with concurrent.futures.ThreadPoolExecutor(1 + (os.cpu_count() or 1)) as pool:
         running = {
             pool.submit(run_lines, session, started, lines): title
             for title, lines in commands.items()
