@@ -69,6 +69,23 @@ async def test_a_loss_that_comes_before_the_ack_is_not_forgotten(
 
 
 @each_firmware
+@pytest.mark.parametrize("meanwhile", [lose_the_ack, read_all_at_once])
+async def test_by_hand_a_loss_before_the_ack_is_raised_once_the_aircraft_is_released(
+    firmware: str, meanwhile: object
+) -> None:
+    async with rig(firmware=firmware) as flown:
+        await put_into_the_air(flown)
+        flown.moves.clear()
+        trouble = asyncio.create_task(meanwhile(flown))  # type: ignore[operator]
+        with pytest.raises(AuthorityLost) as caught:
+            await flown.aircraft.control().obtain()
+        assert caught.value.reason == "mode_switch"
+        assert flown.is_released
+        await trouble
+        assert len(flown.moves) == 0
+
+
+@each_firmware
 async def test_a_block_that_waits_for_the_pilot_hears_of_a_loss_before_the_ack(
     firmware: str,
 ) -> None:
