@@ -37,7 +37,7 @@ EXPLAINED = Path(__file__).with_name("mutation_survivors.toml")
 
 FLIGHT = (
     "control block lifecycle setpoints signals stop_path cancellation watchdog orbit pacing guards "
-    "known handover authority tasks"
+    "known handover authority tasks loops path"
 )
 
 
