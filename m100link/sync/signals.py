@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from types import FrameType
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ __all__ = ["SIGNALS", "SyncSignals"]
 _NUMBERS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
+_HUNG_S = 1.0
 
 
 class Flying(Protocol):
@@ -56,6 +58,8 @@ class SyncSignals:
         self._aircraft: list[object] = []  # that are connected
         self._changes = threading.Lock()  # of the two: several threads fly
         self._previous: dict[signal.Signals, Any] = {}  # dispositions to put back
+        self._interrupted: list[Flying] = []  # their stop path begins in their own thread
+        self._interrupted_at = 0.0
         self._has_acted = False  # since a block joined last: the program knows that it is to end
         self._pending: int | None = None  # came during a stop path, and acts behind it
 
@@ -84,6 +88,7 @@ class SyncSignals:
             return
         with self._changes:
             self._blocks = self._without(block)
+            self._interrupted = [other for other in self._interrupted if other in self._blocks]
             pending = self._pending
             if pending is not None and any(other.is_stopping for other in self._blocks):
                 pending = None
@@ -118,9 +123,15 @@ class SyncSignals:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         # No lock is taken here: whatever holds one may be what was interrupted.
         flying = [block for block in self._blocks if block.is_flying]
-        for block in flying:
+        now = time.monotonic()
+        if now > self._interrupted_at + _HUNG_S:
+            self._interrupted = []  # a thread that hangs can be broken off by hand
+        fresh = [block for block in flying if block not in self._interrupted]
+        if fresh:
+            self._interrupted, self._interrupted_at = [*self._interrupted, *fresh], now
+        for block in fresh:
             block.interrupt()
-        if not flying and any(block.is_stopping for block in self._blocks):
+        if not fresh and (flying or any(block.is_stopping for block in self._blocks)):
             if not self._has_acted:
                 self._pending = number
             return  # the stop path runs, and is not cut short

@@ -150,6 +150,18 @@ def test_the_first_signal_in_a_stop_path_acts_behind_it(watch: SyncSignals) -> N
     watch.leave(block)  # once
 
 
+def test_a_second_signal_before_the_stop_path_began_does_nothing(watch: SyncSignals) -> None:
+    block = Block()
+    watch.join(block)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    block.is_flying, block.is_stopping = True, False  # its thread has not come to it
+    signal.raise_signal(signal.SIGINT)
+    assert block.interrupted == 1
+    block.end()
+    watch.leave(block)
+
+
 def test_before_it_flies_a_signal_acts(watch: SyncSignals) -> None:
     block = Block()
     block.is_flying = False
