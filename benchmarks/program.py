@@ -67,6 +67,7 @@ class Place(Protocol):
 
     def run(self, name: str) -> dict[str, float]:
         """Costs of one side; may raise :class:`NotMeasured`."""
+        ...
 
 
 class Here:

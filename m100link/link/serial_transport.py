@@ -39,10 +39,12 @@ class SerialPort(Protocol):
 
     def fileno(self) -> int:
         """The open file, of which an empty read means that the device is gone (VMIN is 1)."""
+        ...
 
     @property
     def out_waiting(self) -> int:
         """Bytes that the system still holds for the line."""
+        ...
 
     def reset_output_buffer(self) -> object:
         """Drop what the system still holds for the line."""

@@ -83,8 +83,8 @@ class _JumpingSelector(selectors.DefaultSelector):
         self._registered = len(self.get_map())
         return key
 
-    def unregister(self, *args: Any) -> selectors.SelectorKey:
-        key = super().unregister(*args)
+    def unregister(self, *args: Any, **options: Any) -> selectors.SelectorKey:
+        key = super().unregister(*args, **options)
         self._registered = len(self.get_map())
         return key
 
