@@ -41,6 +41,9 @@ _GAIN = 0.7  # m/s of velocity per metre of distance
 _LEG_TIMEOUT = 40.0
 _RETURN_TOLERANCE_M = 1.0
 
+_PICTURE = 32
+"""Columns of a picture in the summary; two stand side by side where there is room for three."""
+
 
 @dataclass
 class _Flight:
@@ -267,7 +270,7 @@ def _progress(flight: _Flight) -> Group:
             f"height {flight.heights[-1][1]:5.2f} m   "
             f"north {north:6.2f} m   east {east:6.2f} m{battery}"
         )
-        parts.append(Text("\n".join(track_plot(flight.track, rows=10))))
+        parts.append(Text("\n".join(track_plot(flight.track, columns=min(44, out.width), rows=10))))
     return Group(*parts)
 
 
@@ -323,13 +326,19 @@ def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
     out.print(table)
     out.print(numbers)
     if flight.track:
-        pictures = Table(box=None, pad_edge=False)
-        pictures.add_column("track", justify="left")
-        pictures.add_column("height", justify="left")
+        pictures = Table(box=None, pad_edge=False, show_header=out.width >= 3 * _PICTURE)
         began_at = flight.heights[0][0]
         heights = [(now - began_at, height) for now, height in flight.heights]
-        pictures.add_row(
-            Text("\n".join(track_plot(flight.track, columns=32, rows=14))),
-            Text("\n".join(line_plot(heights, unit="m", columns=32, rows=13))),
-        )
+        drawn = {
+            "track": Text("\n".join(track_plot(flight.track, columns=_PICTURE, rows=14))),
+            "height": Text("\n".join(line_plot(heights, unit="m", columns=_PICTURE, rows=13))),
+        }
+        if out.width < 3 * _PICTURE:
+            for title, picture in drawn.items():
+                pictures.add_row(title)
+                pictures.add_row(picture)
+        else:
+            for title in drawn:
+                pictures.add_column(title, justify="left")
+            pictures.add_row(*drawn.values())
         out.print(pictures)

@@ -34,6 +34,9 @@ __all__ = ["describe", "monitor"]
 
 _STALE_S = 2.0
 
+_WIDE = 96
+"""Columns of a terminal that has room for every value on a line, with rate and jitter beside it."""
+
 
 def monitor(
     url: Url = None,
@@ -100,25 +103,28 @@ def _table(aircraft: Aircraft) -> Table:
         f"{aircraft.telemetry_mismatches} packages refused",
         box=None,
     )
-    for title in ("item", "value", "age", "Hz", "jitter"):
+    titles = ("item", "value", "age", "Hz", "jitter")[: 5 if out.width >= _WIDE else 3]
+    for title in titles:
         table.add_column(title, justify="left" if title in ("item", "value") else "right")
-    table.columns[1].min_width = 56
+    table.columns[0].no_wrap = True
+    if out.width >= _WIDE:
+        table.columns[1].min_width = 56
     for record, item in BY_RECORD.items():
         value, age = aircraft.state.get(record), aircraft.state.age(record)
         statistics = aircraft.state.statistics(record)
         if value is None or age is None:
-            table.add_row(f"[dim]{item.name}[/]", "[dim]never received[/]", "", "", "")
+            table.add_row(f"[dim]{item.name}[/]", "[dim]0 Hz so far[/]")
             continue
         style = "dim" if age > _STALE_S else ""
         rate = statistics.rate_hz
-        table.add_row(
+        cells = (
             item.name,
             describe(value),
             f"{age * 1000:.0f} ms" if age < _STALE_S else f"[red]{age:.1f} s[/]",
             "" if rate is None else f"{rate:.1f}",
             "" if statistics.jitter_s is None else f"{statistics.jitter_s * 1000:.1f} ms",
-            style=style,
         )
+        table.add_row(*cells[: len(titles)], style=style)
     return table
 
 

@@ -9,6 +9,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from m100link.cli.common import out
 from m100link.errors import UsageError
 from m100link.sim.orders.actions import perform, status
 
@@ -50,6 +51,9 @@ KEYS: dict[str, tuple[str, str]] = {
     "B": ("reboot", "reboot"),
 }
 """Order and label per key. Ctrl-C ends the simulator."""
+
+_WIDE = 72
+"""Columns of a terminal that has room for two values on a line."""
 
 _ESCAPES = {b"\x1b[A": "UP", b"\x1b[B": "DOWN", b"\x1b[D": "LEFT", b"\x1b[C": "RIGHT"}
 
@@ -134,7 +138,12 @@ class LiveView:
         ]
         table = Table.grid(padding=(0, 2))
         for row in rows:
-            table.add_row(Text(row[0], style="bold"), row[1], Text(row[2], style="bold"), row[3])
+            left, right = ((Text(title, style="bold"), told) for title, told in (row[:2], row[2:]))
+            if out.width >= _WIDE:
+                table.add_row(*left, *right)
+            else:
+                table.add_row(*left)
+                table.add_row(*right)
         title = f"Matrice 100, firmware {state['firmware']}, seed {state['seed']}"
         return Panel(table, title=title, subtitle=", ".join(self._ports), title_align="left")
 

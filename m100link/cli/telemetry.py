@@ -28,6 +28,12 @@ from m100link.telemetry.subscription import Lossless
 
 __all__ = ["echo", "hz", "plot"]
 
+_SCALE_COLUMNS = 14
+"""Left of a plot: eleven digits and the axis."""
+
+_WIDE = 64
+"""Columns of a terminal that has room for everything that is measured."""
+
 
 async def _until(seconds: float | None, work: Any) -> None:
     """Run for so long; whatever ends it earlier is raised."""
@@ -188,19 +194,22 @@ def _rates_table(aircraft: Aircraft) -> Table:
         caption=f"device clock {clock['tick_hz']} Hz, skew {clock['skew_ppm']:.1f} ppm, "
         + (f"known to {known_to} ms" if known_to else "not known yet"),
     )
-    for title in ("item", "Hz", "jitter ms", "longest gap ms", "count"):
-        table.add_column(title, justify="left" if title == "item" else "right")
+    titles: tuple[str, ...] = ("item", "Hz", "count", "jitter ms", "longest gap ms")
+    titles = titles if out.width >= _WIDE else titles[:3]
+    for title in titles:
+        table.add_column(title, justify="left" if title == "item" else "right", no_wrap=True)
     for name, values in measured["items"].items():
         if not values["count"]:
-            table.add_row(f"[dim]{name}[/]", "[dim]never received[/]")
+            table.add_row(f"[dim]{name}[/]", "[dim]0[/]", "[dim]0[/]")
             continue
-        table.add_row(
+        cells = (
             name,
             _number(values["rate_hz"], 1, 1),
+            str(values["count"]),
             _number(values["jitter_s"], 1000, 2),
             _number(values["longest_gap_s"], 1000, 1),
-            str(values["count"]),
         )
+        table.add_row(*cells[: len(titles)])
     return table
 
 
@@ -296,7 +305,8 @@ def _lines(points: dict[str, list[tuple[float, float]]]) -> list[str]:
     lines = []
     for field, values in points.items():
         lines.append(field)
-        lines += line_plot(values, columns=60) if values else ["  nothing received"]
+        width = max(8, min(60, out.width - _SCALE_COLUMNS))
+        lines += line_plot(values, columns=width) if values else ["  nothing received"]
     return lines
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import subprocess
 import sys
 
@@ -163,3 +164,28 @@ def test_ctrl_c_ends_a_plot_without_a_traceback() -> None:
         assert "interrupted" in running.shown
         assert "Traceback" not in running.shown
         assert "never retrieved" not in running.shown
+
+
+# -- 40 columns -----------------------------------------------------------------------------------
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (("monitor", "sim://", "--duration", "1"), ("angular_velocity", "standby")),
+        (("hz", "sim://", "--duration", "1"), ("angular_velocity", "count")),
+        (("plot", "sim://", "--duration", "1"), ("1.0 s", "\u2524\u2800")),
+        (("demo", "--speed", "20"), ("mission flown", "setpoints sent", "height")),
+        (("sim", "--duration", "1"), ("attitude", "velocity", "battery, GPS")),
+        (("info", "sim://"), ("flight_status",)),
+    ],
+    ids=lambda value: value[0] if value and value[0].isalpha() else "",
+)
+def test_40_columns_are_enough(arguments: tuple[str, ...], parts: tuple[str, ...]) -> None:
+    with terminal(*arguments, columns=40) as running:
+        assert running.end() == 0, running.shown
+    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", running.shown)
+    for part in parts:
+        assert part in shown
+    assert "\u2026" not in shown.replace("\u2026  ", "")  # nothing is cut off
