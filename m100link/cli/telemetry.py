@@ -17,7 +17,7 @@ from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import line_plot
-from m100link.cli.common import LinkOptions, Url, out, run_async
+from m100link.cli.common import LinkOptions, Url, err, out, run_async
 from m100link.cli.options import Above0, Counted
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import columns_of, items_named, row
@@ -27,6 +27,9 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Lossless
 
 __all__ = ["echo", "hz", "plot"]
+
+_SILENT_S = 2.0
+"""The slowest rate that can be set is 1 Hz: what was silent for so long is at 0."""
 
 _SCALE_COLUMNS = 14
 """Left of a plot: eleven digits and the axis."""
@@ -91,9 +94,14 @@ async def _echo(
     columns = ["received_at", "utc", *columns_of(records)]
     writer = csv.DictWriter(sys.stdout, columns, lineterminator="\n")
 
+    def tell_silent(aircraft: Aircraft) -> None:
+        if items and aircraft.link.is_open:
+            _tell(_silent(aircraft, records))
+
     async def print_all(aircraft: Aircraft) -> None:
         printed = 0
         async with aircraft.telemetry(*records, policy=Lossless(2000), rate_hz=rate) as samples:
+            asyncio.get_running_loop().call_later(_SILENT_S, tell_silent, aircraft)
             async for sample in samples:
                 values = {
                     "received_at": round(sample.received_at, 6),
@@ -113,6 +121,22 @@ async def _echo(
             writer.writeheader()
         await _until(duration, print_all(aircraft))
     sys.stdout.flush()
+
+
+def _silent(aircraft: Aircraft, records: list[type[Any]]) -> list[str]:
+    """Names of those items of which nothing ever came."""
+    return [
+        BY_RECORD[record].name for record in records if not aircraft.state.statistics(record).count
+    ]
+
+
+def _tell(silent: list[str]) -> None:
+    for name in silent:
+        err.print(
+            f"{name} is at 0 Hz: nothing of it arrives; set its rate in the PC assistant",
+            style="yellow",
+            markup=False,
+        )
 
 
 def _values(sample: Sample, records: list[type[Any]]) -> dict[str, Any]:
@@ -296,8 +320,10 @@ async def _plot_live(url: str, fields: tuple[str, ...], link: LinkOptions, durat
                 task.cancel()
                 await asyncio.wait([task])
         task.result()
+        silent = _silent(aircraft, records) if duration >= _SILENT_S else []
     if shown is None:
         _draw(points)
+    _tell(silent)
     return ExitCode.OK if any(points.values()) else ExitCode.FAILED
 
 

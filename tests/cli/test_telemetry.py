@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import NEARLY_100, Simulator, process
+from tests.cli.conftest import NEARLY_100, CommandLine, Simulator, process
 
 pytestmark = pytest.mark.pty
 
@@ -54,3 +54,18 @@ def test_plot_of_a_recorded_span_and_live(simulator: Simulator, tmp_path: Path) 
     live = process("plot", simulator.port, "position.height_m", "--duration", "1")
     assert live.status == 0
     assert any(0x2800 < ord(c) <= 0x28FF for c in live.out)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("echo", "sim://", "magnetometer"),
+        ("echo", "sim://", "position", "magnetometer"),
+        ("plot", "sim://", "magnetometer.x"),
+    ],
+    ids=" ".join,
+)
+def test_an_item_at_0_hz_is_named(cli: CommandLine, arguments: tuple[str, ...]) -> None:
+    told = cli(*arguments, "--duration", "2.5").err
+    assert "magnetometer is at 0 Hz: nothing of it arrives" in told
+    assert told.count("0 Hz") == 1
