@@ -17,6 +17,7 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
+from m100link.flight.lifecycle import StopCause
 from m100link.protocol.items import ITEMS
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import FIRMWARES, NORTH, Rig, rig
@@ -68,6 +69,16 @@ async def test_it_can_be_obtained_in_one_task_and_released_in_another() -> None:
         await asyncio.create_task(control.release())
         assert flown.is_released
         await flown.assert_hovers()
+
+
+async def test_what_waits_no_more_is_not_cancelled_by_an_end_in_the_same_turn() -> None:
+    """The cancellation comes a turn later, and would hit whatever the program does then."""
+    async with rig() as flown:
+        control = await flown.aircraft.control().obtain()
+        with control._block.waiting("take_off"):
+            control._block.end(StopCause.CLOSED)
+        await asyncio.sleep(1.0)
+        assert flown.is_released
 
 
 async def test_what_was_never_obtained_needs_no_release() -> None:
