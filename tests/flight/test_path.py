@@ -331,3 +331,7 @@ def test_beyond_a_metre_from_the_height_of_the_path_it_becomes_slow_and_waits_at
 ) -> None:
     steering = asked_at(STRAIGHT, (20.0, 0.0), height=5.0 + side * off)
     assert steering.north == pytest.approx(north)
+
+
+def test_the_greatest_speed_may_be_asked_for() -> None:
+    assert asked_at(STRAIGHT, (20.0, 0.0), speed=10.0).north == pytest.approx(10.0, abs=1e-4)
