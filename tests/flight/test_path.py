@@ -335,3 +335,8 @@ def test_beyond_a_metre_from_the_height_of_the_path_it_becomes_slow_and_waits_at
 
 def test_the_greatest_speed_may_be_asked_for() -> None:
     assert asked_at(STRAIGHT, (20.0, 0.0), speed=10.0).north == pytest.approx(10.0, abs=1e-4)
+
+
+def test_a_bend_begins_where_the_leg_before_it_ends() -> None:
+    points: list[Point] = [(0, 0, 5), (20, 0, 5), (20, 20, 5)]
+    assert asked_at(points, (15.8, 0.0), radius=4.0).ahead_deg == pytest.approx(0.0)
