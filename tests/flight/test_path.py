@@ -340,3 +340,10 @@ def test_the_greatest_speed_may_be_asked_for() -> None:
 def test_a_bend_begins_where_the_leg_before_it_ends() -> None:
     points: list[Point] = [(0, 0, 5), (20, 0, 5), (20, 20, 5)]
     assert asked_at(points, (15.8, 0.0), radius=4.0).ahead_deg == pytest.approx(0.0)
+
+
+def test_the_height_of_a_rounded_corner_is_reached_in_its_middle() -> None:
+    points: list[Point] = [(0, 0, 5), (20, 0, 15), (20, 20, 15)]
+    middle = 16 + math.pi
+    steering = asked_at(points, (middle / 2, 0.0), (0.0, 0.0), radius=4.0)
+    assert steering.height == pytest.approx(10.0)
