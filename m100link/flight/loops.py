@@ -184,8 +184,8 @@ class ClosedLoops:
         Args:
             points: North and east, m, and height above take-off, m, of each.
             speed: On straight legs, m/s, up to 10.
-            corner_radius: Corners are rounded by it, m; smaller where a leg is too short. 0: each
-                corner is flown to, almost stopping.
+            corner_radius: Corners of 90° and more are rounded by it, m, shallower ones by more, as
+                far from the corner; smaller where a leg is too short. 0: each is flown to.
             frame: Where ``north`` and ``east`` count from; by default where the aircraft is now.
             face_ahead: Look along the path.
             yaw_deg: Otherwise, the heading to fly with; by default the present one.

@@ -331,5 +331,7 @@ def _rounding(
         return 0.0, 0.0, turn
     per_radius = math.tan(abs(turn) / 2)
     room = 0.5 * min(math.dist(before[:2], corner[:2]), math.dist(corner[:2], after[:2]))
+    if abs(turn) < math.pi / 2:  # as near to the corner as one of 90° is passed
+        wanted *= (math.sqrt(2) - 1) / (1 / math.cos(turn / 2) - 1)
     cut = min(wanted * per_radius, room)
     return cut / per_radius, cut, turn

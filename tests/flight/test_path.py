@@ -70,6 +70,16 @@ def test_another_lag_than_the_models_is_no_reason_to_leave_it(lag: float) -> Non
     assert fly(SQUARE, speed=3.0, radius=3.0, lag=lag).off_m < 1.0
 
 
+def test_a_curve_of_many_points_is_flown_at_its_speed() -> None:
+    points: list[Point] = [
+        (30 * math.sin(angle), 30 - 30 * math.cos(angle), 5)
+        for angle in (index / 30 for index in range(180))
+    ]
+    flown = fly(points, speed=4.0, radius=2.0)
+    assert flown.seconds < 1.3 * 179 / 4.0 + 10
+    assert flown.off_m < 0.3
+
+
 def test_rounded_corners_are_faster_than_corners() -> None:
     assert fly(SQUARE, speed=4.0, radius=5.0).seconds < fly(SQUARE, speed=4.0, radius=0.0).seconds
 
