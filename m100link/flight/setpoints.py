@@ -104,6 +104,9 @@ class SetpointLoop:
         self._expires_at = 0.0
         self._silent_at = 0.0
         self._is_renewed = False  # by the program, since the last frame
+        # A neutral that was asked for and did not go out yet; a process that stands still for as
+        # long as it would be sent must not end without one.
+        self._owed: Setpoint | None = None
         self._news = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
         self.sent = 0
@@ -146,7 +149,7 @@ class SetpointLoop:
         """Replace the setpoint by its neutral, which then falls silent by itself."""
         if self._setpoint is not None:
             now = self._loop.time()
-            self._setpoint = self._setpoint.neutral()
+            self._owed = self._setpoint = self._setpoint.neutral()
             self._period = _PERIOD
             self._expires_at = now
             self._silent_at = now + NEUTRAL_TIME
@@ -155,7 +158,12 @@ class SetpointLoop:
 
     def silence(self) -> None:
         """Send nothing more until the next setpoint."""
-        self._setpoint = self._frame = None
+        self._setpoint = self._frame = self._owed = None
+
+    def pay(self) -> None:
+        """Send the neutral that was asked for, if it never went out."""
+        if self._owed is not None and self._admits(self._owed):
+            self._transmit(self._owed, self._loop.time())
 
     async def halt(self) -> None:
         """Neutral for a moment, then silence."""
@@ -188,6 +196,8 @@ class SetpointLoop:
         else:
             self._slot = now
         self._frame = setpoint
+        if setpoint == self._owed:
+            self._owed = None
         self.sent += 1
         self._send(setpoint)
 
@@ -235,7 +245,7 @@ class SetpointLoop:
         if self._setpoint is None:
             return
         if now >= self._silent_at:
-            self.silence()
+            self._setpoint = self._frame = None  # what is owed stays so
         elif now >= self._expires_at:
             neutral = self._setpoint.neutral()
             if self._setpoint != neutral:

@@ -102,6 +102,8 @@ class StopPath:
         self.let_go()  # again, when it was begun again: the task that sends may be gone
         if self._has_authority and self._setpoints.current is not None:
             await asyncio.sleep(NEUTRAL_TIME)
+        if self._has_authority and self._life.plan.neutral:
+            self._setpoints.pay()  # nothing, unless this process stood still meanwhile
         await self._setpoints.stop()
 
     async def _land(self) -> None:

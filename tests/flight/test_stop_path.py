@@ -15,6 +15,7 @@ from m100link import (
     AuthorityState,
     FlightPhase,
     FlightStatus,
+    Guards,
     LinkClosed,
     LinkLost,
     NoAuthority,
@@ -28,6 +29,7 @@ from m100link.flight.stop_path import StopAction
 from m100link.protocol.codes import VersionCode
 from m100link.protocol.commands.activation import GetVersion, Version
 from m100link.protocol.commands.control import RequestAuthority
+from m100link.sim import VirtualClockEventLoop
 from tests.rig import FIRMWARES, NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -472,3 +474,25 @@ async def test_after_the_block_it_is_over_whatever_ended_it() -> None:
             pass
         with pytest.raises(NoAuthority, match="over with this block"):
             control.send(NORTH)
+
+
+@pytest.mark.parametrize("after", [0.0, 0.001, 0.01, 0.019])
+@pytest.mark.parametrize("stands_still", [0.25, 0.6, 5.0])
+async def test_a_process_that_stands_still_on_its_way_out_sends_a_neutral_all_the_same(
+    stands_still: float, after: float
+) -> None:
+    async with rig() as flown:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualClockEventLoop)
+
+        def stand_still() -> None:
+            loop._jumping.now += stands_still
+
+        guards = Guards(stale_telemetry_s=None)
+        async with flown.aircraft.control(guards=guards) as control:
+            await control.take_off()
+            await flown.fly(control, 0.5)
+            control.send(NORTH)
+            loop.call_later(after, stand_still)
+        assert flown.is_neutral(flown.moves[-1])
+        assert flown.is_released
