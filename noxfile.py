@@ -123,7 +123,11 @@ KINDS = {
         },
         groups=("test",),
     ),
-    "interop": Kind({"interop": [pytest("tests/interop")]}, groups=("test", "interop")),
+    # Beside rosbridge_suite's own library it has a session to itself.
+    "interop": Kind(
+        {"interop": [pytest("--ignore=tests/interop/test_rosbridge_library.py", "tests/interop")]},
+        groups=("test", "interop"),
+    ),
     "types": Kind(
         {"types": [("mypy", *CHECKED), ("pyright",)]},
         groups=("types", "test", "docs", "bench", "browser", "interop"),

@@ -138,7 +138,7 @@ def test_the_list_of_verbs_loads_none_of_them() -> None:
     loaded = loaded_by(f"{asked}\ntry: main()\nexcept SystemExit: pass")
     assert {name for name in loaded if name.startswith("m100link")} == {
         *("m100link", "m100link.errors"),
-        *("m100link.cli", "m100link.cli.app", "m100link.cli.outcome"),
+        *("m100link.cli", "m100link.cli.app", "m100link.cli.outcome", "m100link.cli.terminal"),
     }
 
 

@@ -9,7 +9,6 @@ Reading:
 
 from __future__ import annotations
 
-import asyncio
 import codecs
 import contextlib
 import io
@@ -130,6 +129,8 @@ async def read_line() -> str:
 
     The loop runs meanwhile: Ctrl-C ends it at once, and the link is served.
     """
+    import asyncio
+
     loop = asyncio.get_running_loop()
     descriptor = sys.stdin.fileno()
     line: asyncio.Future[bytes] = loop.create_future()
