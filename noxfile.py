@@ -119,7 +119,7 @@ KINDS = {
         {
             "tests": [pytest(*OWN_SESSIONS, *workers(2), "-m", "not pty")],
             # They keep real time and mostly wait.
-            "tests (pty)": [pytest(*OWN_SESSIONS, *workers(3), "-m", "pty")],
+            "tests (pty)": [pytest(*OWN_SESSIONS, *workers(2), "-m", "pty")],
         },
         groups=("test",),
     ),
@@ -255,11 +255,31 @@ def install(session: nox.Session, *requirements: str) -> None:
         session.install(*requirements)
 
 
+# What flies in real time, or needs every processor, has the machine to itself.
+ALONE = ("tests (pty)", "browser", "tests")
+
+
 def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) -> None:
-    """Run commands side by side and print what each said when it ends; fail at the end."""
+    """Run commands and print what each said when it ends; fail at the end."""
     ended: dict[str, tuple[bool, float]] = {}
+    together = {title: lines for title, lines in commands.items() if title not in ALONE}
+    for stage in ({title: commands[title]} for title in ALONE if title in commands):
+        run_together(session, stage, ended)
+    run_together(session, together, ended)
+    for title, (is_good, seconds) in ended.items():
+        session.log(f"{'passed' if is_good else 'FAILED'} {seconds:4.0f} s  {title}")
+    failed = [title for title, (is_good, _) in ended.items() if not is_good]
+    if failed:
+        session.error(f"failed: {', '.join(failed)}")
+
+
+def run_together(
+    session: nox.Session,
+    commands: dict[str, list[tuple[str, ...]]],
+    ended: dict[str, tuple[bool, float]],
+) -> None:
+    """Run commands side by side; most of these wait for aircraft, or are short."""
     started: list[subprocess.Popen[str]] = []
-    # Half of them wait for aircraft and browsers most of the time; flights in real time want some.
     with concurrent.futures.ThreadPoolExecutor(1 + (os.cpu_count() or 1)) as pool:
         running = {
             pool.submit(run_lines, session, started, lines): title
@@ -273,11 +293,6 @@ def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) ->
             for process in started:
                 process.send_signal(signal.SIGINT)  # pytest ends what its tests have begun
             raise
-    for title, (is_good, seconds) in ended.items():
-        session.log(f"{'passed' if is_good else 'FAILED'} {seconds:4.0f} s  {title}")
-    failed = [title for title, (is_good, _) in ended.items() if not is_good]
-    if failed:
-        session.error(f"failed: {', '.join(failed)}")
 
 
 def run_lines(

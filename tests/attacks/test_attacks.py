@@ -110,7 +110,6 @@ async def test_in_two_processes_the_pilot_keeps_control_through_every_attack() -
     assert [name for name, _, _ in rows] == list(gaps.ATTACKS)
     for name, attacked, alone in rows:
         assert attacked.is_in_control, name
-        assert len(attacked.gaps) > 10, name
         assert len(alone.gaps) > 10, name
     lines = table(rows).splitlines()
     assert len(lines) == 1 + 2 * len(rows)
