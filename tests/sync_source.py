@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-import m100link.aircraft
+import m100link.aircraft.connecting
 import m100link.flight.control
 from m100link import Aircraft, Control
 
@@ -387,7 +387,7 @@ def aircraft_source() -> str:
     parts = [AIRCRAFT_HEAD]
     parts += [writer.method("_aircraft", name, member) for name, member in functions(Aircraft)]
     connect = definition(m100link.aircraft.connect)
-    parameters, handed = writer.parameters(connect, vars(m100link.aircraft))
+    parameters, handed = writer.parameters(connect, vars(m100link.aircraft.connecting))
     tail = TAIL.replace("CONNECT_PARAMETERS", f"    {parameters},")
     tail = tail.replace("CONNECT_ARGUMENTS", handed)
     doc = without_await(ast.get_docstring(connect) or "")

@@ -180,7 +180,7 @@ def test_the_manuals_house_names_places_that_exist() -> None:
 
 # Module → the test that shows what it does, and why that one stands elsewhere.
 TESTED_ELSEWHERE = {
-    "activation.py": ("test_aircraft.py", "activating is one method of the aircraft"),
+    "activation.py": ("aircraft/test_aircraft.py", "activating is one method of the aircraft"),
     "agent/activation.py": ("agent/test_agent.py", "a part that only the agent has"),
     "agent/codec.py": ("agent/test_message_bytes.py", "what is said, and how it is written down"),
     "agent/connect.py": ("agent/test_agent.py", "three lines that each open a connection"),
@@ -188,6 +188,7 @@ TESTED_ELSEWHERE = {
     "agent/messages.py": ("agent/test_message_bytes.py", "each comes out as it went in"),
     "agent/patterns.py": ("station/ros/test_node_2015.py", "flown by the commands of 2015"),
     "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
+    "aircraft/connecting.py": ("aircraft/test_aircraft.py", "whoever tests it connects first"),
     "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),
     "protocol/records.py": ("protocol/test_packet.py", "records are what packages are read into"),
     "session/events.py": ("session/test_endpoint.py", "names and counters, nothing to run"),

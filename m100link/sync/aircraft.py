@@ -12,7 +12,7 @@ from typing import Any, Self, TypeVar
 
 from m100link import aircraft as aio
 from m100link.activation import ActivationProgress
-from m100link.aircraft import AuthorityEvent, ConnectionEvent
+from m100link.aircraft.aircraft import AuthorityEvent, ConnectionEvent
 from m100link.errors import CommandRefused, LinkError
 from m100link.flight.authority import Authority
 from m100link.flight.block import PauseAction

@@ -54,7 +54,7 @@ def test_a_release_that_is_not_confirmed_is_not_called_one(
     async def unheard(*_: object) -> bool:
         return False
 
-    monkeypatch.setattr("m100link.aircraft.release_authority", unheard)
+    monkeypatch.setattr("m100link.aircraft.aircraft.release_authority", unheard)
     assert release("sim://") == ExitCode.TIMEOUT
     assert "did not say that it has control authority back" in capsys.readouterr().err
 

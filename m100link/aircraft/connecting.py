@@ -1,0 +1,103 @@
+"""Opening a line and looking for an aircraft at its end: :func:`connect`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Generator
+from functools import partial
+from types import TracebackType
+from typing import Any
+
+from m100link.aircraft.aircraft import Aircraft
+from m100link.errors import UsageError
+from m100link.link import Link, open_link
+from m100link.protocol.firmware import FirmwareProfile, profile
+
+__all__ = ["Connecting", "connect"]
+
+
+class Connecting:
+    """A connection to be made, by ``async with`` or ``await``: see :func:`m100link.connect`."""
+
+    def __init__(self, connect: Callable[[], Coroutine[Any, Any, Aircraft]]) -> None:
+        self._connect = connect
+        self._aircraft: Aircraft | None = None  # while the block runs
+
+    def __await__(self) -> Generator[Any, Any, Aircraft]:
+        return self._connect().__await__()
+
+    async def __aenter__(self) -> Aircraft:
+        self._aircraft = await self._connect()
+        return self._aircraft
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._aircraft is not None:
+            await self._aircraft.aclose()
+
+
+def connect(
+    line: str | Link,
+    *,
+    firmware: str | FirmwareProfile | None = None,
+    baud_rate: int | None = None,
+    timeout: float = 3.0,
+) -> Connecting:
+    """Connect to an aircraft for the time of a block.
+
+    ::
+
+        async with m100link.connect("serial:///dev/ttyUSB0:230400") as aircraft:
+            print(await aircraft.version())
+
+    At a prompt, or in a service, ``aircraft = await m100link.connect(...)`` connects until
+    :meth:`Aircraft.aclose`.
+
+    Args:
+        line: ``serial:///dev/ttyUSB0:230400``, a bare device path, ``tcp://host:port``, ``sim://``,
+            or a link that is open already.
+        firmware: Force a profile by name; by default the version answer chooses it.
+        baud_rate: Rate when the URL has none; 230400 by default.
+        timeout: Seconds until an aircraft has to answer.
+
+    Raises (when it is entered or awaited):
+        BadURL, UsageError: A wrong string or profile name; no asyncio, but trio.
+        PortNotFound, PortPermissionDenied, PortBusy, PortFailed: The port cannot be opened.
+        SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
+    """
+    return Connecting(partial(_open, line, firmware=firmware, baud_rate=baud_rate, timeout=timeout))
+
+
+async def _open(
+    line: str | Link,
+    *,
+    firmware: str | FirmwareProfile | None,
+    baud_rate: int | None,
+    timeout: float,
+) -> Aircraft:
+    _require_asyncio()
+    forced = None if firmware is None else profile(firmware)
+    link = line if isinstance(line, Link) else await open_link(line, baud_rate=baud_rate)
+    aircraft = Aircraft(link, firmware=forced)
+    try:
+        await aircraft._requests.find_aircraft(timeout)
+    except BaseException:
+        await aircraft.aclose()
+        raise
+    return aircraft
+
+
+def _require_asyncio() -> None:
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        raise UsageError(
+            "there is no event loop of asyncio here",
+            cause="the program runs on trio, or steps through the coroutine itself",
+            remedy="asyncio.run(main()), or anyio.run(main, backend='asyncio'); without an event "
+            "loop, or beside that of trio: m100link.sync",
+        ) from None
