@@ -68,6 +68,8 @@ async def activate(
             progress(ActivationProgress(attempt, code, pause, remaining))
         if code == ActivationCode.SUCCESS or _is_active_without_app(version, code):
             link.cipher = Cipher(credentials.key, random_padding=True)
+            # Firmware without a level in the request asks DJI's server for it.
+            requests.level = credentials.level if requests.firmware.has_level else None
             _logger.info("activated for app %d", credentials.app_id)
             return version
         if pause is None:

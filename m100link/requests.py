@@ -13,6 +13,7 @@ from m100link.errors import (
     CommandRefused,
     KeyRejected,
     LevelTooLow,
+    LinkError,
     NoAnswer,
     NotActivated,
     NoValidFrame,
@@ -47,6 +48,7 @@ class Requests:
 
     Attributes:
         firmware: Profile in whose layout commands are encoded.
+        level: Level that this program activated with, None when nobody here knows it.
         version: Newest answer to the version query, None before the first.
     """
 
@@ -59,6 +61,7 @@ class Requests:
         "_link",
         "_proven_cipher",
         "firmware",
+        "level",
         "version",
     )
 
@@ -70,6 +73,7 @@ class Requests:
         self._proven_cipher: Cipher | None = None  # the key that the aircraft understood once
         self._known_pushes: set[type[Command]] = set()  # that the firmware was found to have
         self.firmware = firmware or FIRMWARE_1_0
+        self.level: int | None = None
         self.version: Version | None = None
 
     @property
@@ -174,6 +178,29 @@ class Requests:
         link = self._link
         encrypted = command.ENCRYPTED and link.cipher is not None
         return link.push(command.encode(self.firmware), encrypted=encrypted)
+
+    async def send(self, command: Push) -> None:
+        """Send a command that nobody answers; what the aircraft would ignore is refused here.
+
+        Raises:
+            NotActivated, LevelTooLow, CommandNotSupported: The aircraft would ignore it in silence.
+            UsageError: The firmware is unknown.
+            LinkError: The line is gone, or does not drain.
+        """
+        self._require_firmware(command)
+        if self._link.cipher is None and command.NEEDS_ACTIVATION:
+            if self.version is None or not self.version.is_activated:  # another program may have
+                await self.query_version()
+            if self.version is None or not self.version.is_activated:
+                raise _ignored(NotActivated, command, SystemCode.NOT_ACTIVATED)
+        if self.level is not None and self.level < command.LEVEL:
+            raise _ignored(LevelTooLow, command, SystemCode.LEVEL_TOO_LOW)
+        if not self.push(command):
+            raise LinkError(
+                f"{command.NAME} was not sent: the line does not drain",
+                cause="more is sent than the baud rate carries, or the other end stands still",
+                remedy="send less, or a higher baud rate",
+            )
 
     async def find_aircraft(self, timeout: float) -> Version:
         """Ask for the version until the deadline; if none comes, say how far the line reaches.
@@ -309,6 +336,17 @@ def _key_rejected(name: str) -> KeyRejected:
         command=name,
         cause="the key of this program is not the one that the aircraft was activated with",
         remedy="check the enc key of the app id, and activate again",
+    )
+
+
+def _ignored(kind: type[CommandRefused], command: Push, code: SystemCode) -> CommandRefused:
+    """The error for what would be ignored in silence."""
+    return kind(
+        f"{command.NAME} was not sent, it would be ignored: {code.meaning}",
+        command=command.NAME,
+        code=int(code),
+        cause=code.cause,
+        remedy=code.remedy,
     )
 
 
