@@ -24,7 +24,15 @@ if TYPE_CHECKING:
     # plain imports. A stub beside this file would be a second list to keep, and would hide it.
     from m100link import errors, sync
     from m100link.activation import ActivationProgress
-    from m100link.aircraft import Aircraft, AuthorityEvent, ConnectionEvent, connect
+    from m100link.aircraft import (
+        Aircraft,
+        AircraftCamera,
+        AircraftGimbal,
+        AuthorityEvent,
+        ConnectionEvent,
+        GimbalRates,
+        connect,
+    )
     from m100link.errors import (
         AckTimeout,
         ActivationRefused,
@@ -122,6 +130,8 @@ __all__ = [
     "ActivationProgress",
     "ActivationRefused",
     "Aircraft",
+    "AircraftCamera",
+    "AircraftGimbal",
     "AircraftState",
     "AngularVelocity",
     "Arrival",
@@ -153,6 +163,7 @@ __all__ = [
     "FlightPhase",
     "FlightStatus",
     "Gimbal",
+    "GimbalRates",
     "GuardRefused",
     "Guards",
     "GuidanceProgress",

@@ -1,4 +1,4 @@
-"""Writes two modules of ``m100link/sync`` from the API with ``await``: they cannot lag behind.
+"""Writes three modules of ``m100link/sync`` from the API with ``await``: they cannot lag behind.
 
     python -m tests.sync_source
 
@@ -25,6 +25,8 @@ from typing import Any
 import m100link.aircraft.connecting
 import m100link.flight.control
 from m100link import Aircraft, Control
+from m100link.aircraft.camera import AircraftCamera
+from m100link.aircraft.gimbal import AircraftGimbal
 
 FOLDER = Path(__file__).parent.parent / "m100link/sync"
 
@@ -60,6 +62,8 @@ class Aircraft:
     def __init__(self, portal: Portal, aircraft: aio.Aircraft) -> None:
         self._portal = portal
         self._aircraft = aircraft
+        self.gimbal = AircraftGimbal(portal, aircraft.gimbal)
+        self.camera = AircraftCamera(portal, aircraft.camera)
         SIGNALS.connected(portal)
         self.close = portal.close_after(aircraft.aclose, partial(SIGNALS.closed, portal))
         """End the control block that runs, then close the line. May be called again."""
@@ -130,6 +134,30 @@ class Control:
         self._portal.soon(self._control.interrupt)
 '''
 
+GIMBAL_HEAD = '''
+class AircraftGimbal:
+    """The gimbal of a connected aircraft, without ``await``: ``aircraft.gimbal``."""
+
+    def __init__(self, portal: Portal, gimbal: aio_gimbal.AircraftGimbal) -> None:
+        self._portal = portal
+        self._gimbal = gimbal
+
+    def __repr__(self) -> str:
+        return repr(self._gimbal)
+'''
+
+CAMERA_HEAD = '''
+class AircraftCamera:
+    """The camera of a connected aircraft, without ``await``: ``aircraft.camera``.
+
+    **Sent, and nobody confirms**: no firmware says whether a picture was taken or a video runs.
+    """
+
+    def __init__(self, portal: Portal, camera: aio_camera.AircraftCamera) -> None:
+        self._portal = portal
+        self._camera = camera
+'''
+
 TAIL = """
 def connect(
 CONNECT_PARAMETERS
@@ -170,6 +198,9 @@ BY_HAND = {
     """,
     "ticks": "return Ticks(self._portal, self._portal.call(self._control.ticks, ARGUMENTS))",
     "hold": "return Hold(self._portal, self._control.hold(ARGUMENTS))",
+    "hold_angular_rates": """
+        return GimbalRates(self._portal, self._gimbal.hold_angular_rates(ARGUMENTS))
+    """,
     "follow": """
         self._portal.wait(
             lambda caller: self._control.follow(
@@ -201,6 +232,7 @@ TIMED = ("telemetry", "from_mobile", "events")
 
 TYPES = {
     "AsyncIterator[Hold]": "Hold",
+    "AsyncIterator[GimbalRates]": "GimbalRates",
     "Ticker": "Ticks",
     "SetpointSource": "Callable[[Tick], Setpoint | None]",
 }
@@ -354,7 +386,7 @@ FIXED_IMPORTS = {
     "m100link.flight.pacing": "Tick",
     "m100link.sync.portal": "Portal",
     "m100link.sync.signals": "SIGNALS",
-    "m100link.sync.steering": "Hold, Ticks, asked",
+    "m100link.sync.steering": "GimbalRates, Hold, Ticks, asked",
     "m100link.sync.subscription": "Subscription",
 }
 """What the text above uses."""
@@ -398,6 +430,7 @@ def aircraft_source() -> str:
         "from m100link.flight.authority import Authority\n"
         "from m100link.sim.ports.url import clock_of\n"
         "from m100link.sync.control import Control\n"
+        "from m100link.sync.payload import AircraftCamera, AircraftGimbal\n"
     )
     return whole("The aircraft without ``await``.", exports, own, writer, parts)
 
@@ -415,6 +448,21 @@ def control_source() -> str:
     return whole("The control block without ``await``.", '["Control"]', own, writer, parts)
 
 
+def payload_source() -> str:
+    """The module of what hangs below."""
+    writer = Writer()
+    parts = [GIMBAL_HEAD]
+    parts += [writer.method("_gimbal", name, member) for name, member in functions(AircraftGimbal)]
+    parts.append(CAMERA_HEAD)
+    parts += [writer.method("_camera", name, member) for name, member in functions(AircraftCamera)]
+    own = (
+        "from m100link.aircraft import camera as aio_camera\n"
+        "from m100link.aircraft import gimbal as aio_gimbal\n"
+    )
+    exports = '["AircraftCamera", "AircraftGimbal"]'
+    return whole("Gimbal and camera without ``await``.", exports, own, writer, parts)
+
+
 def whole(summary: str, exports: str, own: str, writer: Writer, parts: list[str]) -> str:
     """A module."""
     body = "\n".join(parts)
@@ -422,7 +470,11 @@ def whole(summary: str, exports: str, own: str, writer: Writer, parts: list[str]
     return head.replace("IMPORTS", own + writer.imports(body)) + body
 
 
-SOURCES = {"aircraft.py": aircraft_source, "control.py": control_source}
+SOURCES = {
+    "aircraft.py": aircraft_source,
+    "control.py": control_source,
+    "payload.py": payload_source,
+}
 
 
 def tidied(text: str) -> str:

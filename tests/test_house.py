@@ -42,7 +42,7 @@ MODULES = {name_of(path): path for path in programs("m100link")}
 
 
 # Read are the classes from which they are written; what they say stands there.
-GENERATED = {PACKAGE / "sync/aircraft.py", PACKAGE / "sync/control.py"}
+GENERATED = {PACKAGE / f"sync/{name}.py" for name in ("aircraft", "control", "payload")}
 
 
 # -- sizes ----------------------------------------------------------------------------------------
@@ -211,6 +211,7 @@ TESTED_ELSEWHERE = {
     "station/run.py": ("station/web/test_server.py", "every test there runs it"),
     "station/web/access.py": ("station/web/test_gate.py", "the gate's two questions"),
     "station/web/files.py": ("station/web/test_server.py", "seen by asking the server"),
+    "sync/payload.py": ("sync/test_aircraft.py", "an aircraft has its gimbal and its camera"),
     "sync/steering.py": ("sync/test_control.py", "ticks and holds are what a control block gives"),
     "sync/subscription.py": ("sync/test_aircraft.py", "a subscription is what an aircraft gives"),
     "telemetry/stream.py": ("telemetry/test_subscription.py", "seen in what a consumer gets"),

@@ -3,6 +3,17 @@
 from __future__ import annotations
 
 from m100link.aircraft.aircraft import Aircraft, AuthorityEvent, ConnectionEvent
+from m100link.aircraft.camera import AircraftCamera
 from m100link.aircraft.connecting import Connecting, connect
+from m100link.aircraft.gimbal import AircraftGimbal, GimbalRates
 
-__all__ = ["Aircraft", "AuthorityEvent", "Connecting", "ConnectionEvent", "connect"]
+__all__ = [
+    "Aircraft",
+    "AircraftCamera",
+    "AircraftGimbal",
+    "AuthorityEvent",
+    "Connecting",
+    "ConnectionEvent",
+    "GimbalRates",
+    "connect",
+]

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 from m100link.activation import ActivationProgress, activate
+from m100link.aircraft.camera import AircraftCamera
+from m100link.aircraft.gimbal import AircraftGimbal
 from m100link.errors import (
     CommandRefused,
     LinkError,
@@ -83,6 +85,7 @@ class Aircraft:
     Attributes:
         link: The line.
         authority: Who controls the aircraft, as far as this program knows.
+        gimbal, camera: What hangs below; they need no control authority.
     """
 
     def __init__(self, link: Link, *, firmware: FirmwareProfile | None = None) -> None:
@@ -92,6 +95,8 @@ class Aircraft:
         self._from_mobile: Hub[bytes] = Hub()
         self._events: Hub[ConnectionEvent | AuthorityEvent] = Hub()
         self._claim = BlockClaim()
+        self.gimbal = AircraftGimbal(self._requests, self._telemetry)
+        self.camera = AircraftCamera(self._requests)
         self.link = link
         self.authority.subscribe(self._on_authority)
         parts = link, self._requests, self.authority, self.state

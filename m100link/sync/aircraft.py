@@ -24,6 +24,7 @@ from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.sim.ports.url import clock_of
 from m100link.sync.control import Control
+from m100link.sync.payload import AircraftCamera, AircraftGimbal
 from m100link.sync.portal import Portal
 from m100link.sync.signals import SIGNALS
 from m100link.sync.subscription import Subscription
@@ -48,6 +49,8 @@ class Aircraft:
     def __init__(self, portal: Portal, aircraft: aio.Aircraft) -> None:
         self._portal = portal
         self._aircraft = aircraft
+        self.gimbal = AircraftGimbal(portal, aircraft.gimbal)
+        self.camera = AircraftCamera(portal, aircraft.camera)
         SIGNALS.connected(portal)
         self.close = portal.close_after(aircraft.aclose, partial(SIGNALS.closed, portal))
         """End the control block that runs, then close the line. May be called again."""

@@ -1,4 +1,4 @@
-"""Ticks, and setpoints that are held, for programs without ``await``."""
+"""Ticks, and what is held while a block runs, for programs without ``await``."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from contextlib import AbstractAsyncContextManager
 from types import TracebackType
 from typing import Self
 
+from m100link.aircraft import gimbal
 from m100link.flight import pacing, setpoints
 from m100link.flight.pacing import Tick
 from m100link.protocol.setpoint import Setpoint
 from m100link.sync.portal import Caller, Portal
 
-__all__ = ["Hold", "Ticks", "asked"]
+__all__ = ["GimbalRates", "Hold", "Ticks", "asked"]
 
 
 class Ticks:
@@ -60,6 +61,38 @@ class Hold:
 
     def __enter__(self) -> Self:
         self._hold = self._portal.wait(lambda _: self._holding.__aenter__())
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._portal.wait(lambda _: self._holding.__aexit__(exc_type, exc, traceback))
+
+
+class GimbalRates:
+    """Angular rates that are repeated while a ``with`` block runs; :meth:`set` replaces them."""
+
+    def __init__(
+        self, portal: Portal, holding: AbstractAsyncContextManager[gimbal.GimbalRates]
+    ) -> None:
+        self._portal = portal
+        self._holding = holding
+        self._rates: gimbal.GimbalRates | None = None  # while the block runs
+
+    def set(self, *, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> None:
+        """Turn at these rates from the next repetition on, within 0.1 s.
+
+        Raises:
+            UsageError: Beyond 180 degrees per second, or not a number.
+        """
+        assert self._rates is not None, "use it inside its `with` block"
+        self._portal.call(self._rates.set, yaw=yaw, pitch=pitch, roll=roll)
+
+    def __enter__(self) -> Self:
+        self._rates = self._portal.wait(lambda _: self._holding.__aenter__())
         return self
 
     def __exit__(

@@ -17,6 +17,7 @@ from m100link import (
     UsageError,
     sync,
 )
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sync.subscription import Subscription
 from tests import sync_source
 
@@ -123,3 +124,23 @@ def test_a_subscription_ends_with_the_line(connect: Connect) -> None:
         for _ in samples:
             pass
     other.join()
+
+
+def test_gimbal_and_camera(connect: Connect) -> None:
+    with sync.connect("sim://?firmware=3.1") as aircraft:
+        aircraft.activate(Credentials(DEMO_APP_ID, DEMO_KEY))
+        aircraft.gimbal.set_angles(pitch=-45, seconds=1.0, wait=True)
+        assert repr(aircraft.gimbal).startswith("<AircraftGimbal yaw 0.0°, pitch -4")
+        with aircraft.gimbal.hold_angular_rates(pitch=20) as rates:
+            aircraft.collect(Attitude, seconds=1.0)
+            rates.set(yaw=20)
+            with pytest.raises(UsageError, match="yaw rate 200"):
+                rates.set(yaw=200)
+            aircraft.collect(Attitude, seconds=1.0)
+        aircraft.gimbal.set_angular_rates(yaw=20, seconds=1.0)
+        assert (seen := aircraft.state.gimbal)
+        assert seen.pitch_deg == pytest.approx(-23, abs=4.0)
+        assert seen.yaw_deg == pytest.approx(40, abs=6.0)
+        aircraft.camera.take_photo()
+        aircraft.camera.start_video()
+        aircraft.camera.stop_video()
