@@ -136,7 +136,8 @@ def test_whoever_comes_in_by_a_door_decides_about_the_log(door: str) -> None:
 def test_the_list_of_verbs_loads_none_of_them() -> None:
     asked = "import sys; sys.argv = ['m100link', '--help']\nfrom m100link.cli import main"
     loaded = loaded_by(f"{asked}\ntry: main()\nexcept SystemExit: pass")
-    assert {name for name in loaded if name.startswith("m100link")} == {
+    loaded_of_it = {name for name in loaded if name.startswith("m100link")}
+    assert {name for name in loaded_of_it if not name.startswith("m100link.errors.")} == {
         *("m100link", "m100link.errors"),
         *("m100link.cli", "m100link.cli.app", "m100link.cli.outcome", "m100link.cli.terminal"),
     }

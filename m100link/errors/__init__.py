@@ -1,0 +1,137 @@
+"""Every error that m100link raises.
+
+All of them derive from :class:`M100Error`, so one ``except`` catches the library and nothing else::
+
+    M100Error
+    ├── UsageError                 the caller's mistake, found before a byte is sent   (ValueError)
+    │   ├── BadURL                 the connection string names no transport
+    │   ├── BadKey                 not 32 bytes, not 64 hex digits
+    │   ├── BadSetpoint            a value outside the document's table, NaN or infinity
+    │   └── PayloadTooLarge        more than 1007 bytes, or 100 to the mobile device
+    ├── LinkError                  the cable and what is at its end (ConnectionError)
+    │   ├── PortNotFound           no such device (FileNotFoundError)
+    │   ├── PortPermissionDenied   the device is there but not for this user (PermissionError)
+    │   ├── PortBusy               another program has it
+    │   ├── PortFailed             the system refused for another reason
+    │   ├── LinkLost               the port went away under us
+    │   ├── LinkClosed             we closed it
+    │   └── NoAircraft             opened, but no usable answer came (TimeoutError)
+    │       ├── SilentLine         not one byte arrived
+    │       ├── NoValidFrame       bytes, but no frame: baud rate or noise
+    │       └── NoAnswer           frames arrive, our request is not answered
+    ├── AckTimeout                 no ack after all tries: the outcome is unknown (TimeoutError)
+    ├── KeyRejected                plain requests are answered, encrypted ones are not
+    ├── BadAck                     an ack that is too short for its command
+    ├── CommandRefused             the aircraft answered, and the answer was no
+    │   ├── ActivationRefused
+    │   ├── NotActivated           system code 0xFF01
+    │   ├── LevelTooLow            system code 0xFF02
+    │   ├── CommandNotSupported    system code 0xFF00
+    │   ├── AuthorityRefused
+    │   └── TaskError              take-off, landing or go-home did not happen
+    │       ├── TaskRefused        it was not begun
+    │       └── TaskFailed         it was begun and the aircraft reports failure
+    ├── NotObserved                begun, but telemetry never showed the result (TimeoutError)
+    ├── AuthorityError
+    │   ├── NoAuthority            movement was asked for without authority
+    │   └── AuthorityLost          the pilot, the app or the link took it away
+    ├── GuardRefused               a safety guard said no; it names itself and the measured value
+    └── TelemetryError
+        ├── TelemetryOverflow      a lossless consumer fell behind
+        ├── TelemetryStalled       the stream went silent
+        └── LayoutMismatch         a packet does not fit the firmware profile
+"""
+
+from __future__ import annotations
+
+from m100link.errors.aircraft import (
+    AckTimeout,
+    ActivationRefused,
+    AuthorityError,
+    AuthorityLost,
+    AuthorityRefused,
+    BadAck,
+    CommandNotSupported,
+    CommandRefused,
+    GuardRefused,
+    KeyRejected,
+    LayoutMismatch,
+    LevelTooLow,
+    LossReason,
+    NoAuthority,
+    NotActivated,
+    NotObserved,
+    TaskError,
+    TaskFailed,
+    TaskRefused,
+    TelemetryError,
+    TelemetryOverflow,
+    TelemetryStalled,
+)
+from m100link.errors.base import M100Error
+from m100link.errors.line import (
+    LinkClosed,
+    LinkError,
+    LinkLost,
+    NoAircraft,
+    NoAnswer,
+    NoValidFrame,
+    PortBusy,
+    PortFailed,
+    PortNotFound,
+    PortPermissionDenied,
+    SilentLine,
+)
+from m100link.errors.usage import (
+    BadKey,
+    BadSetpoint,
+    BadURL,
+    PayloadTooLarge,
+    UsageError,
+)
+
+__all__ = [
+    "AckTimeout",
+    "ActivationRefused",
+    "AuthorityError",
+    "AuthorityLost",
+    "AuthorityRefused",
+    "BadAck",
+    "BadKey",
+    "BadSetpoint",
+    "BadURL",
+    "CommandNotSupported",
+    "CommandRefused",
+    "GuardRefused",
+    "KeyRejected",
+    "LayoutMismatch",
+    "LevelTooLow",
+    "LinkClosed",
+    "LinkError",
+    "LinkLost",
+    "LossReason",
+    "M100Error",
+    "NoAircraft",
+    "NoAnswer",
+    "NoAuthority",
+    "NoValidFrame",
+    "NotActivated",
+    "NotObserved",
+    "PayloadTooLarge",
+    "PortBusy",
+    "PortFailed",
+    "PortNotFound",
+    "PortPermissionDenied",
+    "SilentLine",
+    "TaskError",
+    "TaskFailed",
+    "TaskRefused",
+    "TelemetryError",
+    "TelemetryOverflow",
+    "TelemetryStalled",
+    "UsageError",
+]
+
+# One place to catch them from, and one name in tracebacks: where a class stands is not for users.
+for _name in __all__:
+    globals()[_name].__module__ = __name__

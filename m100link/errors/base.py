@@ -1,0 +1,50 @@
+"""What every error of the package has."""
+
+from __future__ import annotations
+
+from typing import Self, TypeVar
+
+__all__ = ["M100Error"]
+
+E = TypeVar("E", bound="M100Error")
+
+
+class M100Error(Exception):
+    """Base of every error of this package.
+
+    Attributes:
+        seen: What was observed, in one sentence.
+        cause: The most likely cause, or an empty string.
+        remedy: What to do about it, or an empty string.
+    """
+
+    def __init__(self, seen: str, *, cause: str = "", remedy: str = "") -> None:
+        self.seen = seen
+        self.cause = cause
+        self.remedy = remedy
+        super().__init__(seen, cause, remedy)
+
+    def __str__(self) -> str:
+        text = self.seen
+        if self.cause:
+            text += f"\n  likely cause: {self.cause}"
+        if self.remedy:
+            text += f"\n  what to do:   {self.remedy}"
+        return text
+
+    def again(self) -> Self:
+        """The same error, to be raised in another place: one exception object has one traceback."""
+        fresh = _rebuild(type(self), self.args, self.__dict__)
+        fresh.__cause__ = self.__cause__
+        return fresh
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Subclasses take keyword arguments that the default pickling would lose.
+        return (_rebuild, (type(self), self.args, self.__dict__))
+
+
+def _rebuild(cls: type[E], args: tuple[object, ...], attributes: dict[str, object]) -> E:
+    error = cls.__new__(cls)
+    error.args = args
+    error.__dict__.update(attributes)
+    return error
