@@ -11,7 +11,7 @@ from rich.table import Table
 
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
-from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
+from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
 from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
 from m100link.protocol.items import BY_RECORD
@@ -37,22 +37,22 @@ def info(
     """
     link = link or LinkOptions()
     as_json = json or not sys.stdout.isatty()
-    return run_async(_info(link.place(url), link, duration, as_json))
+    return run_async(_info(link.place(url), duration, as_json))
 
 
-async def _info(url: str, link: LinkOptions, duration: float, as_json: bool) -> int:
-    async with connect(url, **link.arguments()) as aircraft:
+async def _info(place: Place, duration: float, as_json: bool) -> int:
+    async with connect(place.url, **place.arguments()) as aircraft:
         version = await aircraft.version()
         await asyncio.sleep(duration)
         numbers = dataclasses.asdict(aircraft.statistics())
         described: dict[str, Any] = {
-            "url": url,
+            "url": place.url,
             "version": version.name,
             "serial": version.serial,
             "version_crc_matches": version.crc_matches,
             "activated": version.is_activated,
             "firmware": aircraft.firmware.name,
-            "firmware_is_forced": link.firmware is not None,
+            "firmware_is_forced": place.settings.firmware is not None,
             "firmware_summary": aircraft.firmware.summary,
             "telemetry": _rates(aircraft),
             "telemetry_mismatches": aircraft.telemetry_mismatches,
@@ -123,13 +123,11 @@ def activate(
         json: One JSON object instead of talk.
     """
     link = link or LinkOptions()
-    return run_async(_activate(link.place(url), app or AppOptions(), link, wait, json))
+    return run_async(_activate(link.place(url, app), wait, json))
 
 
-async def _activate(
-    url: str, app: AppOptions, link: LinkOptions, wait: float, as_json: bool
-) -> int:
-    credentials = app.credentials(url)
+async def _activate(place: Place, wait: float, as_json: bool) -> int:
+    credentials = place.credentials()
     attempts = 0
 
     def tell(progress: ActivationProgress) -> None:
@@ -142,7 +140,7 @@ async def _activate(
                 f"({progress.code.remedy})"
             )
 
-    async with connect(url, **link.arguments()) as aircraft:
+    async with connect(place.url, **place.arguments()) as aircraft:
         version = await aircraft.activate(credentials, timeout=wait, progress=tell)
     if as_json or not sys.stdout.isatty():
         print_json(

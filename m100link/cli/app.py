@@ -61,6 +61,10 @@ VERBS = {
         "decode:decode",
         "Decode frames from hex: one stream per argument, or per line of standard input.",
     ),
+    "config": (
+        "settings:config",
+        "Show the configuration file: where it is, which aircraft it names, what is in force.",
+    ),
     "sim": ("sim:app", "A virtual Matrice 100, for people and other programs."),
     "serve": (
         "station:serve",

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
-from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
+from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
 from m100link.cli.options import Above0
 from m100link.cli.terminal import read_line
 from m100link.errors import NotObserved, UsageError
@@ -44,7 +44,8 @@ def takeoff(
         link: How to talk to it.
         yes: Do not ask.
     """
-    return _fly(url, app, link, yes, "take off", lambda control: control.take_off(progress=_tell))
+    place = (link or LinkOptions()).place(url, app)
+    return run_async(_fly(place, yes, "take off", lambda control: control.take_off(progress=_tell)))
 
 
 def land(
@@ -63,7 +64,8 @@ def land(
         link: How to talk to it.
         yes: Do not ask.
     """
-    return _fly(url, app, link, yes, "land", lambda control: control.land(progress=_tell))
+    place = (link or LinkOptions()).place(url, app)
+    return run_async(_fly(place, yes, "land", lambda control: control.land(progress=_tell)))
 
 
 def home(
@@ -82,7 +84,8 @@ def home(
         link: How to talk to it.
         yes: Do not ask.
     """
-    return _fly(url, app, link, yes, "go home", lambda control: control.go_home(progress=_tell))
+    place = (link or LinkOptions()).place(url, app)
+    return run_async(_fly(place, yes, "go home", lambda control: control.go_home(progress=_tell)))
 
 
 def fly(
@@ -104,8 +107,7 @@ def fly(
         max_radius: Distance from here that is not exceeded, m.
         yes: Do not ask.
     """
-    link = link or LinkOptions()
-    url, words = link.place_among(place, _is_number)
+    where, words = (link or LinkOptions()).place_among(place, _is_number, app)
     north, east, up = _metres(words)
     guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
 
@@ -116,15 +118,14 @@ def fly(
                 end="\r",
             )
 
-    return _fly(
-        url,
-        app,
-        link,
+    flight = _fly(
+        where,
         yes,
         f"fly {north:g} m north, {east:g} m east, {up:g} m up",
         lambda control: control.fly_to(north=north, east=east, up=up, progress=progress),
         guards,
     )
+    return run_async(flight)
 
 
 def _is_number(word: str) -> bool:
@@ -158,12 +159,11 @@ def release(
         app: The app that is registered with DJI.
         link: How to talk to it.
     """
+    place = (link or LinkOptions()).place(url, app)
 
     async def run() -> None:
-        options = link or LinkOptions()
-        place = options.place(url)
-        async with connect(place, **options.arguments()) as aircraft:
-            await _activate(aircraft, (app or AppOptions()).credentials(place))
+        async with connect(place.url, **place.arguments()) as aircraft:
+            await _activate(aircraft, place.credentials())
             if not await aircraft.release_authority():
                 raise NotObserved(
                     "the aircraft did not say that it has control authority back",
@@ -176,31 +176,12 @@ def release(
     return run_async(run())
 
 
-def _fly(
-    url: str | None,
-    app: AppOptions | None,
-    link: LinkOptions | None,
-    yes: bool,
-    what: str,
-    flight: _Flight,
-    guards: Guards | None = None,
+async def _fly(
+    place: Place, yes: bool, what: str, flight: _Flight, guards: Guards | None = None
 ) -> int:
-    link = link or LinkOptions()
-    return run_async(_run(link.place(url), app or AppOptions(), link, yes, what, flight, guards))
-
-
-async def _run(
-    url: str,
-    app: AppOptions,
-    link: LinkOptions,
-    yes: bool,
-    what: str,
-    flight: _Flight,
-    guards: Guards | None,
-) -> int:
-    credentials = app.credentials(url)  # what is wrong with them is told before a port is opened
-    async with connect(url, **link.arguments()) as aircraft:
-        if not yes and not url.startswith("sim:"):
+    credentials = place.credentials()  # what is wrong with them is told before a port is opened
+    async with connect(place.url, **place.arguments()) as aircraft:
+        if not yes and not place.is_virtual:
             await _confirm(aircraft, what)
         await _activate(aircraft, credentials)
         async with aircraft.control(guards=guards) as control:

@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
-from m100link.cli.common import LinkOptions, Url, out, run_async
+from m100link.cli.common import LinkOptions, Place, Url, out, run_async
 from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
 from m100link.protocol.items import BY_RECORD
@@ -58,11 +58,11 @@ def monitor(
     """
     as_json = json or not sys.stdout.isatty()
     link = link or LinkOptions()
-    return run_async(_monitor(link.place(url), link, duration, as_json))
+    return run_async(_monitor(link.place(url), duration, as_json))
 
 
-async def _monitor(url: str, link: LinkOptions, duration: float | None, as_json: bool) -> int:
-    async with connect(url, **link.arguments()) as aircraft:
+async def _monitor(place: Place, duration: float | None, as_json: bool) -> int:
+    async with connect(place.url, **place.arguments()) as aircraft:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(duration):
                 await (_print_lines(aircraft) if as_json else _show(aircraft))

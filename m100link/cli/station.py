@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 from cyclopts import Parameter
 
 from m100link.cli.common import err, out, run_async
+from m100link.cli.configuration import read_configuration
 from m100link.cli.options import options_of
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
@@ -52,8 +53,9 @@ _FromSettings: Any = options_of(
 class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
     """Where the aircraft is, whose app it is, who may connect.
 
-    Every setting may also come from the environment, a TOML file or a ROS launch file, in this
-    order. To the fields of :class:`~m100link.station.config.Settings` come:
+    Every setting may also come from the environment, a TOML file, a ROS launch file or the user's
+    configuration file, in this order. To the fields of
+    :class:`~m100link.station.config.Settings` come:
 
     Attributes:
         config: TOML file with settings.
@@ -73,7 +75,14 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
         """The settings from all sources."""
         given = {one.name: getattr(self, one.name) for one in fields(_FromSettings)}
         flags = {name: value for name, value in given.items() if value != ()}
-        return resolve(flags | more, os.environ, config=self.config, launch=self.launch)
+        configuration = read_configuration()
+        return resolve(
+            flags | more,
+            os.environ,
+            config=self.config,
+            launch=self.launch,
+            of_aircraft=configuration.sources_of_station,
+        )
 
 
 def serve(url: str | None = None, *, options: StationOptions = StationOptions()) -> int:
@@ -83,7 +92,7 @@ def serve(url: str | None = None, *, options: StationOptions = StationOptions())
     work as they are: `m100link serve --sim --pages dji_keyboard_ctrl`.
 
     Args:
-        url: Where the aircraft is (M100LINK_URL).
+        url: Where the aircraft is, or its name (M100LINK_URL).
         options: See below.
     """
     return _run(options.settings(url=url), options, with_console=False)
@@ -100,7 +109,7 @@ def console(
     """Serve the console for browsers, beside everything that `serve` serves, and open it.
 
     Args:
-        url: Where the aircraft is (M100LINK_URL).
+        url: Where the aircraft is, or its name (M100LINK_URL).
         console_port: Port of the console (M100LINK_CONSOLE_PORT).
         tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
         open_browser: Open the console in the browser.

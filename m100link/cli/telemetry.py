@@ -17,7 +17,7 @@ from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import line_plot
-from m100link.cli.common import LinkOptions, Url, err, out, run_async
+from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
 from m100link.cli.options import Above0, Counted
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import columns_of, items_named, row
@@ -78,13 +78,12 @@ def echo(
         return complain(UsageError("--csv and --json exclude each other"))
     link = link or LinkOptions()
     place, names = link.place_among([url or "", *items], BY_NAME.__contains__)
-    return run_async(_echo(place, names, link, rate, duration, count, csv))
+    return run_async(_echo(place, names, rate, duration, count, csv))
 
 
 async def _echo(
-    url: str,
+    place: Place,
     items: tuple[str, ...],
-    link: LinkOptions,
     rate: float | None,
     duration: float | None,
     count: int | None,
@@ -116,7 +115,7 @@ async def _echo(
                 if printed == count:
                     return
 
-    async with connect(url, **link.arguments()) as aircraft:
+    async with connect(place.url, **place.arguments()) as aircraft:
         if as_csv:
             writer.writeheader()
         await _until(duration, print_all(aircraft))
@@ -165,11 +164,11 @@ def hz(
         json: One JSON object instead of the table; the default in a pipe.
     """
     link = link or LinkOptions()
-    return run_async(_hz(link.place(url), link, duration, json or not sys.stdout.isatty()))
+    return run_async(_hz(link.place(url), duration, json or not sys.stdout.isatty()))
 
 
-async def _hz(url: str, link: LinkOptions, duration: float, as_json: bool) -> None:
-    async with connect(url, **link.arguments()) as aircraft:
+async def _hz(place: Place, duration: float, as_json: bool) -> None:
+    async with connect(place.url, **place.arguments()) as aircraft:
         if as_json:
             await asyncio.sleep(duration)
         else:
@@ -270,7 +269,7 @@ def plot(
     if source is not None and source.endswith(".csv"):
         return _plot_file(Path(source), wanted)
     link = link or LinkOptions()
-    return run_async(_plot_live(link.place(source), wanted, link, duration))
+    return run_async(_plot_live(link.place(source), wanted, duration))
 
 
 def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
@@ -294,7 +293,7 @@ def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
     return ExitCode.OK if any(points.values()) else ExitCode.FAILED
 
 
-async def _plot_live(url: str, fields: tuple[str, ...], link: LinkOptions, duration: float) -> int:
+async def _plot_live(place: Place, fields: tuple[str, ...], duration: float) -> int:
     records = items_named(dict.fromkeys(field.partition(".")[0] for field in fields))
     points: dict[str, list[tuple[float, float]]] = {field: [] for field in fields}
 
@@ -307,7 +306,7 @@ async def _plot_live(url: str, fields: tuple[str, ...], link: LinkOptions, durat
                     if isinstance(value, int | float):
                         points[field].append((sample.received_at, float(value)))
 
-    async with connect(url, **link.arguments()) as aircraft:
+    async with connect(place.url, **place.arguments()) as aircraft:
         shown = Live(console=out, refresh_per_second=5) if sys.stdout.isatty() else None
         with shown or contextlib.nullcontext():
             task = asyncio.ensure_future(_until(duration, collect(aircraft)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,9 @@ from m100link.station.web.access import Access
 from m100link.station.web.gate import is_loopback
 
 __all__ = ["ENVIRONMENT", "Settings", "resolve"]
+
+Sources = Sequence[tuple[str, Mapping[str, Any]]]
+"""Settings by name with who says them, strongest first."""
 
 PORT = 9090
 """Where rosbridge listens, and DJI's page of 2015 connects."""
@@ -42,6 +45,7 @@ class Settings:
         url: Where the aircraft is; none with a virtual one.
         baud_rate: Rate when the URL has none.
         firmware: Force a firmware profile.
+        timeout: Seconds until an aircraft has to answer.
         sim: Bring a virtual aircraft.
         app_id: App id at DJI.
         key: The key itself; visible to everybody on this machine, so better a file.
@@ -73,6 +77,7 @@ class Settings:
     url: str | None = None
     baud_rate: int | None = None
     firmware: str | None = None
+    timeout: float = 3.0
     sim: bool = False
     app_id: int | None = None
     key: str | None = field(default=None, repr=False)
@@ -206,6 +211,7 @@ def resolve(
     *,
     config: Path | None = None,
     launch: Path | None = None,
+    of_aircraft: Callable[[str | None], Sources] | None = None,
 ) -> Settings:
     """Put the settings together; the first source that has a value decides.
 
@@ -214,6 +220,8 @@ def resolve(
         environment: Environment variables.
         config: TOML file.
         launch: ROS launch file.
+        of_aircraft: The weakest sources, by the URL of the others; a ``url`` there is what that
+            one stands for.
 
     Raises:
         UsageError: A file cannot be read, or a value cannot be right; the source is named.
@@ -237,11 +245,20 @@ def resolve(
         sources.append((str(launch), used))
     values: dict[str, Any] = {}
     origins: dict[str, str] = {}
-    for source, given in sources:
+
+    def take(source: str, given: Mapping[str, Any]) -> None:
         for name, value in given.items():
             if name not in values and not _is_shadowed(name, values):
                 values[name] = _convert(name, value, source)
                 origins[name] = source
+
+    for source, given in sources:
+        take(source, given)
+    if of_aircraft is not None:
+        for source, given in of_aircraft("sim://" if values.get("sim") else values.get("url")):
+            if "url" in given:
+                values.pop("url", None)
+            take(source, given)
     settings = Settings(**values, origins=origins, unused=tuple(unused))
     if settings.url is not None and settings.sim:
         # A virtual aircraft is asked for louder than an address in a file is.

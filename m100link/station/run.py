@@ -123,7 +123,12 @@ async def owning(
             stack.callback(driver.stop)
             connect: Connect = by_driver(driver)
         elif settings.url is not None:
-            connect = by_url(settings.url, baud_rate=settings.baud_rate, firmware=settings.firmware)
+            connect = by_url(
+                settings.url,
+                baud_rate=settings.baud_rate,
+                firmware=settings.firmware,
+                timeout=settings.timeout,
+            )
         else:
             raise UsageError(
                 "no aircraft was named",

@@ -53,6 +53,14 @@ class CommandLine:
         return Outcome(status, captured.out, captured.err)
 
 
+@pytest.fixture(autouse=True)
+def configuration_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the user's configuration file would be; there is none."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    (tmp_path / "config").mkdir()
+    return tmp_path / "config" / "m100link.toml"
+
+
 @pytest.fixture
 def cli(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
