@@ -7,6 +7,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── BadURL                 the connection string names no transport
     │   ├── BadKey                 not 32 bytes, not 64 hex digits
     │   ├── BadSetpoint            a value outside the document's table, NaN or infinity
+    │   ├── BadPlan                a waypoint mission that the aircraft would refuse
     │   └── PayloadTooLarge        more than 1007 bytes, or 100 to the mobile device
     ├── LinkError                  the cable and what is at its end (ConnectionError)
     │   ├── PortNotFound           no such device (FileNotFoundError)
@@ -84,6 +85,7 @@ from m100link.errors.line import (
 )
 from m100link.errors.usage import (
     BadKey,
+    BadPlan,
     BadSetpoint,
     BadURL,
     PayloadTooLarge,
@@ -98,6 +100,7 @@ __all__ = [
     "AuthorityRefused",
     "BadAck",
     "BadKey",
+    "BadPlan",
     "BadSetpoint",
     "BadURL",
     "CommandNotSupported",

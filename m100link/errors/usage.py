@@ -6,6 +6,7 @@ from m100link.errors.base import M100Error
 
 __all__ = [
     "BadKey",
+    "BadPlan",
     "BadSetpoint",
     "BadURL",
     "PayloadTooLarge",
@@ -27,6 +28,42 @@ class BadKey(UsageError):
 
 class BadSetpoint(UsageError):
     """A setpoint value is not finite or lies outside the range of its control mode."""
+
+
+class BadPlan(UsageError):
+    """A plan that the aircraft would refuse, or a file that is none.
+
+    Attributes:
+        point: Index of the waypoint, counted from 0 as in the plan's list; None if it is the whole.
+        field: What is wrong, as the plan names it, such as ``"height"``.
+        value: What it is.
+        limit: What it may be: the lowest and highest number, a number, or the choices.
+        others: What else is wrong with the same plan.
+    """
+
+    def __init__(
+        self,
+        seen: str,
+        *,
+        point: int | None = None,
+        field: str = "",
+        value: object = None,
+        limit: object = None,
+        others: tuple[BadPlan, ...] = (),
+        cause: str = "",
+        remedy: str = "",
+    ) -> None:
+        super().__init__(seen, cause=cause, remedy=remedy)
+        self.point = point
+        self.field = field
+        self.value = value
+        self.limit = limit
+        self.others = others
+
+    @property
+    def problems(self) -> tuple[BadPlan, ...]:
+        """Everything that is wrong, this first."""
+        return (self, *self.others)
 
 
 class PayloadTooLarge(UsageError):

@@ -1,0 +1,312 @@
+"""Whether the aircraft would take a plan: every rule of a waypoint mission, before a byte is sent.
+
+The autopilot answers a bad point with a code alone, and a bad whole only when its last point has
+arrived. Here each problem is a :class:`~m100link.errors.BadPlan` that names point, field, value and
+limit. The limits are those of DJI's documents, programs and tests of firmware 3.1: E0, E1 and E8 of
+the ack codes are the fields, E2 to E7 the whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from enum import IntEnum
+from itertools import pairwise
+from typing import NamedTuple
+
+from m100link.errors import BadPlan
+from m100link.geodesy import distance_m
+from m100link.missions.waypoint import (
+    AtEnd,
+    GimbalPitch,
+    Heading,
+    OnRCLoss,
+    PlanValues,
+    StartVideo,
+    Stay,
+    StopVideo,
+    TakePhoto,
+    Trace,
+    TurnTo,
+    Waypoint,
+    number,
+)
+
+__all__ = ["FARTHEST_M", "MOST_ACTIONS", "MOST_POINTS", "NEAREST_M", "leg_lengths", "problems"]
+
+FEWEST_POINTS, MOST_POINTS = 2, 99
+MOST_ACTIONS = 15
+NEAREST_M, FARTHEST_M = 2.0, 2000.0
+"""Between neighbours, in three dimensions. Documents since 2017 allow 0.5 m, the M100's say 2."""
+LONGEST_M = 30_000.0
+"""From the first point to the last; with the ways from home and back it is twice that."""
+SMALLEST_DAMPING_M, LARGEST_DAMPING_M = 0.2, 1000.0
+FASTEST_M_S = 15.0
+MOST_REPEATS = 15
+
+
+class _Range(NamedTuple):
+    low: float
+    high: float
+    unit: str
+    note: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} {self.unit}".replace(" °", "°").rstrip() + self.note
+
+
+_HEADING = _Range(-180, 180, "°")
+_PITCH = _Range(-90, 0, "°")
+_POINT = {
+    "latitude_deg": _Range(-89, 89, "°"),
+    "longitude_deg": _Range(-180, 180, "°"),
+    "height": _Range(-200, 500, "m", " above the take-off point"),
+    "heading_deg": _HEADING,
+    "gimbal_pitch_deg": _PITCH,
+}
+_DAMPING = _Range(SMALLEST_DAMPING_M, LARGEST_DAMPING_M, "m", ", or 0")
+_TIME_LIMIT = _Range(0, 999, "s", ", or None")
+_ACTION_REPEAT = _Range(0, MOST_REPEATS, "")
+_MAX_SPEED = _Range(2, FASTEST_M_S, "m/s")
+_REPEAT = _Range(1, 2, "")
+_PARAMETERS: dict[type, tuple[str, _Range] | None] = {
+    Stay: ("seconds", _Range(0, 32.767, "s")),
+    TakePhoto: None,
+    StartVideo: None,
+    StopVideo: None,
+    TurnTo: ("heading_deg", _HEADING),
+    GimbalPitch: ("pitch_deg", _PITCH),
+}
+_CHOICES: dict[str, type[IntEnum]] = {
+    "heading": Heading,
+    "trace": Trace,
+    "at_end": AtEnd,
+    "on_rc_loss": OnRCLoss,
+}
+
+
+def problems(plan: PlanValues) -> Iterator[BadPlan]:
+    """Everything that is wrong with a plan, from the whole to its points; nothing if it is sound.
+
+    Distances are only looked at when every point is somewhere.
+    """
+    fields = [*_problems_of_choices(plan), *_problems_of_speed(plan)]
+    for index, waypoint in enumerate(plan.waypoints[:MOST_POINTS]):
+        fields += _problems_of_point(index, waypoint, plan.trace)
+    yield from _problems_of_count(plan.waypoints)
+    yield from fields
+    if not fields and len(plan.waypoints) <= MOST_POINTS:
+        yield from _problems_of_way(plan)
+
+
+def _outside(
+    value: object, limits: _Range, field: str, point: int | None = None, *, whole: bool = False
+) -> Iterator[BadPlan]:
+    """One problem, or none."""
+    place = field if point is None else f"waypoint {point}: {field}"
+    found = number(value)
+    if found is None or not math.isfinite(found):
+        seen = f"{place} is {_shown(value)}, not a finite number"
+    elif not limits.low <= found <= limits.high:
+        above = found > limits.high
+        limit = limits.high if above else limits.low
+        side = "above" if above else "below"
+        seen = f"{place} {found:g} is {side} {limit:g} {limits.unit}".replace(" °", "°").rstrip()
+    elif whole and found != int(found):
+        seen = f"{place} is {found:g}, not a whole number"
+    else:
+        return
+    remedy = str(limits)
+    if limits is _HEADING and found is not None and abs(found) <= 360:
+        remedy += f"; {found - math.copysign(360, found):g}° is the same direction"
+    yield BadPlan(seen, point=point, field=field, value=value, limit=limits[:2], remedy=remedy)
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _problems_of_count(waypoints: Sequence[Waypoint]) -> Iterator[BadPlan]:
+    count = len(waypoints)
+    if not FEWEST_POINTS <= count <= MOST_POINTS:
+        yield BadPlan(
+            f"a plan of {count} waypoint{'' if count == 1 else 's'} cannot be flown",
+            field="waypoints",
+            value=count,
+            limit=(FEWEST_POINTS, MOST_POINTS),
+            remedy=f"{FEWEST_POINTS} to {MOST_POINTS} waypoints; fly more of them as several plans",
+        )
+
+
+def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
+    for field, kind in _CHOICES.items():
+        value = getattr(plan, field)
+        if not isinstance(value, kind):
+            names = ", ".join(f"{kind.__name__}.{one.name}" for one in kind)
+            yield BadPlan(
+                f"{field} is {_shown(value)}",
+                field=field,
+                value=value,
+                limit=tuple(kind),
+                remedy=f"one of {names}",
+            )
+    yield from _not_bool(plan.gimbal_by_waypoint, "gimbal_by_waypoint")
+    yield from _outside(plan.repeat, _REPEAT, "repeat", whole=True)
+
+
+def _not_bool(value: object, field: str, point: int | None = None) -> Iterator[BadPlan]:
+    if not isinstance(value, bool):
+        place = field if point is None else f"waypoint {point}: {field}"
+        yield BadPlan(
+            f"{place} is {_shown(value)}",
+            point=point,
+            field=field,
+            value=value,
+            limit=(False, True),
+            remedy="True or False",
+        )
+
+
+def _problems_of_speed(plan: PlanValues) -> Iterator[BadPlan]:
+    slow = list(_outside(plan.max_speed, _MAX_SPEED, "max_speed"))
+    yield from slow
+    fastest = FASTEST_M_S if slow else plan.max_speed
+    for problem in _outside(plan.speed, _Range(-fastest, fastest, "m/s"), "speed"):
+        problem.remedy += (
+            f", which is max_speed; that may be up to {FASTEST_M_S:g} m/s"
+            if fastest < FASTEST_M_S
+            else ""
+        )
+        yield problem
+
+
+def _problems_of_point(index: int, waypoint: Waypoint, trace: Trace) -> Iterator[BadPlan]:
+    if not isinstance(waypoint, Waypoint):
+        yield BadPlan(  # type: ignore[unreachable] # what callers without a checker give
+            f"waypoint {index} is {_shown(waypoint)}",
+            point=index,
+            field="waypoints",
+            value=waypoint,
+            remedy="a Waypoint",
+        )
+        return
+    for field, limits in _POINT.items():
+        yield from _outside(getattr(waypoint, field), limits, field, index)
+    if number(waypoint.damping) != 0:
+        yield from _outside(waypoint.damping, _DAMPING, "damping", index)
+    yield from _not_bool(waypoint.turn_clockwise, "turn_clockwise", index)
+    yield from _problems_of_actions(index, waypoint, trace)
+
+
+def _problems_of_actions(index: int, waypoint: Waypoint, trace: Trace) -> Iterator[BadPlan]:
+    yield from _outside(waypoint.action_repeat, _ACTION_REPEAT, "action_repeat", index, whole=True)
+    if waypoint.action_time_limit is not None:
+        yield from _outside(waypoint.action_time_limit, _TIME_LIMIT, "action_time_limit", index)
+    actions = waypoint.actions
+    if not isinstance(actions, tuple):
+        yield BadPlan(
+            f"waypoint {index}: actions is {_shown(actions)}",
+            point=index,
+            field="actions",
+            value=actions,
+            remedy="a list of Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch",
+        )
+        return
+    if len(actions) > MOST_ACTIONS:
+        yield BadPlan(
+            f"waypoint {index} has {len(actions)} actions",
+            point=index,
+            field="actions",
+            value=len(actions),
+            limit=(0, MOST_ACTIONS),
+            remedy=f"{MOST_ACTIONS} at most",
+        )
+    if actions and trace is Trace.COORDINATED_TURNS:
+        yield BadPlan(
+            f"waypoint {index} has actions that would never be done",
+            point=index,
+            field="actions",
+            value=actions,
+            cause="with trace=Trace.COORDINATED_TURNS the aircraft does not stop at waypoints",
+            remedy="Trace.STOP_AT_POINTS, or no actions",
+        )
+    for place, action in enumerate(actions):
+        yield from _problems_of_action(index, f"actions[{place}]", action)
+
+
+def _problems_of_action(index: int, field: str, action: object) -> Iterator[BadPlan]:
+    if type(action) not in _PARAMETERS:
+        yield BadPlan(
+            f"waypoint {index}: {field} is {_shown(action)}",
+            point=index,
+            field=field,
+            value=action,
+            remedy="one of Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch",
+        )
+        return
+    parameter = _PARAMETERS[type(action)]
+    if parameter is not None:
+        name, limits = parameter
+        yield from _outside(getattr(action, name), limits, f"{field}.{name}", index)
+
+
+def leg_lengths(waypoints: Sequence[Waypoint]) -> list[float]:
+    """Metres from each point to the next, climbs included: along the ellipsoid and up."""
+    return [
+        math.hypot(
+            distance_m(
+                here.latitude_deg, here.longitude_deg, there.latitude_deg, there.longitude_deg
+            ),
+            there.height - here.height,
+        )
+        for here, there in pairwise(waypoints)
+    ]
+
+
+def _problems_of_way(plan: PlanValues) -> Iterator[BadPlan]:
+    lengths = leg_lengths(plan.waypoints)
+    for index, length in enumerate(lengths, start=1):
+        if not NEAREST_M <= length <= FARTHEST_M:
+            near = length < NEAREST_M
+            yield BadPlan(
+                f"waypoint {index} is {length:.2f} m from the one before it",
+                point=index,
+                field="waypoints",
+                value=length,
+                limit=(NEAREST_M, FARTHEST_M),
+                remedy=f"at least {NEAREST_M:g} m, measured in height too; leave one of them out"
+                if near
+                else f"at most {FARTHEST_M:g} m; put others between them",
+            )
+    if plan.trace is Trace.COORDINATED_TURNS:
+        yield from _problems_of_damping(plan.waypoints, lengths)
+    if sum(lengths) > LONGEST_M:
+        yield BadPlan(
+            f"the way is {sum(lengths) / 1000:.1f} km long",
+            field="waypoints",
+            value=sum(lengths),
+            limit=LONGEST_M,
+            remedy=f"at most {LONGEST_M / 1000:g} km; fly it as several plans",
+        )
+
+
+def _problems_of_damping(
+    waypoints: Sequence[Waypoint], lengths: Sequence[float]
+) -> Iterator[BadPlan]:
+    """Corners must not overlap; there is none at the first and at the last point."""
+    dampings = [0.0, *(point.damping for point in waypoints[1:-1]), 0.0]
+    for index, ((before, after), length) in enumerate(
+        zip(pairwise(dampings), lengths, strict=True), start=1
+    ):
+        if before + after > length:
+            point = index if after else index - 1
+            yield BadPlan(
+                f"waypoint {point}: corners of {before:g} m and {after:g} m do not fit into the "
+                f"{length:.2f} m from waypoint {index - 1} to waypoint {index}",
+                point=point,
+                field="damping",
+                value=before + after,
+                limit=length,
+                remedy="smaller dampings, together at most the distance",
+            )

@@ -1,0 +1,132 @@
+"""A mission along waypoints, as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
+
+from m100link.errors import BadPlan
+from m100link.geodesy import distance_m
+from m100link.missions.checks import leg_lengths, problems
+from m100link.missions.waypoint import (
+    AtEnd,
+    GimbalPitch,
+    Heading,
+    OnRCLoss,
+    StartVideo,
+    Stay,
+    StopVideo,
+    TakePhoto,
+    Trace,
+    TurnTo,
+    Waypoint,
+    as_single,
+)
+
+__all__ = [
+    "AtEnd",
+    "GimbalPitch",
+    "Heading",
+    "OnRCLoss",
+    "StartVideo",
+    "Stay",
+    "StopVideo",
+    "TakePhoto",
+    "Trace",
+    "TurnTo",
+    "Waypoint",
+    "WaypointPlan",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class WaypointPlan:
+    """A mission along waypoints, checked as a whole; firmware 3.1 flies it by itself.
+
+    >>> from m100link import AtEnd, GimbalPitch, TakePhoto, Waypoint, WaypointPlan
+    >>> plan = WaypointPlan(
+    ...     [
+    ...         Waypoint(52.1, 4.31, height=20),
+    ...         Waypoint(52.1003, 4.31, height=25, actions=[GimbalPitch(-60), TakePhoto()]),
+    ...     ],
+    ...     speed=5,
+    ...     at_end=AtEnd.GO_HOME,
+    ... )
+    >>> round(plan.length_m, 1)
+    33.8
+
+    What cannot be flown is no plan:
+
+    >>> WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.2, 4.31, height=900)])
+    Traceback (most recent call last):
+    ...
+    m100link.errors.BadPlan: waypoint 1: height 900 is above 500 m
+      what to do:   -200 to 500 m above the take-off point
+
+    Attributes:
+        waypoints: 2 to 99 of them, in the order in which they are flown. Neighbours are 2 to 2000 m
+            apart, in three dimensions; the way is 30 km long at most.
+        speed: Along the way, m/s, up to ``max_speed``. The pilot's pitch stick adds to it. With 0
+            only the stick moves the aircraft; less than 0 lets it hover at the first waypoint until
+            the stick gives speed.
+        max_speed: What speed and stick together never exceed, 2 to 15 m/s.
+        heading: Where the nose points.
+        trace: Whether it stops at the waypoints or rounds them.
+        at_end: What happens after the last waypoint.
+        on_rc_loss: What happens when the RC is lost. Nothing but the name flies on.
+        gimbal_by_waypoint: Whether the camera's pitch changes from waypoint to waypoint.
+        repeat: How many times the way is flown, 1 or 2.
+
+    Raises:
+        BadPlan: The aircraft would refuse it; the first problem, with ``others``.
+    """
+
+    waypoints: Sequence[Waypoint]
+    _: KW_ONLY
+    speed: float = 5.0
+    max_speed: float = 10.0
+    heading: Heading = Heading.ALONG_PATH
+    trace: Trace = Trace.STOP_AT_POINTS
+    at_end: AtEnd = AtEnd.HOVER
+    on_rc_loss: OnRCLoss = OnRCLoss.FAILSAFE
+    gimbal_by_waypoint: bool = False
+    repeat: int = 1
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.waypoints, Iterable):
+            raise BadPlan(
+                f"waypoints is {self.waypoints!r}",
+                field="waypoints",
+                value=self.waypoints,
+                remedy="a list of Waypoint",
+            )
+        kept: dict[str, Any] = {
+            "waypoints": tuple(self.waypoints),
+            "speed": as_single(self.speed),
+            "max_speed": as_single(self.max_speed),
+        }
+        for name, value in kept.items():
+            object.__setattr__(self, name, value)
+        found = list(problems(self))
+        if found:
+            found[0].others = tuple(found[1:])
+            raise found[0]
+
+    @property
+    def length_m(self) -> float:
+        """From the first waypoint to the last, once, climbs included, m."""
+        return sum(leg_lengths(self.waypoints))
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """The lowest and the highest, m above the take-off point."""
+        found = [waypoint.height for waypoint in self.waypoints]
+        return min(found), max(found)
+
+    def farthest_m(self, latitude_deg: float, longitude_deg: float) -> float:
+        """Horizontal distance of the waypoint that is farthest from a place, m."""
+        return max(
+            distance_m(latitude_deg, longitude_deg, point.latitude_deg, point.longitude_deg)
+            for point in self.waypoints
+        )

@@ -1,0 +1,278 @@
+"""What a plan of waypoints is made of: points, what is done at them, and the choices for the whole.
+
+Degrees, metres and seconds. Each value is kept as the wire will carry it (whole degrees, single
+precision, milliseconds), so that a plan compares equal to itself after a download. What may be
+flown is decided for the plan as a whole, in :mod:`m100link.missions.checks`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from enum import IntEnum
+from struct import Struct
+from typing import Any, Protocol
+
+__all__ = [
+    "Action",
+    "AtEnd",
+    "GimbalPitch",
+    "Heading",
+    "OnRCLoss",
+    "PlanValues",
+    "StartVideo",
+    "Stay",
+    "StopVideo",
+    "TakePhoto",
+    "Trace",
+    "TurnTo",
+    "Waypoint",
+    "number",
+    "single",
+]
+
+_SINGLE = Struct("<f")
+_COORDINATE_DECIMALS = 12
+"""Of a degree: 0.1 µm, and far enough apart that radians and back give the same number."""
+
+
+class Heading(IntEnum):
+    """Where the nose points during the mission; the numbers of the wire."""
+
+    ALONG_PATH = 0
+    """To where it flies."""
+    AS_AT_START = 1
+    """As it was when the mission started."""
+    BY_RC = 2
+    """As the pilot's yaw stick says."""
+    BY_WAYPOINT = 3
+    """From the heading of one waypoint to that of the next."""
+
+
+class Trace(IntEnum):
+    """How waypoints are passed; the numbers of the wire."""
+
+    STOP_AT_POINTS = 0
+    """It stops at each, turns, and does the actions."""
+    COORDINATED_TURNS = 1
+    """It rounds each by its ``damping``, never flies through it, and does no actions."""
+
+
+class AtEnd(IntEnum):
+    """What the aircraft does after the last waypoint; the numbers of the wire."""
+
+    HOVER = 0
+    """It hovers there; the mission is over."""
+    GO_HOME = 1
+    """It flies home and lands."""
+    LAND = 2
+    """It lands there."""
+    FIRST_POINT = 3
+    """It flies straight to the first waypoint and hovers."""
+    ENDLESS = 4
+    """It stays in the mission, and the pilot's stick pulled back flies the way again, backwards."""
+
+
+class OnRCLoss(IntEnum):
+    """What the mission does when the aircraft no longer hears the RC; the numbers of the wire."""
+
+    FAILSAFE = 0
+    """It is broken off, and the aircraft returns home."""
+    CONTINUE = 1
+    """It goes on to its end, without a pilot who could take over."""
+
+
+def number(value: object) -> float | None:
+    """A value as a number; None if it is not one (text is not, True is not)."""
+    if isinstance(value, str | bytes | bool):
+        return None
+    try:
+        return float(value)  # type: ignore[arg-type] # what cannot be converted is what is asked
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def single(value: float) -> float:
+    """The nearest number of single precision.
+
+    Raises:
+        OverflowError: There is none.
+    """
+    nearest: float = _SINGLE.unpack(_SINGLE.pack(value))[0]
+    return nearest
+
+
+def as_single(value: Any) -> Any:
+    """The shortest decimal number that means the same in single precision: 52.3, not 52.29999924.
+
+    What is not a number, or too large, is kept as it is: the plan says so.
+    """
+    found = number(value)
+    if found is None or not math.isfinite(found):
+        return value
+    try:
+        wanted = single(found)
+    except OverflowError:
+        return value
+    shortened = (float(f"{wanted:.{digits}g}") for digits in range(6, 10))
+    return next(short for short in shortened if single(short) == wanted)
+
+
+def as_rounded(value: Any, decimals: int = 0) -> Any:
+    """A number with so many decimals, an int for 0 of them; anything else as it is."""
+    found = number(value)
+    if found is None or not math.isfinite(found):
+        return value
+    return round(found, decimals) if decimals else round(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Stay:
+    """Hover at the waypoint.
+
+    Attributes:
+        seconds: 0 to 32.767, to the millisecond.
+    """
+
+    seconds: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seconds", as_rounded(self.seconds, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class TakePhoto:
+    """Take one photograph."""
+
+
+@dataclass(frozen=True, slots=True)
+class StartVideo:
+    """Start recording video."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopVideo:
+    """Stop recording video."""
+
+
+@dataclass(frozen=True, slots=True)
+class TurnTo:
+    """Turn the nose, in the direction that the waypoint names.
+
+    Attributes:
+        heading_deg: -180 to 180°, 90 is east; whole degrees.
+    """
+
+    heading_deg: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "heading_deg", as_rounded(self.heading_deg))
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalPitch:
+    """Turn the camera up or down.
+
+    Attributes:
+        pitch_deg: -90 (straight down) to 0° (level); whole degrees.
+    """
+
+    pitch_deg: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pitch_deg", as_rounded(self.pitch_deg))
+
+
+Action = Stay | TakePhoto | StartVideo | StopVideo | TurnTo | GimbalPitch
+"""What can be done at a waypoint."""
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoint:
+    """A place that the aircraft flies to, and what it does there.
+
+    Attributes:
+        latitude_deg: -89 to 89°, WGS 84, to 1e-12° (0.1 µm).
+        longitude_deg: -180 to 180°, likewise.
+        height: Above the take-off point, -200 to 500 m; single precision.
+        heading_deg: Where the nose points there, -180 to 180°, 90 is east; whole degrees. Flown if
+            the plan says :attr:`Heading.BY_WAYPOINT`.
+        damping: How far from the point its corner begins and ends, 0.2 to 1000 m, or 0 for a
+            corner without a curve. Flown if the plan says :attr:`Trace.COORDINATED_TURNS`, and not
+            at the first and last point.
+        gimbal_pitch_deg: Of the camera, -90 (straight down) to 0°; whole degrees. Flown if the plan
+            says ``gimbal_by_waypoint``.
+        turn_clockwise: Direction of the turns at this point, seen from above.
+        actions: What is done there, in this order, 15 at most.
+        action_repeat: How many times the list of actions is gone through, 0 to 15; 0 is once.
+        action_time_limit: Seconds after which what is left of the actions is given up, 0 to 999;
+            None is no limit.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height: float
+    _: KW_ONLY
+    heading_deg: float = 0
+    damping: float = 0.0
+    gimbal_pitch_deg: float = 0
+    turn_clockwise: bool = True
+    actions: Sequence[Action] = ()
+    action_repeat: int = 1
+    action_time_limit: float | None = 999
+
+    def __post_init__(self) -> None:
+        kept = {
+            "latitude_deg": as_rounded(self.latitude_deg, _COORDINATE_DECIMALS),
+            "longitude_deg": as_rounded(self.longitude_deg, _COORDINATE_DECIMALS),
+            "height": as_single(self.height),
+            "heading_deg": as_rounded(self.heading_deg),
+            "damping": as_single(self.damping),
+            "gimbal_pitch_deg": as_rounded(self.gimbal_pitch_deg),
+            "action_time_limit": as_rounded(self.action_time_limit),
+        }
+        if isinstance(self.actions, Sequence):
+            kept["actions"] = tuple(self.actions)
+        for name, value in kept.items():
+            object.__setattr__(self, name, value)
+
+
+class PlanValues(Protocol):
+    """What a plan says, for those who only read it; see :class:`m100link.WaypointPlan`."""
+
+    @property
+    def waypoints(self) -> Sequence[Waypoint]:
+        """The points, in their order."""
+
+    @property
+    def speed(self) -> float:
+        """Along the way, m/s."""
+
+    @property
+    def max_speed(self) -> float:
+        """With the pilot's stick, m/s."""
+
+    @property
+    def heading(self) -> Heading:
+        """Where the nose points."""
+
+    @property
+    def trace(self) -> Trace:
+        """How points are passed."""
+
+    @property
+    def at_end(self) -> AtEnd:
+        """What happens after the last."""
+
+    @property
+    def on_rc_loss(self) -> OnRCLoss:
+        """What happens without the RC."""
+
+    @property
+    def gimbal_by_waypoint(self) -> bool:
+        """Whether the points turn the camera."""
+
+    @property
+    def repeat(self) -> int:
+        """How many times it is flown."""

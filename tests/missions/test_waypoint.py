@@ -1,0 +1,59 @@
+"""Values of waypoints are kept as the wire carries them."""
+
+from __future__ import annotations
+
+import math
+from struct import pack, unpack
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from m100link import GimbalPitch, Stay, TurnTo, Waypoint
+from m100link.missions.waypoint import as_single, number
+
+
+def test_a_waypoint_is_kept_as_the_wire_carries_it() -> None:
+    point = Waypoint(
+        52.1000000000004,
+        -4.31,
+        52.123456789,
+        heading_deg=90.4,
+        damping=0.3,
+        gimbal_pitch_deg=-59.6,
+        action_time_limit=1.2,
+        actions=[Stay(1.23456), TurnTo(-89.7), GimbalPitch(-45.2)],
+    )
+    assert (point.latitude_deg, point.longitude_deg) == (52.1, -4.31)
+    assert point.height == 52.123455  # as a float of 32 bits has it
+    assert (point.heading_deg, point.gimbal_pitch_deg) == (90, -60)
+    assert point.damping == 0.3
+    assert point.action_time_limit == 1
+    assert point.actions == (Stay(1.235), TurnTo(-90), GimbalPitch(-45))
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_a_single_is_kept_as_the_decimal_that_means_it(value: float) -> None:
+    kept = as_single(value)
+    assert unpack("f", pack("f", kept)) == (value,)
+    assert as_single(kept) == kept
+    assert len(repr(kept)) <= len(repr(value))
+
+
+@given(st.floats(-180, 180))
+def test_a_coordinate_survives_radians_and_back(degrees: float) -> None:
+    kept = Waypoint(0.0, degrees, 0.0).longitude_deg
+    assert abs(kept - degrees) <= 1e-12
+    again = Waypoint(0.0, math.degrees(math.radians(kept)), 0.0).longitude_deg
+    assert again == kept
+
+
+@pytest.mark.parametrize("value", [None, "5", b"5", True, [], 10**400, 1j])
+def test_what_is_not_a_number_is_left_for_the_plan_to_name(value: object) -> None:
+    assert number(value) is None
+    assert Waypoint(value, 0.0, value).height is value  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+def test_what_no_single_holds_is_left_for_the_plan_to_name(value: float) -> None:
+    assert Waypoint(value, 0.0, value).height is value
