@@ -295,19 +295,18 @@ class Commands:
         self._vehicle.gimbal.point(command)
 
     def _take_photo(self, command: TakePhoto) -> None:
-        self._vehicle.camera.photos += 1
+        self._vehicle.camera.take_photo(self._vehicle.time)
 
     def _start_video(self, command: StartVideo) -> None:
-        self._vehicle.camera.is_recording = True
+        self._vehicle.camera.start_video()
 
     def _stop_video(self, command: StopVideo) -> None:
-        self._vehicle.camera.is_recording = False
+        self._vehicle.camera.stop_video()
 
     # --- set 0x05 ---------------------------------------------------------------------------
 
     def _switch_virtual_rc(self, command: VirtualRcSettings) -> None:
-        self._vehicle.remote.virtual.switch(command)
-        self._vehicle.refresh()
+        self._vehicle.switch_virtual_rc(command)
 
     def _feed_virtual_rc(self, command: VirtualRcData) -> None:
         self._vehicle.remote.virtual.feed(command, self._vehicle.time)

@@ -311,6 +311,27 @@ def test_gimbal_and_camera_of_2_3_need_level_1_and_no_authority() -> None:
     assert not host.vehicle.camera.is_recording
 
 
+def test_g1_before_activation_and_at_level_0_gimbal_and_camera_are_ignored() -> None:
+    for level in (None, 0):
+        host = Host(firmware="2.3", level=level or 0)
+        if level is not None:
+            host.activate()
+        sent = host.send(bytes.fromhex("011b 0000 0000 7cfe 01 0a"), session=2)
+        host.send(b"\x01\x20\x00", session=0)
+        host.wait(2.0)
+        assert (host.vehicle.gimbal.pitch, host.vehicle.camera.photos) == (0.0, 0)
+        assert host.acks(2, sent) == [], "no ack in any session"
+
+
+def test_s1_sync_is_ignored() -> None:
+    host = Host(firmware="3.1")
+    host.activate()
+    host.send(b"\x04\x00" + bytes(4), session=0)
+    host.send(b"\x04\x00" + bytes(6), session=0)
+    host.wait(0.5)
+    assert not any(one.frame.is_ack and one.frame.session == 0 for one in host.frames)
+
+
 def test_gimbal_rate_acts_with_bit_7_only_and_for_a_moment() -> None:
     host = Host(firmware="2.3")
     host.activate()

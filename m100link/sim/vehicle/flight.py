@@ -68,7 +68,6 @@ class FlightController:
     """
 
     __slots__ = (
-        "_corner_is_held",
         "_forced",
         "_guidance",
         "_hover",
@@ -112,8 +111,6 @@ class FlightController:
         self._idle_since: float | None = None
         # The battery is nearly empty: it lands, and nobody can stop that.
         self._forced = False
-        # The gesture acts once, when both sticks reach the corner.
-        self._corner_is_held = False
 
     # --- orders -----------------------------------------------------------------------------
 
@@ -170,7 +167,10 @@ class FlightController:
         task = Task(number) if number in Task.__members__.values() else None
         code = self.tasks.start(task_sequence, task, has_authority and self._can(task))
         if code == TaskStartCode.STARTED:
-            if task is Task.TAKE_OFF:
+            if task is Task.TAKE_OFF and self.dynamics.motors_on:
+                # An owner saw it: accepted, announced, and it stays where it is (facts K7).
+                self.tasks.end(succeeded=False)
+            elif task is Task.TAKE_OFF:
                 self.take_off()
             elif task is Task.LAND:
                 self.land()
@@ -188,9 +188,8 @@ class FlightController:
         if self.maneuver is not Maneuver.NONE:
             return False
         if task is Task.TAKE_OFF:
-            motors_on = self.dynamics.motors_on
             enough = self.battery_percent > self._settings.critical_battery_percent
-            return self.phase is FlightPhase.STANDBY and not motors_on and enough
+            return self.phase is FlightPhase.STANDBY and enough
         if task is Task.LAND:
             return self.phase is FlightPhase.IN_AIR
         if self.home is None or self.gps_health < GOOD_GPS:
@@ -229,14 +228,14 @@ class FlightController:
         if self.dynamics.on_ground:
             self.phase = FlightPhase.STANDBY
 
-    def corner_gesture(self, is_held: bool) -> None:
-        """Both sticks in the corner: starts the motors, or stops them, on the ground only."""
-        if is_held and not self._corner_is_held and self.dynamics.on_ground:
-            if self.dynamics.motors_on:
-                self.stop_motors()
-            else:
-                self.start_motors()
-        self._corner_is_held = is_held
+    def toggle_motors(self) -> None:
+        """The gesture of the sticks: starts the motors, or stops them, on the ground only."""
+        if not self.dynamics.on_ground:
+            return
+        if self.dynamics.motors_on:
+            self.stop_motors()
+        else:
+            self.start_motors()
 
     def take_off(self) -> None:
         """Start the motors and climb to the take-off height, whoever wants it."""
@@ -330,7 +329,7 @@ class FlightController:
             guidance = self._held_down(guidance)
         motion.step(guidance)
         if motion.on_ground:
-            self._on_ground()
+            self._on_ground(is_idle=guidance is self._hover or guidance is self._level)
         elif self.phase is FlightPhase.STANDBY or self.phase is FlightPhase.TAKING_OFF:
             self.phase = FlightPhase.IN_AIR
 
@@ -463,19 +462,29 @@ class FlightController:
             yaw=guidance.yaw,
         )
 
-    def _on_ground(self) -> None:
+    def _on_ground(self, *, is_idle: bool) -> None:
         """With running motors on the ground: just landed, or about to take off."""
         if self.maneuver is Maneuver.DESCEND:
             self._touch_down()
         elif self.maneuver is Maneuver.NONE and self.phase is FlightPhase.IN_AIR:
             # Flown to the ground by setpoints or sticks: the motors stop after a moment there.
-            if self._idle_since is None:
-                self._idle_since = self.now
-            elif self.now - self._idle_since >= _GROUND_IDLE_S:
-                self._idle_since = None
+            if self._rests_for(_GROUND_IDLE_S):
                 self._touch_down()
             return
+        elif self.maneuver is Maneuver.NONE and is_idle:  # armed, and nothing commanded
+            if self._rests_for(self._settings.armed_idle_seconds):
+                self.stop_motors()
+            return
         self._idle_since = None
+
+    def _rests_for(self, seconds: float) -> bool:
+        """Whether it has stood there for so long; then that begins anew."""
+        if self._idle_since is None:
+            self._idle_since = self.now
+        if self.now - self._idle_since < seconds:
+            return False
+        self._idle_since = None
+        return True
 
     def _touch_down(self) -> None:
         self.phase = FlightPhase.FINISHING_LANDING

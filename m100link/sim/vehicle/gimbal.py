@@ -6,6 +6,7 @@ Commands 0x01/0x1A, 0x1B and 0x20 to 0x22 came with firmware 2.3; the document o
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from m100link.geodesy import normalize_degrees
@@ -135,15 +136,49 @@ class GimbalMount:
 
 
 class Camera:
-    """Counts what it was told.
+    """Takes photographs and records; nothing that the onboard device hears tells of it.
+
+    Args:
+        log: Notes what it does.
 
     Attributes:
         photos: Photographs taken.
         is_recording: Whether it records video.
     """
 
-    __slots__ = ("is_recording", "photos")
+    PHOTO_S = 1.0
 
-    def __init__(self) -> None:
+    __slots__ = ("_busy_until", "_log", "is_recording", "photos")
+
+    def __init__(self, log: Callable[[str], None]) -> None:
+        self._log = log
+        self._busy_until = -math.inf  # the photograph that is being taken
         self.photos = 0
         self.is_recording = False
+
+    def take_photo(self, now: float) -> bool:
+        """Take one; it takes a second. False while one is being taken."""
+        if now < self._busy_until:
+            self._log("camera: busy with a photo, another one ignored")
+            return False
+        self._busy_until = now + self.PHOTO_S
+        self.photos += 1
+        self._log(f"camera: photo {self.photos}")
+        return True
+
+    def start_video(self) -> bool:
+        """Record. False while it does already."""
+        return self._record(True)
+
+    def stop_video(self) -> bool:
+        """Record no more. False while it does not."""
+        return self._record(False)
+
+    def _record(self, on: bool) -> bool:
+        state = "on" if on else "off"
+        if self.is_recording is on:
+            self._log(f"camera: video is {state} already")
+            return False
+        self.is_recording = on
+        self._log(f"camera: video {state}")
+        return True

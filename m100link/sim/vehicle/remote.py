@@ -6,6 +6,7 @@ Channels as the telemetry item has them (document 2.2.3.1, item RC): sticks -100
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from m100link.protocol.commands.virtual_rc import CENTRE, TRAVEL
@@ -21,6 +22,7 @@ GEAR_DOWN = -4_545
 _FULL = 10_000
 _DEAD_ZONE = 0.05
 _CORNER = 0.95
+_CORNER_S = 2.0  # for how long the sticks are held there (facts V4)
 
 
 class Sticks(NamedTuple):
@@ -55,27 +57,38 @@ class VirtualRemote:
     """Remote control by commands 0x05/0x00 and 0x05/0x01 of firmware 3.1.
 
     It ends one second after the last channels came. Then the real remote control flies, or, as the
-    request chose, the aircraft behaves as if the remote control were lost.
+    request chose, the aircraft behaves as if the remote control were lost. The real mode switch
+    leaving F ends it, too.
+
+    Two requests within two seconds lock the autopilot in a loop of checks in which even the mode
+    switch does nothing (facts V2, DJI's header): nobody steers any more until a restart.
 
     Attributes:
         is_on: Switched on by the last request.
+        is_locked: Whether requests came too fast.
     """
 
     TIMEOUT_S = 1.0
+    SETTINGS_INTERVAL_S = 2.0
 
-    __slots__ = ("_falls_back", "_sticks", "_until", "is_on")
+    __slots__ = ("_falls_back", "_sticks", "_switched_at", "_until", "is_locked", "is_on")
 
     def __init__(self) -> None:
-        self.is_on = False
+        self.is_on = self.is_locked = False
         self._falls_back = True
         self._sticks: Sticks | None = None
+        self._switched_at = -math.inf
         self._until = 0.0
 
-    def switch(self, command: VirtualRcSettings) -> None:
+    def switch(self, command: VirtualRcSettings, now: float) -> None:
         """Switch it on or off."""
+        if now - self._switched_at < self.SETTINGS_INTERVAL_S - _ON_TIME_S:
+            self.is_locked = True
+        self._switched_at = now
         self.is_on = command.is_on
         self._falls_back = command.falls_back
         self._sticks = None
+        self._until = now + self.TIMEOUT_S
 
     def feed(self, command: VirtualRcData, now: float) -> None:
         """Move sticks and switches; nothing happens while it is not switched on."""
@@ -92,22 +105,28 @@ class VirtualRemote:
 
     def sticks(self, now: float) -> Sticks | None:
         """The sticks in force, None while this remote control says nothing."""
-        if self._sticks is not None and now > self._until:
+        if now > self._until:
             self._sticks = None
             self.is_on = self.is_on and not self._falls_back
         return self._sticks if self.is_on else None
 
-    @property
-    def counts_as_lost(self) -> bool:
+    def counts_as_lost(self, now: float) -> bool:
         """Switched on without falling back, and silent: as if the remote control were lost."""
-        return self.is_on and not self._falls_back and self._sticks is None
+        return self.is_on and not self._falls_back and now > self._until
 
-    def reset(self) -> None:
-        """As at power-on."""
+    def end(self) -> None:
+        """The pilot took over by the real mode switch."""
         self.is_on = False
         self._sticks = None
 
+    def reset(self) -> None:
+        """As at power-on."""
+        self.end()
+        self.is_locked = False
+        self._switched_at = -math.inf
 
+
+_ON_TIME_S = 0.01  # one step: what comes exactly two seconds later is not too fast
 _VIRTUAL_MODES = {1552: RcMode.P, 1024: RcMode.A, 496: RcMode.F}
 
 
@@ -126,6 +145,7 @@ class PilotRemote:
     """
 
     __slots__ = (
+        "_corner_since",
         "gear_down",
         "is_switched_on",
         "mode",
@@ -146,10 +166,15 @@ class PilotRemote:
         self.roll = self.pitch = self.yaw = self.throttle = 0.0
         self.virtual = VirtualRemote()
         self.now = 0.0
+        # Since when both sticks are in the corner: None when they are not, infinite when the
+        # gesture was made, which counts once.
+        self._corner_since: float | None = None
 
     def set_mode(self, mode: RcMode | str) -> None:
         """Turn the mode switch. Naming the position it is in already moves nothing."""
         mode = RcMode[mode] if isinstance(mode, str) else mode
+        if self.mode is RcMode.F and mode is not RcMode.F:
+            self.virtual.end()
         if mode is not self.mode:
             self.mode = mode
             self.moved_since_power_on = True
@@ -185,7 +210,7 @@ class PilotRemote:
         if self.virtual.is_on:
             if self.virtual.sticks(self.now) is not None:
                 return True
-            if self.virtual.counts_as_lost:
+            if self.virtual.counts_as_lost(self.now):
                 return False
         return self.is_switched_on
 
@@ -194,12 +219,25 @@ class PilotRemote:
 
         A remote control that is lost reads as centred sticks.
         """
+        if self.virtual.is_locked:
+            return Sticks(0.0, 0.0, 0.0, 0.0, RcMode.P, self.gear_down)
         virtual = self.virtual.sticks(self.now) if self.virtual.is_on else None
         if virtual is not None:
             return virtual
         if not self.is_connected:
             return Sticks(0.0, 0.0, 0.0, 0.0, self.mode, self.gear_down)
         return Sticks(self.roll, self.pitch, self.yaw, self.throttle, self.mode, self.gear_down)
+
+    def makes_gesture(self) -> bool:
+        """Whether both sticks have been in the corner for two seconds: true once."""
+        if not self.sticks().are_in_corner:
+            self._corner_since = None
+        elif self._corner_since is None:
+            self._corner_since = self.now
+        elif self.now - self._corner_since >= _CORNER_S:
+            self._corner_since = math.inf
+            return True
+        return False
 
     def channels(self) -> tuple[int, int, int, int, int, int]:
         """The RC item: roll, pitch, yaw, throttle, mode, gear."""

@@ -102,6 +102,8 @@ class AircraftSettings:
         gimbal_follows: The gimbal's yaw turns with the nose, and absolute yaw counts from there. By
             default it stays fixed to the ground, and absolute yaw counts from north.
         minimum_thrust: Lowest thrust that thrust control accepts; later documents say 10.
+        armed_idle_seconds: How long motors that were started run on the ground while nothing is
+            commanded.
         reboot_seconds: How long the autopilot is silent while it restarts.
     """
 
@@ -133,4 +135,5 @@ class AircraftSettings:
     vertical_down: bool = False
     gimbal_follows: bool = False
     minimum_thrust: float = 0.0
+    armed_idle_seconds: float = 20.0
     reboot_seconds: float = 2.0

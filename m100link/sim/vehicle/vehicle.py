@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from random import Random
 
     from m100link.protocol.commands.activation import Activate
+    from m100link.protocol.commands.virtual_rc import VirtualRcSettings
     from m100link.protocol.firmware import FirmwareProfile
 
 __all__ = ["LogEntry", "Vehicle"]
@@ -95,7 +96,7 @@ class Vehicle:
         self.serial_number = serial_number or f"041D{random.randrange(16**6):06X}"
         self.flight = FlightController(self.settings)
         self.gimbal = GimbalMount(self.flight.dynamics.yaw, follows=self.settings.gimbal_follows)
-        self.camera = Camera()
+        self.camera = Camera(self.log)
         self.activation = Activation(
             profile,
             self.serial_number,
@@ -176,8 +177,8 @@ class Vehicle:
     def _watch_remote(self, now: float) -> None:
         authority = self.authority
         if self.remote.is_connected:
-            if authority.device is Device.RC:
-                self.flight.corner_gesture(self.remote.sticks().are_in_corner)
+            if authority.device is Device.RC and self.remote.makes_gesture():
+                self.flight.toggle_motors()
             self._rc_lost_since = None
             if authority.failsafe:
                 authority.failsafe = False
@@ -222,6 +223,15 @@ class Vehicle:
             if not obtain:
                 self.flight.interrupt()
         return code
+
+    def switch_virtual_rc(self, command: VirtualRcSettings) -> None:
+        """Switch the virtual remote control on or off."""
+        virtual = self.remote.virtual
+        virtual.switch(command, self.time)
+        self.log(f"virtual remote control {'on' if command.is_on else 'off'}")
+        if virtual.is_locked:
+            self.log("virtual remote control: settings within 2 s lock the autopilot in checks")
+        self.refresh()
 
     # --- what people and nature do ----------------------------------------------------------
 

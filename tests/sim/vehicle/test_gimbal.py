@@ -10,7 +10,7 @@ import pytest
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.firmware import profile
 from m100link.sim import AircraftSettings, Vehicle
-from m100link.sim.vehicle.gimbal import GimbalMount
+from m100link.sim.vehicle.gimbal import Camera, GimbalMount
 
 
 def run(gimbal: GimbalMount, seconds: float, heading_deg: float | None = None) -> None:
@@ -90,6 +90,71 @@ def test_a_rate_turns_it_against_the_ground() -> None:
     gimbal.turn(GimbalSpeed(yaw_deg_s=20.0), 0.0)
     run(gimbal, 0.5, 50.0)
     assert gimbal.yaw == pytest.approx(10.0 - 50.0, abs=1.1)
+
+
+def test_g2_a_rate_holds_for_half_a_second() -> None:
+    gimbal = GimbalMount()
+    gimbal.turn(GimbalSpeed(pitch_deg_s=-20.0), 0.0)
+    run(gimbal, 3.0)
+    assert gimbal.pitch == pytest.approx(-10.0, abs=1.01)
+
+
+def test_k4_without_bit_7_a_rate_is_ignored() -> None:
+    gimbal = GimbalMount()
+    gimbal.turn(GimbalSpeed(pitch_deg_s=-20.0, flags=0x7F), 0.0)
+    run(gimbal, 1.0)
+    assert gimbal.pitch == 0.0
+    gimbal.turn(GimbalSpeed(pitch_deg_s=-20.0, flags=0xFF), 0.0)
+    run(gimbal, 1.0)
+    assert gimbal.pitch < -9.0
+
+
+@pytest.mark.parametrize(("duration", "seconds"), [(2.0, 2.0), (0.1, 0.75), (0.0, 0.75)])
+def test_g3_it_gets_there_in_the_time_but_at_400_degrees_per_second_at_most(
+    duration: float, seconds: float
+) -> None:
+    gimbal = GimbalMount()
+    gimbal.point(GimbalAngle(300.0, 0.0, 0.0, 0, duration))
+    run(gimbal, seconds - 0.1)
+    assert gimbal.yaw < 299.0
+    run(gimbal, 0.15)
+    assert gimbal.yaw == pytest.approx(300.0)
+
+
+@pytest.mark.parametrize(
+    ("angles", "limits"),
+    [((0.0, 0.0, 0.0), 0), ((0.0, 0.0, -95.0), 1), ((0.0, 40.0, 0.0), 2), ((330.0, 0.0, 40.0), 5)],
+)
+def test_g3_angles_end_at_the_stops_and_the_limit_bits_say_so(
+    angles: tuple[float, float, float], limits: int
+) -> None:
+    gimbal = GimbalMount()
+    gimbal.point(GimbalAngle(*angles, 0, 1.0))
+    run(gimbal, 2.0)
+    assert gimbal.limits == limits
+    assert abs(gimbal.yaw) <= 320.0
+    assert abs(gimbal.roll) <= 35.0
+    assert -90.0 <= gimbal.pitch <= 30.0
+
+
+def test_g4_a_photo_takes_a_second_and_video_is_switched_once() -> None:
+    events: list[str] = []
+    camera = Camera(events.append)
+    assert [camera.take_photo(at) for at in (0.0, 0.5, 0.99, 1.0)] == [True, False, False, True]
+    assert camera.photos == 2
+    done = [camera.stop_video(), camera.start_video(), camera.start_video(), camera.stop_video()]
+    assert done == [False, True, False, True]
+    assert not camera.is_recording
+    assert events == [
+        "camera: photo 1",
+        "camera: busy with a photo, another one ignored",
+        "camera: busy with a photo, another one ignored",
+        "camera: photo 2",
+        "camera: video is off already",
+        "camera: video on",
+        "camera: video is on already",
+        "camera: video off",
+    ]
 
 
 @pytest.mark.parametrize(("follows", "turned"), [(False, 0.0), (True, 90.0)])

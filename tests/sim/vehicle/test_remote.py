@@ -141,11 +141,13 @@ def test_the_corner_gesture_starts_and_stops_the_motors_on_the_ground() -> None:
     states = []
     for _ in range(2):
         host.aircraft.move_stick(**corner)
-        host.wait(1.0)
+        host.wait(1.8)
+        states.append(host.motion.motors_on)
+        host.wait(3.0)
         states.append(host.motion.motors_on)
         host.aircraft.release_sticks()
         host.wait(0.2)
-    assert states == [True, False]
+    assert states == [False, True, True, False]
 
 
 # --- reboot ---------------------------------------------------------------------------------
@@ -229,16 +231,149 @@ def test_virtual_rc_ends_1_s_after_the_last_data_and_the_real_one_flies() -> Non
 
 
 def test_virtual_rc_without_fall_back_counts_as_rc_lost_when_the_data_stop() -> None:
-    host = flying_3_1()
+    host = far(Host(firmware="3.1").flying())
     host.send(b"\x05\x00\x01", session=0)
     virtual_rc(host, 1.0)
-    host.wait(1.0 + 3.0 + 0.5)
+    host.wait(1.0 + 2.5)
+    assert not host.vehicle.authority.failsafe
+    host.wait(1.0)
     assert host.vehicle.authority.failsafe
 
 
-def test_virtual_rc_in_f_position_lets_the_api_fly() -> None:
+@pytest.mark.parametrize(("flags", "is_lost"), [(b"\x03", False), (b"\x01", True)])
+def test_v1_the_first_data_have_a_second_too(flags: bytes, is_lost: bool) -> None:
+    host = far(Host(firmware="3.1").flying())
+    host.send(b"\x05\x00" + flags, session=0)
+    host.wait(0.9)
+    assert virtual_is_on(host)
+    assert host.vehicle.remote.is_connected
+    host.wait(0.3)
+    assert virtual_is_on(host) is is_lost
+    assert host.vehicle.remote.is_connected is not is_lost
+
+
+def test_v1_control_and_switch_in_telemetry_with_any_authority() -> None:
+    for begin in (Host.activate, Host.ready):
+        host = Host(firmware="3.1")
+        begin(host)
+        host.aircraft.set_rates(control_device=50)
+        host.send(b"\x05\x00\x03", session=0)
+        virtual_rc(host, 0.5)
+        shown = [p.control_device for p in host.packets() if p.control_device]
+        assert (shown[-1].device, shown[-1].is_virtual_rc) == (Device.RC, True)
+        host.wait(1.7)
+        host.send(b"\x05\x00\x02", session=0)
+        host.wait(0.1)
+        shown = [p.control_device for p in host.packets() if p.control_device]
+        assert not shown[-1].is_virtual_rc
+
+
+def test_v2_settings_within_two_seconds_lock_it_until_a_restart() -> None:
     host = flying_3_1()
+    virtual_rc(host, 1.9)
+    host.send(b"\x05\x00\x02", session=0)
+    assert host.vehicle.remote.virtual.is_locked
     host.aircraft.leave_f()
+    host.aircraft.move_stick(pitch=1.0)
+    host.wait(3.0)
+    assert host.motion.speed < 0.1, "the real sticks and the mode switch do nothing"
+    assert any("lock the autopilot" in entry.text for entry in host.vehicle.events)
+    host.aircraft.reboot()
+    host.wait(3.0)
+    host.wait(3.0)
+    assert host.motion.speed > 3.0
+
+
+def test_v2_settings_every_two_seconds_are_fine() -> None:
+    host = flying_3_1()
+    for flags in (b"\x02", b"\x03", b"\x02"):
+        virtual_rc(host, 2.0)
+        host.send(b"\x05\x00" + flags, session=0)
+    assert not host.vehicle.remote.virtual.is_locked
+
+
+def test_v3_the_real_switch_leaving_f_ends_it() -> None:
+    host = flying_3_1()
+    virtual_rc(host, 1.0, pitch=1354)
+    host.aircraft.leave_f()
+    assert not virtual_is_on(host)
+    virtual_rc(host, 4.0, pitch=1354)
+    assert host.motion.speed < 0.1
+
+
+@pytest.mark.parametrize(("value", "mode"), [(1552, RcMode.P), (1024, RcMode.A), (496, RcMode.F)])
+def test_v3_the_mode_channel_acts_as_the_switch(value: int, mode: RcMode) -> None:
+    host = flying_3_1()
+    virtual_rc(host, 0.2, mode=value)
+    assert host.vehicle.remote.sticks().mode is mode
+
+
+def test_v4_the_corner_for_two_seconds_starts_and_stops_the_motors_and_not_in_the_air() -> None:
+    corner = {"roll": 364, "pitch": 364, "throttle": 364, "yaw": 1684}
+    host = Host(firmware="3.1")
+    host.activate()
+    host.send(b"\x05\x00\x03", session=0)
+    virtual_rc(host, 1.8, **corner)
+    assert not host.motion.motors_on
+    virtual_rc(host, 0.4, **corner)
+    assert host.motion.motors_on
+    virtual_rc(host, 0.2)
+    virtual_rc(host, 2.2, **corner)
+    assert not host.motion.motors_on
+    host = flying_3_1()
+    host.motion.place(0.0, 0.0, 100.0)
+    virtual_rc(host, 3.0, **corner)
+    assert host.motion.motors_on
+
+
+def test_v4_a_lost_program_leaves_the_last_value_for_a_second() -> None:
+    host = flying_3_1()
+    virtual_rc(host, 3.0, pitch=1354)
+    host.wait(0.9)
+    assert host.motion.velocity_north > 4.0
+    host.wait(4.0)
+    assert host.motion.speed < 0.1
+
+
+def test_k26_the_other_bits_of_the_settings_mean_nothing() -> None:
+    host = far(Host(firmware="3.1").flying())
+    host.send(b"\x05\x00\xff", session=0)
+    virtual_rc(host, 0.5)
+    assert virtual_is_on(host)
+    host.wait(1.7)
+    host.send(b"\x05\x00\xfe", session=0)
+    assert not virtual_is_on(host)
+
+
+def test_k27_channels_under_the_id_of_the_settings_do_nothing() -> None:
+    host = flying_3_1()
+    virtual_rc(host, 2.1)
+    for _ in range(20):
+        host.send(b"\x05\x00" + channels(pitch=1684)[2:], session=0)
+        host.wait(0.1)
+    assert not host.vehicle.remote.virtual.is_locked
+    assert not virtual_is_on(host), "no data came for two seconds"
+    assert host.motion.speed < 0.1
+
+
+def test_k31_without_a_remote_only_the_virtual_one_controls() -> None:
+    host = far(Host(firmware="3.1").flying())
+    host.aircraft.rc_lost()
+    host.wait(4.0)
+    assert host.device() is Device.RC
+    host.send(b"\x05\x00\x03", session=0)
+    virtual_rc(host, 1.0)
+    assert not host.vehicle.authority.failsafe
+    virtual_rc(host, 4.0, pitch=1354)
+    assert host.motion.speed == pytest.approx(5.0, abs=0.3)
+
+
+def test_virtual_rc_in_f_position_lets_the_api_fly() -> None:
+    host = far(Host(firmware="3.1").flying())
+    host.aircraft.leave_f()
+    host.wait(0.1)
+    assert host.device() is Device.RC
+    host.send(b"\x05\x00\x03", session=0)
     virtual_rc(host, 0.5, mode=496)
     assert host.device() is Device.ONBOARD
 

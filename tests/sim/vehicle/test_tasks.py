@@ -68,10 +68,18 @@ def test_start_code_1_take_off_in_the_air() -> None:
     assert Host().flying().ask(StartTask(2, TAKE_OFF)) == TaskStartCode.REJECTED
 
 
-def test_start_code_1_take_off_with_running_motors() -> None:
+def test_k7_take_off_with_running_motors_is_accepted_and_fails() -> None:
     host = Host(firmware="3.1").ready()
-    host.vehicle.flight.start_motors()
-    assert host.ask(StartTask(2, TAKE_OFF)) == TaskStartCode.REJECTED
+    assert arm(host, True) == 0
+    assert host.ask(StartTask(2, TAKE_OFF)) == TaskStartCode.STARTED
+    assert host.ask(QueryTask(2)) == TaskResultCode.FAILED
+    host.wait(8.0)
+    assert host.ask(QueryTask(2)) == TaskResultCode.FAILED
+    assert (host.phase(), host.motion.on_ground) == (FlightPhase.STANDBY, True)
+    assert arm(host, False) == 0
+    assert host.ask(StartTask(3, TAKE_OFF)) == TaskStartCode.STARTED
+    host.wait(8.0)
+    assert host.phase() is FlightPhase.IN_AIR
 
 
 def test_start_code_1_landing_on_the_ground() -> None:
@@ -311,7 +319,7 @@ def arm(host: Host, on: bool) -> int:
     return code
 
 
-def test_arm_codes_of_3_1() -> None:
+def test_a1_arm_codes_of_3_1() -> None:
     host = Host(firmware="3.1")
     host.activate()
     assert arm(host, True) == 1, "control needed"
@@ -330,6 +338,61 @@ def test_disarm_on_the_ground() -> None:
     host = Host(firmware="3.1").ready()
     arm(host, True)
     assert arm(host, False) == 0
+    assert not host.motion.motors_on
+
+
+@pytest.mark.parametrize(
+    "setpoint",
+    [
+        Setpoint.tilt(roll_deg=0, pitch_deg=0, thrust_percent=80, yaw_rate_deg_s=0),
+        Setpoint.velocity(north=0, east=0, up=1, yaw_rate_deg_s=0),
+        Setpoint.velocity(north=0, east=0, height=3, yaw_rate_deg_s=0),
+    ],
+    ids=["thrust", "velocity", "height"],
+)
+def test_a1_the_status_stays_1_until_thrust_velocity_or_height_takes_it_off(
+    setpoint: Setpoint,
+) -> None:
+    host = Host(firmware="3.1").ready()
+    arm(host, True)
+    host.fly(Setpoint.velocity(north=2, east=0, up=0, yaw_rate_deg_s=0), 3.0)
+    assert (host.phase(), host.motion.on_ground) == (FlightPhase.STANDBY, True)
+    assert abs(host.motion.north) < 0.1
+    host.fly(setpoint, 3.0)
+    assert host.phase() is FlightPhase.IN_AIR
+    assert host.motion.height > 0.5
+
+
+def test_a2_disarm_in_the_air_is_refused_and_nothing_else_happens() -> None:
+    host = Host(firmware="3.1").flying()
+    before = host.motion.height
+    assert arm(host, False) == 3
+    host.wait(3.0)
+    assert host.motion.motors_on
+    assert host.motion.height == pytest.approx(before, abs=0.05)
+    assert host.ask(StartTask(2, LAND)) == TaskStartCode.STARTED
+    host.wait(10.0)
+    assert not host.motion.motors_on, "landing switches them off itself"
+
+
+def test_a3_armed_with_nothing_commanded_the_motors_stop_after_20_s() -> None:
+    host = Host(firmware="3.1").ready()
+    arm(host, True)
+    host.wait(15.0)
+    host.fly(Setpoint.velocity(north=0, east=0, up=0, yaw_rate_deg_s=0), 1.0)
+    host.wait(19.0)
+    assert host.motion.motors_on, "counted from the last command"
+    host.wait(2.0)
+    assert not host.motion.motors_on
+    assert arm(host, True) == 0, "may be armed again"
+
+
+def test_a3_the_time_is_a_setting() -> None:
+    host = Host(aircraft(firmware="3.1", settings={"armed_idle_seconds": 5.0})).ready()
+    arm(host, True)
+    host.wait(4.9)
+    assert host.motion.motors_on
+    host.wait(0.3)
     assert not host.motion.motors_on
 
 
