@@ -90,6 +90,46 @@ def test_rates_command_of_3_1_code_0() -> None:
     assert found["velocity"] == 1000, "not named, so kept"
 
 
+def test_r1_5_keeps_a_rate_and_the_next_package_has_the_others() -> None:
+    """K2, K3: bytes 12 to 15 mean nothing, and it works before activation."""
+    host = Host(firmware="3.1")
+    host.wait(0.1)
+    asked_at = host.now
+    ack = host.ask_raw(b"\x00\x10" + bytes((0, 5, *[0] * 10)) + b"\xff\x07\x06\xaa")
+    assert ack is not None
+    assert ack.data == b"\x00\x00"
+    host.wait(0.5)
+    kept = BY_NAME["quaternion"].bit
+    assert {packet.flags for packet in host.packets(asked_at)} == {1 << kept}
+
+
+def test_r1_one_rate_that_does_not_exist_changes_nothing() -> None:
+    host = Host(firmware="3.1")
+    for place in range(12):
+        codes = bytearray(16)
+        codes[place] = 6
+        ack = host.ask_raw(b"\x00\x10" + codes)
+        assert ack is not None
+        assert ack.data == b"\x01\x00"
+    assert host.autopilot.rates_hz == DEFAULT_RATES_HZ
+
+
+def test_r1_rates_are_forgotten_at_power_off() -> None:
+    host = Host(aircraft(firmware="3.1", assistant={"rates_hz": {"battery": 10}}))
+    assert host.ask(SetTelemetryRates({"battery": 50, "time": 1})) == 0
+    assert host.autopilot.rates_hz["battery"] == 50
+    host.aircraft.reboot()
+    host.wait(3.0)
+    assert host.autopilot.rates_hz == DEFAULT_RATES_HZ | {"battery": 10}
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3"])
+def test_k1_before_3_1_there_is_no_such_command(firmware: str) -> None:
+    ack = Host(firmware=firmware).ask_raw(b"\x00\x10" + bytes(16))
+    assert ack is not None
+    assert ack.data == b"\x00\xff"
+
+
 @pytest.mark.parametrize("value", [bytes(15), bytes(17), b"\x06" + bytes(15), b"\xff" * 16])
 def test_rates_command_of_3_1_code_1_parameter_error(value: bytes) -> None:
     host = Host(firmware="3.1")
