@@ -65,6 +65,10 @@ VERBS = {
         "settings:config",
         "Show the configuration file: where it is, which aircraft it names, what is in force.",
     ),
+    "completion": (
+        "completion:completion",
+        "Print what completes verbs, options and aircraft in a shell, or install it there.",
+    ),
     "sim": ("sim:app", "A virtual Matrice 100, for people and other programs."),
     "serve": (
         "station:serve",

@@ -13,20 +13,28 @@ from rich.console import Console
 
 from m100link import errors
 from m100link.cli.configuration import read_configuration
-from m100link.cli.options import Above0, Counted, options_of
+from m100link.cli.options import Above0, Counted, offered, options_of
 from m100link.cli.outcome import ExitCode, complain
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.firmware import PROFILES
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.station.config import ENVIRONMENT, Settings, resolve
 
-__all__ = ["AppOptions", "LinkOptions", "Place", "Url", "err", "out", "run_async"]
+__all__ = ["AppOptions", "LinkOptions", "Place", "Url", "err", "out", "places", "run_async"]
 
 out = Console(highlight=False)
 """Standard output: data."""
 
 err = Console(stderr=True, highlight=False)
 """Standard error: talk."""
+
+
+def places() -> list[str]:
+    """Where aircraft may be: those that have names, and the ports of this machine."""
+    from m100link.link.transport import serial_ports
+
+    return [*read_configuration().aircraft, *serial_ports(), "sim://"]
 
 
 Url = Annotated[
@@ -36,6 +44,7 @@ Url = Annotated[
         "tcp://host:port, sim://, or its name in the configuration file; without it, that of "
         "--url or M100LINK_URL",
     ),
+    offered(places),
 ]
 
 
@@ -108,8 +117,8 @@ class LinkOptions:
         timeout: Seconds until an aircraft has to answer; 3 by default.
     """
 
-    url: str | None = None
-    firmware: str | None = None
+    url: Annotated[str | None, offered(places)] = None
+    firmware: Annotated[str | None, offered(PROFILES)] = None
     baud: Annotated[int | None, Counted] = None
     timeout: Annotated[float | None, Above0] = None
 

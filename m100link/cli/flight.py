@@ -11,8 +11,8 @@ from cyclopts import Parameter
 
 from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
-from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
-from m100link.cli.options import Above0
+from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, places, run_async
+from m100link.cli.options import Above0, offered
 from m100link.cli.terminal import read_line
 from m100link.errors import NotObserved, UsageError
 from m100link.flight.control import Control
@@ -89,7 +89,11 @@ def home(
 
 
 def fly(
-    *place: Annotated[str, Parameter(name=["[URL] NORTH EAST UP"], allow_leading_hyphen=True)],
+    *place: Annotated[
+        str,
+        Parameter(name=["[URL] NORTH EAST UP"], allow_leading_hyphen=True),
+        offered(places),
+    ],
     app: AppOptions | None = None,
     link: LinkOptions | None = None,
     max_height: Annotated[float, Above0] = 50.0,

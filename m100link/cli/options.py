@@ -10,14 +10,14 @@ import dataclasses
 import inspect
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from cyclopts import Parameter, validators
 
 from m100link.protocol.firmware import PROFILES
 
-__all__ = ["Above0", "Counted", "Firmware", "attribute_texts", "options_of"]
+__all__ = ["Above0", "Counted", "Firmware", "attribute_texts", "offered", "options_of"]
 
 if TYPE_CHECKING:
     Firmware = str
@@ -35,6 +35,19 @@ Above0 = Parameter(validator=_above_0)
 
 Counted = Parameter(validator=validators.Number(gte=1))
 """Pieces: at least one."""
+
+
+def offered(candidates: Iterable[str] | Callable[[], Iterable[str]]) -> Any:
+    """What a shell offers for a word when the tabulator is pressed.
+
+    With a cyclopts that cannot (before 5) nothing is offered.
+
+    Args:
+        candidates: The words, or what finds them out then.
+    """
+    if not hasattr(Parameter, "completer"):
+        return Parameter()
+    return Parameter(completer=lambda _: list(candidates() if callable(candidates) else candidates))
 
 
 def attribute_texts(source: type) -> dict[str, str]:

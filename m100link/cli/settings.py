@@ -12,6 +12,7 @@ from rich.text import Text
 
 from m100link.cli.common import out
 from m100link.cli.configuration import Configuration, read_configuration, shown
+from m100link.cli.options import offered
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.station.config import resolve
 
@@ -36,10 +37,16 @@ _SHOWN = (
 _CALLED = {"baud_rate": "baud"}
 
 
+def _names() -> list[str]:
+    return list(read_configuration().aircraft)
+
+
 def config(
     aircraft: Annotated[
         str | None,
         Parameter(help="Its name or URL; without it, what M100LINK_URL or the file says"),
+        offered(lambda: read_configuration().aircraft),
+        offered(_names),
     ] = None,
     /,
     *,

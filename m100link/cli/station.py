@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from cyclopts import Parameter
 
-from m100link.cli.common import err, out, run_async
+from m100link.cli.common import err, out, places, run_async
 from m100link.cli.configuration import read_configuration
-from m100link.cli.options import options_of
+from m100link.cli.options import offered, options_of
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
 from m100link.station.config import ENVIRONMENT, Settings, resolve
@@ -85,7 +85,10 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
         )
 
 
-def serve(url: str | None = None, *, options: StationOptions = StationOptions()) -> int:
+_Url = Annotated[str | None, offered(places)]
+
+
+def serve(url: _Url = None, *, options: StationOptions = StationOptions()) -> int:
     """Own the serial port and share the aircraft: rosbridge v2 for any number of clients.
 
     Telemetry for all of them, control for one at a time. DJI's web page of 2015 and roslib programs
@@ -99,7 +102,7 @@ def serve(url: str | None = None, *, options: StationOptions = StationOptions())
 
 
 def console(
-    url: str | None = None,
+    url: _Url = None,
     *,
     console_port: int | None = None,
     tiles: Path | None = None,

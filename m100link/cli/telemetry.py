@@ -17,8 +17,8 @@ from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import line_plot
-from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
-from m100link.cli.options import Above0, Counted
+from m100link.cli.common import LinkOptions, Place, Url, err, out, places, run_async
+from m100link.cli.options import Above0, Counted, offered
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
@@ -51,7 +51,7 @@ async def _until(seconds: float | None, work: Any) -> None:
 def echo(
     url: Url = None,
     /,
-    *items: str,
+    *items: Annotated[str, offered(BY_NAME)],
     link: LinkOptions | None = None,
     rate: Annotated[float | None, Above0] = None,
     duration: Annotated[float | None, Above0] = None,
@@ -242,10 +242,12 @@ def _number(value: float | None, factor: float, digits: int) -> str:
 
 def plot(
     source: Annotated[
-        str | None, Parameter(help="A URL, or a CSV file that `m100link echo --csv` wrote")
+        str | None,
+        Parameter(help="A URL, or a CSV file that `m100link echo --csv` wrote"),
+        offered(places),
     ] = None,
     /,
-    *fields: str,
+    *fields: Annotated[str, offered(columns_of(BY_RECORD))],
     link: LinkOptions | None = None,
     duration: Annotated[float, Above0] = 10.0,
 ) -> int:
