@@ -310,6 +310,8 @@ class Writer:
             is_callback = argument.arg == "progress"
             value = f"caller.callback({argument.arg})" if is_callback else argument.arg
             handed.append(f"{argument.arg}={value}")
+        if arguments.kwarg:
+            handed.append(f"**{arguments.kwarg.arg}")
         return ast.unparse(arguments), ", ".join(handed)
 
     def method(self, part: str, name: str, member: Any) -> str:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 from m100link.activation import ActivationProgress, activate
 from m100link.aircraft.camera import AircraftCamera
 from m100link.aircraft.gimbal import AircraftGimbal
+from m100link.aircraft.rates import set_telemetry_rates
 from m100link.errors import (
     CommandRefused,
     LinkError,
@@ -291,6 +292,34 @@ class Aircraft:
             Whether the aircraft said that it has it back.
         """
         return await release_authority(self._commander)
+
+    async def set_telemetry_rates(self, **rates_hz: int) -> dict[str, float]:
+        """Set how often telemetry items are sent, and see that they are. Firmware 3.1.
+
+        It takes 1.5 s, in which arriving items are counted; 3.5 s with a rate of 1 Hz.
+
+        ::
+
+            await aircraft.set_telemetry_rates(attitude=50, battery=1)
+
+        Before 3.1 rates are set in the PC assistant. It works before activation; the aircraft
+        forgets them when it is switched off. What the guards of a control block need (position,
+        attitude, battery, flight status) should stay at 1 Hz or more.
+
+        Args:
+            rates_hz: By item, named as in :attr:`state` or as in ``m100link hz``: 0, 1, 10, 50 or
+                100 Hz. What is not named keeps its rate.
+
+        Returns:
+            The rates that were observed, Hz.
+
+        Raises:
+            UsageError: No such item, or not such a rate; nothing was sent.
+            CommandNotSupported: The firmware is older; nothing was sent.
+            CommandRefused, AckTimeout, LinkError: See each class.
+            NotObserved: Accepted, but the items arrive at other rates.
+        """
+        return await set_telemetry_rates(self._requests, self.state, rates_hz)
 
     # -- telemetry and mobile data ---------------------------------------------------------------
 
