@@ -158,8 +158,9 @@ class Requests:
             if may_be_wrong:  # what a wrong key makes of an ack is sometimes well-formed, and short
                 raise _key_rejected(request.NAME) from error
             raise
-        if isinstance(answer, AckCode) and answer.is_system:
-            raise _system_error(request.NAME, answer, may_be_wrong, refusal)
+        code = request.code_of(answer)
+        if code is not None and code.is_system:
+            raise _system_error(request.NAME, code, may_be_wrong, refusal)
         if encrypted:
             self._proven_cipher = cipher
         return answer

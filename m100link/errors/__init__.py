@@ -6,6 +6,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     ├── UsageError                 the caller's mistake, found before a byte is sent   (ValueError)
     │   ├── BadURL                 the connection string names no transport
     │   ├── BadKey                 not 32 bytes, not 64 hex digits
+    │   ├── BadValue               a field of a command outside its documented range
     │   ├── BadSetpoint            a value outside the document's table, NaN or infinity
     │   ├── BadPlan                a waypoint mission that the aircraft would refuse
     │   └── PayloadTooLarge        more than 1007 bytes, or 100 to the mobile device
@@ -88,6 +89,7 @@ from m100link.errors.usage import (
     BadPlan,
     BadSetpoint,
     BadURL,
+    BadValue,
     PayloadTooLarge,
     UsageError,
 )
@@ -103,6 +105,7 @@ __all__ = [
     "BadPlan",
     "BadSetpoint",
     "BadURL",
+    "BadValue",
     "CommandNotSupported",
     "CommandRefused",
     "GuardRefused",

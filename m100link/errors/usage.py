@@ -9,6 +9,7 @@ __all__ = [
     "BadPlan",
     "BadSetpoint",
     "BadURL",
+    "BadValue",
     "PayloadTooLarge",
     "UsageError",
 ]
@@ -24,6 +25,31 @@ class BadURL(UsageError):
 
 class BadKey(UsageError):
     """A key is 32 bytes or 64 hex digits. The message never contains the key."""
+
+
+class BadValue(UsageError):
+    """A field of a command lies outside its documented range, or is not a number.
+
+    Attributes:
+        field: Name of the field on the wire.
+        value: The value.
+        limit: What it may be, in words.
+    """
+
+    def __init__(
+        self,
+        seen: str,
+        *,
+        field: str = "",
+        value: object = None,
+        limit: str = "",
+        cause: str = "",
+        remedy: str = "",
+    ) -> None:
+        super().__init__(seen, cause=cause, remedy=remedy)
+        self.field = field
+        self.value = value
+        self.limit = limit
 
 
 class BadSetpoint(UsageError):

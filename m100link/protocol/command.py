@@ -13,16 +13,18 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar, get_args, get_origin
 
-from m100link.errors import BadAck, UsageError
+from m100link.errors import BadAck, BadValue
 from m100link.protocol.codes import AckCode, SystemCode
 from m100link.protocol.firmware import FirmwareProfile, Generation
 from m100link.session.events import SessionMode
 
 __all__ = [
+    "Acknowledged",
     "Address",
     "Command",
     "Movement",
     "Notification",
+    "Problem",
     "Push",
     "Request",
     "Unrecognised",
@@ -43,6 +45,33 @@ class Address(NamedTuple):
 
     def __str__(self) -> str:
         return f"0x{self.command_set:02X}/0x{self.command_id:02X}"
+
+
+class Problem(NamedTuple):
+    """A value outside its documented range.
+
+    Attributes:
+        field: Name of the field on the wire.
+        value: Its value.
+        limit: What it may be, in words.
+    """
+
+    field: str
+    value: Any
+    limit: str
+
+    def __str__(self) -> str:
+        return f"{self.field} is {self.value!r}, allowed: {self.limit}"
+
+    def error(self, name: str) -> BadValue:
+        """The same as an error, of the command of that name."""
+        return BadValue(
+            f"{name}: {self.field} {self.value!r} cannot be sent",
+            field=self.field,
+            value=self.value,
+            limit=self.limit,
+            remedy=f"allowed: {self.limit}",
+        )
 
 
 class Command:
@@ -102,13 +131,26 @@ class Command:
         """
         raise ValueError(f"{cls.__name__} is never parsed")
 
+    @property
+    def name(self) -> str:
+        """The word for this one: ``NAME``, except where an address has several kinds."""
+        return self.NAME
+
     def fields(self) -> dict[str, Any]:
-        """The decoded fields as JSON-ready values."""
+        """The decoded fields as JSON-ready values, in units for people."""
         return {name: plain(getattr(self, name)) for name in field_names(self)}
 
+    def raw(self) -> dict[str, Any]:
+        """The fields of a later command as on the wire; empty for those of the document."""
+        return {}
 
-class Request(Command, Generic[A]):
-    """A command with an ack. ``class Arm(Request[ArmCode])`` says that its ack is that code.
+    def problems(self) -> list[Problem]:
+        """The values of a later command outside their documented range, for people."""
+        return []
+
+
+class Acknowledged(Generic[A]):
+    """What has an ack, or had one in some firmware.
 
     Attributes:
         ANSWER: What the ack tells: the class in the brackets.
@@ -121,7 +163,7 @@ class Request(Command, Generic[A]):
 
     __slots__ = ()
 
-    SESSION_MODE: ClassVar[SessionMode] = SessionMode.RELIABLE
+    NAME: ClassVar[str]
     ANSWER: ClassVar[type[Any]]
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (2,)
     ACK_IS_PLAIN: ClassVar[bool] = False
@@ -130,8 +172,11 @@ class Request(Command, Generic[A]):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         for base in cls.__dict__.get("__orig_bases__", ()):
-            if get_origin(base) is Request:
-                (cls.ANSWER,) = get_args(base)
+            origin = get_origin(base)
+            if isinstance(origin, type) and issubclass(origin, Acknowledged):
+                (answer,) = get_args(base)
+                if isinstance(answer, type):  # and not the letter of a class between
+                    cls.ANSWER = answer
 
     @classmethod
     def parse_ack(cls, payload: bytes) -> A:
@@ -144,9 +189,19 @@ class Request(Command, Generic[A]):
         return answer
 
     @classmethod
-    def ack_fields(cls, answer: A) -> dict[str, Any]:
-        """The decoded ack as JSON-ready values."""
+    def ack_fields(cls, answer: Any) -> dict[str, Any]:
+        """The decoded ack as JSON-ready values, in units for people."""
         return {"ack": plain(answer)}
+
+    @classmethod
+    def ack_raw(cls, answer: Any) -> dict[str, Any]:
+        """The fields of the ack as on the wire."""
+        return {"code": int(answer)} if isinstance(answer, AckCode) else {}
+
+    @classmethod
+    def code_of(cls, answer: Any) -> AckCode | None:
+        """The code in an answer by which the request was taken or refused."""
+        return answer if isinstance(answer, AckCode) else None
 
     @classmethod
     def unreadable(cls, profile: FirmwareProfile) -> AckCode:
@@ -157,6 +212,14 @@ class Request(Command, Generic[A]):
     def encode_ack(cls, answer: Any) -> bytes:
         """The data of an ack frame with that answer, or with a system code in its place."""
         return encode_code(answer)
+
+
+class Request(Acknowledged[A], Command):
+    """A command with an ack. ``class Arm(Request[ArmCode])`` says that its ack is that code."""
+
+    __slots__ = ()
+
+    SESSION_MODE: ClassVar[SessionMode] = SessionMode.RELIABLE
 
 
 class Push(Command):
@@ -249,12 +312,16 @@ def in_range(name: str, number: float, low: float, high: float, unit: str = "") 
     """Check a number before it is sent.
 
     Raises:
-        UsageError: It lies outside, or is not a number.
+        BadValue: It lies outside, or is not a number.
     """
     if not low <= number <= high:
-        raise UsageError(
+        limit = f"{low:g} to {high:g} {unit}".rstrip()
+        raise BadValue(
             f"{name} {number:g} {unit}".rstrip() + " cannot be sent",
-            remedy=f"stay within {low:g} to {high:g} {unit}".rstrip(),
+            field=name,
+            value=number,
+            limit=limit,
+            remedy=f"stay within {limit}",
         )
 
 
