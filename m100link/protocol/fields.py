@@ -1,0 +1,347 @@
+"""Fields of commands with a fixed layout: where they stand, what they may be, how people read them.
+
+A layout is a list of parts in the order of the wire. It writes and reads the bytes of a record,
+tells which of its values lie outside the documented range, and shows it in degrees, metres,
+seconds and words. Reading never refuses a value: what was sent is shown as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from struct import Struct
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
+
+from m100link.protocol.command import Command, Problem
+from m100link.protocol.firmware import FirmwareProfile
+
+__all__ = [
+    "Laid",
+    "Layout",
+    "Nibbles",
+    "Number",
+    "Numbers",
+    "Record",
+    "Reserved",
+    "latitude",
+    "longitude",
+]
+
+_INTEGERS = frozenset("bBhHiI")
+_LARGEST_F32 = 3.4028234663852886e38
+
+# Wire unit → what people read: the ending of the name, and how many of it make one.
+_SHOWN: dict[str, tuple[str, float]] = {
+    "m": ("m", 1.0),
+    "cm": ("m", 0.01),
+    "m/s": ("m_s", 1.0),
+    "°": ("deg", 1.0),
+    "rad": ("deg", 180.0 / math.pi),
+    "°/s": ("deg_s", 1.0),
+    "0.1 °/s": ("deg_s", 0.1),
+    "s": ("s", 1.0),
+}
+
+
+class Number(NamedTuple):
+    """One number.
+
+    Attributes:
+        name: Name of the field.
+        format: Its letter in :mod:`struct`.
+        low, high: Documented range, inclusive; without one whatever fits.
+        unit: Unit on the wire.
+        words: What the numbers of a choice mean, from 0 on; no other is legal.
+        besides: Legal values outside the range.
+    """
+
+    name: str
+    format: str = "B"
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+    words: tuple[str, ...] = ()
+    besides: tuple[float, ...] = ()
+
+    def write(self, record: object) -> tuple[Any, ...]:
+        """What goes into the struct."""
+        return (getattr(record, self.name),)
+
+    def read(self, values: Iterator[Any]) -> Iterator[tuple[str, Any]]:
+        """What comes out of it, under its name."""
+        yield self.name, next(values)
+
+    def problems(self, record: object) -> Iterator[Problem]:
+        """Whether the value is outside."""
+        value = getattr(record, self.name)
+        if not self.fits(value):
+            yield Problem(self.name, value, self.limit)
+
+    def fits(self, value: Any) -> bool:
+        """Whether a value is inside."""
+        if self.format in _INTEGERS and not isinstance(value, int):
+            return False
+        low, high = self._range
+        return bool(low <= value <= high) or value in self.besides  # nothing compares with NaN
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        """The documented range, as far as the type reaches."""
+        if self.words:
+            return 0, len(self.words) - 1
+        if self.format not in _INTEGERS:
+            largest = _LARGEST_F32 if self.format == "f" else 1.7976931348623157e308
+            return max(self.low, -largest), min(self.high, largest)
+        bits = 8 * Struct(f"<{self.format}").size
+        is_signed = self.format.islower()
+        least = -(1 << bits - 1) if is_signed else 0
+        return max(self.low, least), min(self.high, least + (1 << bits) - 1)
+
+    @property
+    def limit(self) -> str:
+        """The documented range in words."""
+        if self.words:
+            return ", ".join(f"{number} {word}" for number, word in enumerate(self.words))
+        low, high = self._range
+        if self.format not in _INTEGERS and math.isinf(self.high):
+            return "a finite number"
+        text = f"{low:g}" if low == high else f"{low:.6g} to {high:.6g}"
+        text = " or ".join((*(f"{value:g}" for value in self.besides), text))
+        return f"{text} {self.unit}".rstrip()
+
+    def shown(self, record: object) -> Iterator[tuple[str, Any]]:
+        """The value for people, under a name that says its unit."""
+        value = getattr(record, self.name)
+        if self.words:
+            yield self.name, self.words[value] if value < len(self.words) else value
+        elif self.unit in _SHOWN:
+            ending, factor = _SHOWN[self.unit]
+            name = self.name.removesuffix(f"_{self.unit}")
+            # A factor below one is one over a whole number: dividing keeps 28.5 from 28.500000001.
+            number = value * factor if factor >= 1.0 else value / round(1.0 / factor)
+            yield f"{name}_{ending}", number
+        else:
+            yield self.name, value
+
+
+class Numbers(NamedTuple):
+    """Several numbers of one kind.
+
+    Attributes:
+        name: Name of the field, which is a tuple.
+        many: How many.
+        each: One of them; its name does not matter.
+    """
+
+    name: str
+    many: int
+    each: Number
+
+    @property
+    def format(self) -> str:
+        """All of them."""
+        return f"{self.many}{self.each.format}"
+
+    def write(self, record: object) -> tuple[Any, ...]:
+        """What goes into the struct."""
+        return tuple(getattr(record, self.name))
+
+    def read(self, values: Iterator[Any]) -> Iterator[tuple[str, Any]]:
+        """What comes out of it, as a tuple."""
+        yield self.name, tuple(next(values) for _ in range(self.many))
+
+    def problems(self, record: object) -> Iterator[Problem]:
+        """Which are outside, or that they are too many or too few."""
+        values: Sequence[Any] = getattr(record, self.name)
+        if len(values) != self.many:
+            yield Problem(self.name, values, f"{self.many} numbers")
+            return
+        for index, value in enumerate(values):
+            if not self.each.fits(value):
+                yield Problem(f"{self.name}[{index}]", value, self.each.limit)
+
+    def shown(self, record: object) -> Iterator[tuple[str, Any]]:
+        """All of them."""
+        yield self.name, list(getattr(record, self.name))
+
+
+class Nibbles(NamedTuple):
+    """Two numbers of four bits in one byte.
+
+    Attributes:
+        low, high: Names of the fields in the low and in the high half.
+    """
+
+    low: str
+    high: str
+
+    @property
+    def format(self) -> str:
+        """One byte."""
+        return "B"
+
+    def write(self, record: object) -> tuple[Any, ...]:
+        """What goes into the struct."""
+        return (getattr(record, self.low) | getattr(record, self.high) << 4,)
+
+    def read(self, values: Iterator[Any]) -> Iterator[tuple[str, Any]]:
+        """Both halves."""
+        both = next(values)
+        yield self.low, both & 15
+        yield self.high, both >> 4
+
+    def problems(self, record: object) -> Iterator[Problem]:
+        """Which do not fit."""
+        for name in self:
+            yield from Number(name, "B", 0, 15).problems(record)
+
+    def shown(self, record: object) -> Iterator[tuple[str, Any]]:
+        """Both."""
+        for name in self:
+            yield name, getattr(record, name)
+
+
+class Reserved(NamedTuple):
+    """Bytes that are sent as zero and ignored.
+
+    Attributes:
+        many: How many.
+    """
+
+    many: int
+
+    @property
+    def format(self) -> str:
+        """Padding, in the language of :mod:`struct`."""
+        return f"{self.many}x"
+
+    def write(self, record: object) -> tuple[Any, ...]:
+        """Nothing."""
+        return ()
+
+    def read(self, values: Iterator[Any]) -> Iterator[tuple[str, Any]]:
+        """Nothing."""
+        return iter(())
+
+    def problems(self, record: object) -> Iterator[Problem]:
+        """None: DJI's programs leave uninitialised memory there."""
+        return iter(())
+
+    def shown(self, record: object) -> Iterator[tuple[str, Any]]:
+        """Nothing."""
+        return iter(())
+
+
+Part: TypeAlias = Number | Numbers | Nibbles | Reserved
+
+
+class Layout:
+    """Parts in the order of the wire, little-endian and packed.
+
+    Attributes:
+        size: Bytes in all.
+    """
+
+    __slots__ = ("_parts", "_struct", "size")
+
+    def __init__(self, *parts: Part) -> None:
+        self._parts = parts
+        self._struct = Struct("<" + "".join(part.format for part in parts))
+        self.size = self._struct.size
+
+    def write(self, record: object) -> bytes:
+        """The bytes of a record whose values fit."""
+        return self._struct.pack(*(value for part in self._parts for value in part.write(record)))
+
+    def read(self, value: bytes) -> dict[str, Any]:
+        """The fields by name, from as many bytes as the layout has."""
+        values = iter(self._struct.unpack(value))
+        return {name: number for part in self._parts for name, number in part.read(values)}
+
+    def problems(self, record: object) -> list[Problem]:
+        """Every value outside its documented range."""
+        return [problem for part in self._parts for problem in part.problems(record)]
+
+    def shown(self, record: object) -> dict[str, Any]:
+        """The fields for people."""
+        return {name: value for part in self._parts for name, value in part.shown(record)}
+
+    def raw(self, record: object) -> dict[str, Any]:
+        """The fields as on the wire, lists as lists."""
+        names = self.read(bytes(self.size))
+        values = ((name, getattr(record, name)) for name in names)
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in values}
+
+
+class Record:
+    """Something with a fixed layout; the subclasses are dataclasses with the fields of it.
+
+    Attributes:
+        LAYOUT: Its fields on the wire.
+    """
+
+    __slots__ = ()
+
+    LAYOUT: ClassVar[Layout]
+
+    def raw(self) -> dict[str, Any]:
+        """The fields as on the wire."""
+        return self.LAYOUT.raw(self)
+
+    def problems(self) -> list[Problem]:
+        """Every value outside its documented range."""
+        return self.LAYOUT.problems(self)
+
+    def shown(self) -> dict[str, Any]:
+        """The fields in degrees, metres, seconds and words."""
+        return self.LAYOUT.shown(self)
+
+    def to_wire(self, name: str) -> bytes:
+        """The bytes, checked.
+
+        Raises:
+            BadValue: A value outside its documented range.
+        """
+        for problem in self.problems():
+            raise problem.error(name)
+        return self.LAYOUT.write(self)
+
+    @classmethod
+    def from_wire(cls, value: bytes) -> Self:
+        """Read as many bytes as the layout has, whatever they say."""
+        return cls(**cls.LAYOUT.read(value))
+
+
+class Laid(Record, Command):
+    """A command or push whose value is a record."""
+
+    __slots__ = ()
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """The record, checked.
+
+        Raises:
+            BadValue: A value outside its documented range.
+        """
+        return self.to_wire(self.NAME)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """As many bytes as the layout has; values outside their range are kept as they came."""
+        if len(value) != cls.LAYOUT.size:
+            raise ValueError(f"{cls.NAME} takes {cls.LAYOUT.size} byte(s), there are {len(value)}")
+        return cls.from_wire(value)
+
+    def fields(self) -> dict[str, Any]:
+        """In degrees, metres, seconds and words."""
+        return self.shown()
+
+
+def latitude(name: str = "latitude") -> Number:
+    """A latitude in radians."""
+    return Number(name, "d", -math.pi / 2, math.pi / 2, "rad")
+
+
+def longitude(name: str = "longitude") -> Number:
+    """A longitude in radians."""
+    return Number(name, "d", -math.pi, math.pi, "rad")

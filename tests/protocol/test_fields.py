@@ -1,0 +1,117 @@
+"""Layouts of records: every value comes back, what is outside is named, people read degrees."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import pytest
+
+from m100link.errors import BadValue
+from m100link.protocol.fields import (
+    Layout,
+    Nibbles,
+    Number,
+    Numbers,
+    Record,
+    Reserved,
+    latitude,
+    longitude,
+)
+
+
+@dataclass(frozen=True)
+class Example(Record):
+    LAYOUT: ClassVar[Layout] = Layout(
+        Number("choice", words=("left", "right")),
+        latitude(),
+        longitude(),
+        Number("height", "f", -200.0, 500.0, "m"),
+        Number("damping", "f", 0.2, 10.0, "m", besides=(0.0,)),
+        Number("any_float", "f"),
+        Number("word", "h", unit="°"),
+        Reserved(3),
+        Nibbles("low", "high"),
+        Numbers("list", 2, Number("each", "B", 0, 5)),
+        Number("radius_cm", "H", unit="cm"),
+        Number("rate", unit="0.1 °/s"),
+    )
+
+    choice: int = 1
+    latitude: float = 0.5
+    longitude: float = -0.5
+    height: float = 20.0
+    damping: float = 0.0
+    any_float: float = 1.5
+    word: int = -3
+    low: int = 2
+    high: int = 11
+    list: tuple[int, ...] = (1, 5)
+    radius_cm: int = 2850
+    rate: int = 115
+
+
+def test_bytes_and_back() -> None:
+    written = Example().to_wire("example")
+    assert len(written) == Example.LAYOUT.size == 1 + 16 + 12 + 2 + 3 + 1 + 2 + 2 + 1
+    assert Example.from_wire(written) == Example()
+    assert written[31:35] == b"\0\0\0\xb2"
+
+
+def test_reserved_bytes_are_ignored() -> None:
+    written = bytearray(Example().to_wire("example"))
+    written[31:34] = b"\xff\xff\xff"
+    assert Example.from_wire(bytes(written)) == Example()
+
+
+def test_raw_is_the_wire_with_lists_as_lists() -> None:
+    raw = Example().raw()
+    assert raw["list"] == [1, 5]
+    assert (raw["low"], raw["high"], raw["word"]) == (2, 11, -3)
+    assert list(raw) == [field.name for field in fields(Example)]
+
+
+def test_people_read_degrees_metres_and_words() -> None:
+    shown = Example().shown()
+    assert shown["choice"] == "right"
+    assert shown["latitude_deg"] == pytest.approx(math.degrees(0.5))
+    assert shown["height_m"] == 20.0
+    assert shown["radius_m"] == 28.5
+    assert shown["rate_deg_s"] == 11.5
+    assert Example(choice=7).shown()["choice"] == 7
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "limit"),
+    [
+        ({"choice": 2}, "choice", "0 left, 1 right"),
+        ({"latitude": 1.6}, "latitude", "-1.5708 to 1.5708 rad"),
+        ({"latitude": math.nan}, "latitude", "-1.5708 to 1.5708 rad"),
+        ({"longitude": -math.inf}, "longitude", "-3.14159 to 3.14159 rad"),
+        ({"height": 500.1}, "height", "-200 to 500 m"),
+        ({"damping": 0.1}, "damping", "0 or 0.2 to 10 m"),
+        ({"any_float": math.inf}, "any_float", "a finite number"),
+        ({"any_float": 3.5e38}, "any_float", "a finite number"),
+        ({"word": 1.5}, "word", "-32768 to 32767 °"),
+        ({"word": 40000}, "word", "-32768 to 32767 °"),
+        ({"low": 16}, "low", "0 to 15"),
+        ({"list": (1, 6)}, "list[1]", "0 to 5"),
+        ({"list": (1,)}, "list", "2 numbers"),
+        ({"rate": -1}, "rate", "0 to 255 0.1 °/s"),
+    ],
+)
+def test_what_is_outside_is_named_and_not_written(
+    change: dict[str, Any], field: str, limit: str
+) -> None:
+    record = Example(**change)
+    [problem] = record.problems()
+    assert (problem.field, problem.limit) == (field, limit)
+    with pytest.raises(BadValue, match="cannot be sent") as caught:
+        record.to_wire("example")
+    error = caught.value
+    assert (error.field, error.limit) == (field, limit)
+    assert error.value is problem.value
+    assert str(error).startswith(f"example: {field} ")
+    assert limit in str(error)
+    assert field in str(problem)
