@@ -15,6 +15,7 @@ __all__ = [
     "ActivationCode",
     "ArmCode",
     "AuthorityCode",
+    "MissionCode",
     "MobileDataCode",
     "RatesCode",
     "SystemCode",
@@ -246,3 +247,184 @@ class ArmCode(AckCode):
     AUTHORITY_NEEDED = 1, "control authority is needed", "", "obtain authority first"
     ALREADY = 2, "already in that state"
     IN_THE_AIR = 3, "refused: the aircraft is in the air", "", "land first"
+
+
+class MissionCode(AckCode):
+    """First byte of every ack of command set 0x03, and the reason in a mission's status push.
+
+    From DJI's list for firmware 3.1, with the readings of D4, D5 and others that its libraries and
+    the phone's agree on.
+    """
+
+    SUCCESS = 0x00, "done"
+    WRONG_INDEX = 0x01, "no waypoint has that index", "", "upload each index below the count once"
+
+    IOC_TOO_NEAR_HOME = 0xA0, "IOC: too near to the home point", "", "fly farther away from it"
+    IOC_WRONG_TYPE = 0xA1, "IOC: this type does not exist"
+    BAD_NUMBER = 0xA2, "a number is not finite", "NaN or infinity was sent"
+    BAD_POSITION = (
+        0xA3,
+        "latitude or longitude is out of range",
+        "degrees were sent for radians, or a position without GPS, which is 0, 0",
+        "give the centre as a valid position",
+    )
+    BAD_DIRECTION = 0xA6, "the direction is neither clockwise nor counter-clockwise"
+    ALREADY_PAUSED = 0xA9, "the hotpoint is paused already"
+    NOT_PAUSED = 0xAA, "the hotpoint is not paused"
+
+    TARGET_TOO_FAR = 0xB0, "the target is farther than 20 km away", "", "go nearer to the target"
+    TARGET_LOST = (
+        0xB1,
+        "the target has been silent for too long",
+        "its GPS or the link to it was lost",
+        "send its position once a second or more often",
+    )
+    GIMBAL_PITCH_TOO_LARGE = 0xB2, "the gimbal would have to point too far up or down"
+
+    TOO_HIGH = (
+        0xC0,
+        "higher than the height limit",
+        "the limit of the DJI app, 120 m by default; about 30 m where nobody ever logged in",
+        "fly lower, or raise the limit in the DJI app",
+    )
+    TOO_LOW = 0xC1, "too low for this mission", "a hotpoint needs 5 m", "choose a greater height"
+    BAD_RADIUS = 0xC2, "the radius is outside 5 to 500 m"
+    RATE_TOO_HIGH = (
+        0xC3,
+        "too many degrees per second for the radius",
+        "the aircraft would be faster than about 10 m/s along the circle",
+        "stay below 573 divided by the radius in metres, and below 30",
+    )
+    BAD_START_POINT = 0xC4, "this start point of a circle does not exist"
+    BAD_YAW_MODE = 0xC5, "this heading on a circle does not exist"
+    TOO_FAR_FROM_CIRCLE = (
+        0xC6,
+        "too far from the circle to resume it",
+        "the aircraft was moved meanwhile",
+        "fly nearer, or start the hotpoint again",
+    )
+    TOO_FAR_FROM_HOME = (
+        0xC7,
+        "farther from home than the radius limit",
+        "the limit of the DJI app; about 50 m where nobody ever logged in",
+        "plan nearer to home, or raise the limit in the DJI app",
+    )
+    NOT_SUPPORTED = 0xC8, "this mission is not supported", "a firmware without it"
+    TOO_FAR_AWAY = (
+        0xC9,
+        "the mission begins too far from the present position",
+        "",
+        "fly nearer to its first point",
+    )
+    BEGINNER_MODE = (
+        0xCA,
+        "the aircraft is in beginner mode",
+        "it is switched on in the DJI app",
+        "switch it off in the DJI app",
+    )
+
+    RC_NOT_IN_F = (
+        0xD0,
+        "the remote controller is not in F position",
+        "the mode switch is in P or A",
+        "move the mode switch to F and obtain authority",
+    )
+    AUTHORITY_NEEDED = (
+        0xD1,
+        "control authority is needed, or was lost",
+        "missions need API control, which DJI also calls navigation mode",
+        "obtain authority first",
+    )
+    IOC_ON = 0xD2, "IOC is on", "", "turn IOC off in the DJI app"
+    NOT_INITIALISED = 0xD3, "the mission is not initialised", "", "upload it first"
+    NOT_RUNNING = 0xD4, "no such mission is running", "it has ended, or was never started"
+    RUNNING = 0xD5, "such a mission is running already", "", "stop it first"
+    TAKES_TOO_LONG = (
+        0xD6,
+        "the mission takes longer than the battery lasts",
+        "a long way at low speed, or an aged battery",
+        "shorten it, fly faster or change the battery",
+    )
+    OTHER_RUNNING = 0xD7, "a mission of another kind is running", "", "stop that one first"
+    GPS_TOO_WEAK = (
+        0xD8,
+        "GPS is too weak",
+        "its health is below 3 of 5",
+        "wait for more satellites, under open sky",
+    )
+    BATTERY_LOW = 0xD9, "the battery is at its warning level", "", "change the battery"
+    NOT_IN_THE_AIR = 0xDA, "the aircraft is not in the air", "", "take off first"
+    BAD_PARAMETERS = (
+        0xDB,
+        "the request has the wrong length or parameters",
+        "another firmware than the chosen profile",
+    )
+    BUSY = (
+        0xDC,
+        "the aircraft is not in a state for it",
+        "it takes off, lands or goes home",
+        "wait until that has ended",
+    )
+    CROSSES_NO_FLY_ZONE = 0xDD, "the route crosses a no-fly zone", "", "plan around it"
+    HOME_NOT_RECORDED = (
+        0xDE,
+        "the home point is not recorded",
+        "GPS has been too weak since power-on",
+        "wait for GPS until the DJI app says that home is recorded",
+    )
+    IN_NO_FLY_ZONE = 0xDF, "the aircraft is in a no-fly zone"
+
+    BAD_MISSION = (
+        0xE0,
+        "a value of the waypoint mission is out of range",
+        "nothing of it was stored, and an earlier mission is gone as well",
+        "look at count, speeds and modes",
+    )
+    BAD_POINT = (
+        0xE1,
+        "a value of the waypoint is out of range",
+        "height outside -200 to 500 m, a position, a heading or a turn that does not exist",
+    )
+    LEG_TOO_LONG = (
+        0xE2,
+        "first and last waypoint are too far apart",
+        "15 km by DJI's document, 30 km by its code",
+    )
+    ROUTE_TOO_LONG = (
+        0xE3,
+        "the route is too long",
+        "15 km by DJI's document; by its code 60 km with the ways from home and back",
+    )
+    INDEX_TOO_LARGE = 0xE4, "the index is not below the count", "", "count from 0"
+    POINTS_TOO_CLOSE = 0xE5, "two neighbouring waypoints are closer than 2 m"
+    POINTS_TOO_FAR = 0xE6, "two neighbouring waypoints are farther apart than 2000 m"
+    BAD_DAMPING = (
+        0xE7,
+        "the corners of two neighbouring waypoints overlap",
+        "their damping distances together are longer than the way between them",
+        "choose smaller ones",
+    )
+    BAD_ACTION = 0xE8, "an action of the waypoint or its parameter does not exist"
+    POINTS_MISSING = 0xE9, "not all waypoints were uploaded"
+    NO_MISSION = (
+        0xEA,
+        "there is no waypoint mission",
+        "it was not uploaded, was refused, or has ended",
+        "upload the mission, then its points",
+    )
+    NO_POINTS = (
+        0xEB,
+        "the waypoints are not there, or did not pass the check as a whole",
+        "points are missing, or the last one was refused",
+        "upload the mission and all its points",
+    )
+    ALREADY_SO = 0xEC, "the waypoint mission runs, is paused or is resumed already"
+    NOT_STARTED = 0xED, "no waypoint mission is running"
+    BAD_SPEED = 0xEE, "the speed is beyond the mission's largest speed"
+
+    TAKING_OFF = 0xF0, "the aircraft takes off", "", "wait until it has ended"
+    LANDING = 0xF1, "the aircraft lands", "", "wait until it has ended"
+    GOING_HOME = 0xF2, "the aircraft goes home", "", "wait until it has ended"
+    STARTING_MOTORS = 0xF3, "the aircraft starts its motors", "", "wait until it has ended"
+    WRONG_VALUE = 0xF4, "start or stop, pause or resume is neither 0 nor 1"
+    UNKNOWN = 0xFF, "a reason that the aircraft does not name"
