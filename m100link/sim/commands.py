@@ -15,7 +15,6 @@ from m100link.errors import BadSetpoint
 from m100link.protocol.codes import (
     AckCode,
     ActivationCode,
-    ArmCode,
     AuthorityCode,
     MobileDataCode,
     RatesCode,
@@ -37,6 +36,7 @@ from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
 from m100link.protocol.commands.control import Arm, Move, QueryTask, RequestAuthority, StartTask
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.commands.registry import address_of
+from m100link.protocol.commands.sync import Sync
 from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
@@ -155,6 +155,7 @@ class Commands:
             TakePhoto: self._take_photo,
             StartVideo: self._start_video,
             StopVideo: self._stop_video,
+            Sync: self._synchronise,
             VirtualRcSettings: self._switch_virtual_rc,
             VirtualRcData: self._feed_virtual_rc,
         }
@@ -231,6 +232,8 @@ class Commands:
         return self._autopilot.version(code)
 
     def _rates(self, command: SetTelemetryRates) -> RatesCode:
+        if not command.is_taken:
+            return RatesCode.INVALID_PARAMETERS
         self._autopilot.set_rates(command.rates_hz)
         return RatesCode.SUCCESS
 
@@ -285,8 +288,10 @@ class Commands:
         if setpoint is None or not self._has_authority() or not flight.move(setpoint):
             self._autopilot.counters.ignored_movements += 1
 
-    def _arm(self, command: Arm) -> ArmCode:
-        return self._vehicle.flight.arm(command.on, self._has_authority())
+    def _arm(self, command: Arm) -> AckCode:
+        if command.problems():
+            return Arm.unreadable(self._profile)
+        return self._vehicle.flight.arm(bool(command.on), self._has_authority())
 
     def _turn_gimbal(self, command: GimbalSpeed) -> None:
         self._vehicle.gimbal.turn(command, self._vehicle.time)
@@ -302,6 +307,9 @@ class Commands:
 
     def _stop_video(self, command: StopVideo) -> None:
         self._vehicle.camera.stop_video()
+
+    def _synchronise(self, command: Sync) -> None:
+        """A Matrice 100 has no output for it."""
 
     # --- set 0x05 ---------------------------------------------------------------------------
 

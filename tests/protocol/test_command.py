@@ -43,8 +43,17 @@ from m100link.protocol import (
 )
 from m100link.protocol.command import plain
 from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
+from m100link.protocol.commands.follow import FollowTarget
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.hotpoint import (
+    HotpointResetYaw,
+    HotpointSetRadius,
+    HotpointSetRate,
+)
+from m100link.protocol.commands.mission_acks import MissionRequest
+from m100link.protocol.commands.missions import COMMAND_SET, MissionStatus, WaypointEvent
 from m100link.protocol.commands.registry import COMMANDS, address_of
+from m100link.protocol.commands.sync import Sync
 from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 from m100link.protocol.items import BY_NAME
 from m100link.session import SessionMode
@@ -83,10 +92,18 @@ COMMAND = st.one_of(
     st.builds(Move, BYTE, F32, F32, F32, F32),
     st.builds(Arm, st.booleans()),
     st.builds(AuthorityChanged, BYTE),
-    st.builds(GimbalSpeed, *(tenths(-1800, 1800) for _ in range(3)), BYTE),
+    st.builds(
+        GimbalSpeed, *(tenths(-1800, 1800) for _ in range(3)), st.sampled_from((0, 0x80, 0xE0))
+    ),
     st.builds(
         GimbalAngle,
-        *(tenths(-3200, 3200), tenths(-350, 350), tenths(-900, 300), BYTE, tenths(0, 255)),
+        *(
+            tenths(-3200, 3200),
+            tenths(-350, 350),
+            tenths(-900, 300),
+            st.integers(0, 15),
+            tenths(0, 255),
+        ),
     ),
     st.sampled_from((TakePhoto(), StartVideo(), StopVideo())),
     st.builds(VirtualRcSettings, st.booleans(), st.booleans()),
@@ -140,7 +157,11 @@ def test_every_address_of_the_document_is_known() -> None:
         *((0x00, number) for number in (0x00, 0x01, 0x10, 0xFE)),
         *((0x01, number) for number in (0x00, 0x01, 0x02, 0x03, 0x05)),
         *((0x01, number) for number in (0x1A, 0x1B, 0x20, 0x21, 0x22)),
-        *((0x02, number) for number in (0x00, 0x01, 0x02)),
+        *((0x02, number) for number in (0x00, 0x01, 0x02, 0x03, 0x04)),
+        *((0x03, number) for number in range(0x10, 0x18)),
+        *((0x03, number) for number in range(0x20, 0x28)),
+        *((0x03, number) for number in range(0x30, 0x34)),
+        (0x04, 0x00),
         *((0x05, number) for number in (0x00, 0x01)),
     }
     assert set(COMMANDS) == wanted
@@ -167,7 +188,6 @@ BAD_VALUES = [
     (Activate, bytes(40)),  # the release notes of 3.1 strike a field out; 44 stays
     (Activate, bytes(45)),
     (SetTelemetryRates, bytes(12)),
-    (SetTelemetryRates, b"\x06" + bytes(15)),
     (SendToMobile, b""),
     (SendToMobile, bytes(101)),
     (RequestAuthority, b""),
@@ -177,7 +197,7 @@ BAD_VALUES = [
     (QueryTask, b""),
     (Move, bytes(16)),
     (Move, bytes(18)),
-    (Arm, b"\x02"),
+    (Arm, b""),
     (AuthorityChanged, b""),
     (FromMobile, bytes(101)),
     (GimbalSpeed, bytes(8)),
@@ -208,7 +228,8 @@ def test_a_telemetry_push_carries_its_packet() -> None:
 
 AnyRequest = Request[Any]
 REQUESTS = [kind for kind in COMMANDS.values() if issubclass(kind, Request)]
-PLAIN_ACKS = [kind for kind in REQUESTS if kind is not GetVersion]
+MISSIONS = [kind for kind in REQUESTS if issubclass(kind, MissionRequest)]
+PLAIN_ACKS = [kind for kind in REQUESTS if kind not in (GetVersion, *MISSIONS)]
 
 
 @pytest.mark.parametrize("kind", PLAIN_ACKS)
@@ -236,7 +257,7 @@ def test_acks_of_tasks_may_be_one_byte_as_the_document_prints_them(
     assert kind.parse_ack(b"\x01") == kind.parse_ack(b"\x01\x00") == 1
 
 
-@pytest.mark.parametrize("kind", [k for k in REQUESTS if k not in (StartTask, QueryTask)])
+@pytest.mark.parametrize("kind", [k for k in PLAIN_ACKS if k not in (StartTask, QueryTask)])
 def test_an_ack_of_one_byte_is_a_bad_ack_elsewhere(kind: type[AnyRequest]) -> None:
     with pytest.raises(BadAck) as caught:
         kind.parse_ack(b"\x02")
@@ -248,10 +269,12 @@ def test_bytes_behind_a_code_are_ignored() -> None:
 
 
 def test_each_command_is_of_one_kind() -> None:
-    kinds = {kind: [c for c in COMMANDS.values() if issubclass(c, kind)] for kind in KINDS}
-    assert kinds[Movement] == [Move, VirtualRcSettings, VirtualRcData]
-    assert kinds[Push] == [GimbalSpeed, GimbalAngle, TakePhoto, StartVideo, StopVideo]
-    assert kinds[Notification] == [PushTelemetry, AuthorityChanged, FromMobile]
+    kinds = {kind: {c for c in COMMANDS.values() if issubclass(c, kind)} for kind in KINDS}
+    on_a_circle = {HotpointSetRate, HotpointSetRadius, HotpointResetYaw}
+    assert kinds[Movement] == {Move, VirtualRcSettings, VirtualRcData, FollowTarget} | on_a_circle
+    assert kinds[Push] == {GimbalSpeed, GimbalAngle, TakePhoto, StartVideo, StopVideo, Sync}
+    pushes = {PushTelemetry, AuthorityChanged, FromMobile, MissionStatus, WaypointEvent}
+    assert kinds[Notification] == pushes
     assert sum(map(len, kinds.values())) == len(COMMANDS)
 
 
@@ -269,6 +292,7 @@ def test_levels_are_those_of_the_document() -> None:
     levels = {kind: kind.LEVEL for kind in COMMANDS.values()}
     flight = {RequestAuthority, StartTask, QueryTask, Move, Arm}
     mount = {GimbalSpeed, GimbalAngle, TakePhoto, StartVideo, StopVideo}
+    flight |= {kind for kind in levels if kind.ADDRESS.command_set == COMMAND_SET}
     wanted = {kind: 2 if kind in flight else 1 if kind in mount else 0 for kind in levels}
     assert levels == wanted
 
@@ -277,7 +301,9 @@ def test_commands_came_with_their_firmware() -> None:
     every = COMMANDS.values()
     known = {name: {k for k in every if k.is_known_to(p)} for name, p in PROFILES.items()}
     of_2_3 = {GimbalSpeed, GimbalAngle, TakePhoto, StartVideo, StopVideo}
-    of_3_1 = {SetTelemetryRates, Arm, VirtualRcSettings, VirtualRcData}
+    of_3_1 = {SetTelemetryRates, Arm, VirtualRcSettings, VirtualRcData, Sync}
+    of_3_1 |= {MissionStatus, WaypointEvent}
+    of_3_1 |= {kind for kind in every if kind.ADDRESS.command_set == COMMAND_SET}
     assert known["3.1"] == set(COMMANDS.values())
     assert known["3.1"] - known["2.3"] == of_3_1
     assert known["2.3"] - known["1.0"] == of_2_3
@@ -293,7 +319,7 @@ def test_the_answer_to_an_unreadable_value_is_a_refusal(
     assert code not in (TaskStartCode.STARTED, AuthorityCode.OBTAINED)
     assert kind is RequestAuthority or code != 0
     if kind is not GetVersion:
-        assert kind.parse_ack(kind.encode_ack(code)) == code
+        assert kind.code_of(kind.parse_ack(kind.encode_ack(code))) == code
 
 
 def test_a_command_that_declares_neither_value_nor_parse_says_so() -> None:

@@ -20,11 +20,17 @@ from m100link.protocol import (
     SystemCode,
     encode_code,
 )
+from m100link.protocol.commands.missions import COMMAND_SET
 from m100link.protocol.commands.registry import COMMANDS
 
 from .host import Host
 
-SENT = [kind for kind in COMMANDS.values() if not issubclass(kind, Notification)]
+# Missions are refused as a whole, in the shape of their acks.
+SENT = [
+    kind
+    for address, kind in COMMANDS.items()
+    if not issubclass(kind, Notification) and address.command_set != COMMAND_SET
+]
 REQUESTS: list[type[Request[Any]]] = [kind for kind in SENT if issubclass(kind, Request)]
 UNREADABLE = bytes(101)  # no command takes so many bytes, but those that take any
 

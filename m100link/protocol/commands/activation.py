@@ -14,7 +14,15 @@ from m100link.protocol.codes import (
     RatesCode,
     VersionCode,
 )
-from m100link.protocol.command import Address, Request, encode_code, plain, read_code
+from m100link.protocol.command import (
+    Address,
+    Problem,
+    Request,
+    encode_code,
+    exactly,
+    plain,
+    read_code,
+)
 from m100link.protocol.firmware import FirmwareProfile, Generation, recognised
 from m100link.protocol.items import BY_NAME
 from m100link.wire.cipher import Key
@@ -235,6 +243,7 @@ RATES_HZ = (0, 1, 10, 50, 100)
 """Rates of a telemetry item, by their code on the wire."""
 
 KEEP_RATE = 5
+_RATE_BYTES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +252,7 @@ class SetTelemetryRates(Request[RatesCode]):
 
     Attributes:
         rates_hz: Rate per item name, 0, 1, 10, 50 or 100 Hz; an item left out keeps its rate.
+        as_sent: The 16 bytes of another program that cannot be said in rates; None elsewhere.
     """
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x10)
@@ -252,9 +262,21 @@ class SetTelemetryRates(Request[RatesCode]):
     SINCE: ClassVar[Generation] = Generation.V3_1
 
     rates_hz: dict[str, int] = field(default_factory=dict)
+    as_sent: bytes | None = None
 
     def value(self, profile: FirmwareProfile) -> bytes:
-        """16 bytes: one per item, then zeros."""
+        """16 bytes: one per item, then zeros.
+
+        Raises:
+            UsageError: An item or a rate that does not exist.
+        """
+        for problem in self.problems():
+            raise problem.error(self.NAME)
+        return self._codes()
+
+    def _codes(self) -> bytes:
+        if self.as_sent is not None:
+            return self.as_sent
         for name, rate in self.rates_hz.items():
             if name not in BY_NAME:
                 raise UsageError(
@@ -267,18 +289,38 @@ class SetTelemetryRates(Request[RatesCode]):
             RATES_HZ.index(self.rates_hz[name]) if name in self.rates_hz else KEEP_RATE
             for name in BY_NAME
         ]
-        return bytes(codes).ljust(16, b"\0")
+        return bytes(codes).ljust(_RATE_BYTES, b"\0")
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """16 bytes with codes 0 to 5."""
-        if len(value) != 16:
-            raise ValueError(f"the rates take 16 bytes, there are {len(value)}")
-        codes = value[: len(BY_NAME)]
-        if max(codes) > KEEP_RATE:
-            raise ValueError(f"rate code {max(codes)} does not exist")
+        """16 bytes; codes that do not exist are kept in ``as_sent``."""
+        codes = exactly(value, _RATE_BYTES, cls.NAME)[: len(BY_NAME)]
         pairs = zip(BY_NAME, codes, strict=True)
-        return cls({name: RATES_HZ[code] for name, code in pairs if code != KEEP_RATE})
+        rates = {name: RATES_HZ[code] for name, code in pairs if code < KEEP_RATE}
+        is_plain = max(codes) <= KEEP_RATE and not any(value[len(BY_NAME) :])
+        return cls(rates, None if is_plain else value)
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether the aircraft takes it: it looks at the items alone, not at the reserved bytes."""
+        return max(self._codes()[: len(BY_NAME)]) <= KEEP_RATE
+
+    def raw(self) -> dict[str, Any]:
+        """16 codes: 0 to 4 for the rates, 5 keeps a rate."""
+        return {"rates": list(self._codes())}
+
+    def problems(self) -> list[Problem]:
+        """Codes that do not exist, and reserved bytes that are not zero."""
+        limits = [KEEP_RATE] * len(BY_NAME) + [0] * (_RATE_BYTES - len(BY_NAME))
+        return [
+            Problem(f"rates[{index}]", code, f"0 to {limit}" if limit else "0, reserved")
+            for index, (code, limit) in enumerate(zip(self._codes(), limits, strict=True))
+            if code > limit
+        ]
+
+    def fields(self) -> dict[str, Any]:
+        """Hertz by item."""
+        return {"rates_hz": self.rates_hz}
 
 
 def check_mobile_data(data: bytes) -> bytes:

@@ -8,7 +8,7 @@ from struct import Struct
 from typing import Any, ClassVar, NamedTuple, Self
 
 from m100link.protocol.codes import AckCode, ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
-from m100link.protocol.command import Address, Movement, Request, exactly
+from m100link.protocol.command import Address, Movement, Problem, Request, exactly
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 __all__ = ["Arm", "Move", "QueryTask", "RequestAuthority", "StartTask", "Task"]
@@ -169,7 +169,11 @@ class Move(_MoveFields, Movement):
 
 @dataclass(frozen=True, slots=True)
 class Arm(Request[ArmCode]):
-    """0x01/0x05, motors on (True) or off (False); firmware 3.1."""
+    """0x01/0x05, motors on (True) or off (False); firmware 3.1.
+
+    Attributes:
+        on: True or False; another number of another program is kept and refused.
+    """
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x05)
     NAME: ClassVar[str] = "arm"
@@ -177,16 +181,28 @@ class Arm(Request[ArmCode]):
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V3_1
 
-    on: bool
+    on: int
 
     def value(self, profile: FirmwareProfile) -> bytes:
-        """1 arms, 0 disarms."""
+        """1 arms, 0 disarms.
+
+        Raises:
+            BadValue: Another number.
+        """
+        for problem in self.problems():
+            raise problem.error(self.NAME)
         return bytes((self.on,))
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """One byte, 0 or 1."""
+        """One byte; 0 and 1 are False and True."""
         (on,) = exactly(value, 1, cls.NAME)
-        if on > 1:
-            raise ValueError(f"arm value {on} does not exist")
-        return cls(bool(on))
+        return cls(bool(on) if on <= 1 else on)
+
+    def raw(self) -> dict[str, Any]:
+        """The byte."""
+        return {"arm": int(self.on)}
+
+    def problems(self) -> list[Problem]:
+        """Neither 0 nor 1."""
+        return [] if self.on in (0, 1) else [Problem("arm", self.on, "0 disarm, 1 arm")]

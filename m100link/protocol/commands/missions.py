@@ -1,18 +1,415 @@
-"""Command set 0x03 of later firmware: missions, which neither side flies yet.
+"""What the missions of command set 0x03 share: what the aircraft tells of them, and their refusal.
 
-Its acks begin with a code of one byte, where all others have two. An aircraft that knows no
-missions must refuse them in that shape, whatever its firmware: of 0xFF00, "not supported"
-elsewhere, DJI's programs read the first byte, and 0 is success.
+Layouts and readings are from DJI's libraries and documents of 2015 to 2019.
 """
 
 from __future__ import annotations
 
-__all__ = ["COMMAND_SET", "NOT_SUPPORTED", "refusal"]
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self, TypeAlias
+
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.command import Address, Notification, Problem, exactly, plain
+from m100link.protocol.fields import Layout, Number, Record, Reserved
+from m100link.protocol.firmware import FirmwareProfile, Generation
+
+__all__ = [
+    "COMMAND_SET",
+    "NOT_SUPPORTED",
+    "Finished",
+    "FollowStatus",
+    "HotpointStatus",
+    "IdleStatus",
+    "IocStatus",
+    "MissionStatus",
+    "OtherKind",
+    "Reached",
+    "Uploaded",
+    "WaypointEvent",
+    "WaypointStatus",
+    "refusal",
+]
 
 COMMAND_SET = 0x03
 
-NOT_SUPPORTED = 0xC8
+NOT_SUPPORTED = MissionCode.NOT_SUPPORTED
 """Ack code: this mission is not supported."""
+
+# -- pushes ----------------------------------------------------------------------------------------
+
+_MISSIONS = ("none", "waypoint", "hotpoint", "follow", "ioc")
+
+
+class _Told(Record):
+    """One kind of a push: its first byte and what it says.
+
+    Attributes:
+        KIND: The first byte.
+        WORD: The kind in a word.
+    """
+
+    __slots__ = ()
+
+    KIND: ClassVar[int]
+    WORD: ClassVar[str]
+
+    @property
+    def kind(self) -> int:
+        """The first byte."""
+        return self.KIND
+
+    @property
+    def word(self) -> str:
+        """The kind in a word."""
+        return self.WORD
+
+
+@dataclass(frozen=True, slots=True)
+class OtherKind(_Told):
+    """A kind that no source lists.
+
+    Attributes:
+        first: The first byte.
+        data: The bytes behind it.
+    """
+
+    WORD: ClassVar[str] = "unknown"
+
+    first: int
+    data: bytes
+
+    @property
+    def kind(self) -> int:
+        """The first byte."""
+        return self.first
+
+    def raw(self) -> dict[str, Any]:
+        """The bytes as hex."""
+        return {"data": self.data.hex()}
+
+    def shown(self) -> dict[str, Any]:
+        """Nothing is known about it."""
+        return {"unknown": self.data.hex()}
+
+    def problems(self) -> list[Problem]:
+        """That nobody knows it."""
+        return [Problem("kind", self.first, "a kind that DJI's programs know")]
+
+    def to_wire(self, name: str) -> bytes:
+        """The bytes as they came."""
+        return self.data
+
+
+class _LastMission(_Told):
+    """What is told while no mission runs."""
+
+    __slots__ = ()
+
+    LAYOUT: ClassVar[Layout] = Layout(
+        Number("last_mission"), Number("flags"), Number("reason"), Reserved(2)
+    )
+
+    last_mission: int
+    flags: int
+    reason: int
+
+    @property
+    def is_broken_off(self) -> bool:
+        """Whether the last mission was broken off and did not end by itself."""
+        return bool(self.flags & 1)
+
+    def shown(self) -> dict[str, Any]:
+        """The last mission in a word, and why it was broken off."""
+        last = self.last_mission
+        return {
+            "last_mission": _MISSIONS[last] if last < len(_MISSIONS) else last,
+            "is_broken_off": self.is_broken_off,
+            "reason": plain(MissionCode(self.reason)),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class IdleStatus(_LastMission):
+    """Kind 0: no mission runs.
+
+    Attributes:
+        last_mission: Kind of the last one, 0 when there was none.
+        flags: Bit 0: it was broken off.
+        reason: Why, a :class:`~m100link.protocol.MissionCode`.
+    """
+
+    KIND: ClassVar[int] = 0
+    WORD: ClassVar[str] = "none"
+
+    last_mission: int = 0
+    flags: int = 0
+    reason: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class IocStatus(_LastMission):
+    """Kind 4: intelligent orientation control is on; fields as in :class:`IdleStatus`."""
+
+    KIND: ClassVar[int] = 4
+    WORD: ClassVar[str] = "ioc"
+
+    last_mission: int = 0
+    flags: int = 0
+    reason: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WaypointStatus(_Told):
+    """Kind 1: a waypoint mission.
+
+    Attributes:
+        index: The waypoint that it flies to.
+        status: 0 on the way to the first point, 1 flying, 2 turning, 3 an action begins, 4 in an
+            action, 5 first point reached or action finished, 6 reached.
+        error: A :class:`~m100link.protocol.MissionCode`.
+    """
+
+    KIND: ClassVar[int] = 1
+    WORD: ClassVar[str] = "waypoint"
+    LAYOUT: ClassVar[Layout] = Layout(
+        Number("index"), Number("status"), Number("error"), Reserved(2)
+    )
+
+    index: int
+    status: int = 0
+    error: int = 0
+
+    def shown(self) -> dict[str, Any]:
+        """The status in words, and what the error means."""
+        return {
+            "index": self.index,
+            "status": _word(_WAYPOINT_STATUS, self.status),
+            "error": plain(MissionCode(self.error)),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointStatus(_Told):
+    """Kind 2: a hotpoint.
+
+    Attributes:
+        status: 0 on the way to the start, 1 circling, 2 paused.
+        radius_cm: Present distance from the centre, 655 m at most.
+        reason: A :class:`~m100link.protocol.MissionCode`.
+        rate: Present rate in tenths of a degree per second, 25.5 °/s at most.
+    """
+
+    KIND: ClassVar[int] = 2
+    WORD: ClassVar[str] = "hotpoint"
+    LAYOUT: ClassVar[Layout] = Layout(
+        Number("status"),
+        Number("radius_cm", "H", unit="cm"),
+        Number("reason"),
+        Number("rate", unit="0.1 °/s"),
+    )
+
+    status: int
+    radius_cm: int = 0
+    reason: int = 0
+    rate: int = 0
+
+    def shown(self) -> dict[str, Any]:
+        """Metres, degrees per second, words."""
+        return self.LAYOUT.shown(self) | {
+            "status": _word(_HOTPOINT_STATUS, self.status),
+            "reason": plain(MissionCode(self.reason)),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class FollowStatus(_Told):
+    """Kind 3: following a target; nothing more is told."""
+
+    KIND: ClassVar[int] = 3
+    WORD: ClassVar[str] = "follow"
+    LAYOUT: ClassVar[Layout] = Layout(Reserved(5))
+
+
+_WAYPOINT_STATUS = (
+    "to_first_point",
+    "flying",
+    "turning",
+    "action_begins",
+    "in_action",
+    "first_point_or_action_finished",
+    "reached",
+)
+_HOTPOINT_STATUS = ("to_start_point", "circling", "paused")
+
+
+def _word(words: tuple[str, ...], number: int) -> str | int:
+    return words[number] if number < len(words) else number
+
+
+@dataclass(frozen=True, slots=True)
+class Uploaded(_Told):
+    """Kind 0: all waypoints have come and were checked together.
+
+    Attributes:
+        valid: 1 when the mission may be started.
+        estimated_time: Seconds that it will take.
+    """
+
+    KIND: ClassVar[int] = 0
+    WORD: ClassVar[str] = "uploaded"
+    LAYOUT: ClassVar[Layout] = Layout(
+        Number("valid"), Number("estimated_time", "H", unit="s"), Reserved(2)
+    )
+
+    valid: int
+    estimated_time: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Finished(_Told):
+    """Kind 1: the last waypoint was reached and its actions are done.
+
+    Attributes:
+        repeat: Runs still to come.
+    """
+
+    KIND: ClassVar[int] = 1
+    WORD: ClassVar[str] = "finished"
+    LAYOUT: ClassVar[Layout] = Layout(Number("repeat"), Reserved(4))
+
+    repeat: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Reached(_Told):
+    """Kind 2: a waypoint was reached.
+
+    Attributes:
+        index: Its index.
+        status: 4 before its actions, 6 after them.
+    """
+
+    KIND: ClassVar[int] = 2
+    WORD: ClassVar[str] = "reached"
+    LAYOUT: ClassVar[Layout] = Layout(Number("index"), Number("status"), Reserved(3))
+
+    index: int
+    status: int = 6
+
+
+Status: TypeAlias = (
+    IdleStatus | WaypointStatus | HotpointStatus | FollowStatus | IocStatus | OtherKind
+)
+Event: TypeAlias = Uploaded | Finished | Reached | OtherKind
+
+_STATUSES = (IdleStatus, WaypointStatus, HotpointStatus, FollowStatus, IocStatus)
+_EVENTS = (Uploaded, Finished, Reached)
+_PUSH_SIZE = 6
+
+
+@dataclass(frozen=True, slots=True)
+class MissionStatus(Notification):
+    """0x02/0x03, which mission runs and how far it is; about ten times a second.
+
+    The box "Ground Station Status" has to be ticked in the PC assistant.
+
+    Attributes:
+        status: What is told, by the kind of mission.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x02, 0x03)
+    NAME: ClassVar[str] = "mission_status"
+    SINCE: ClassVar[Generation] = Generation.V3_1
+
+    status: Status
+
+    @property
+    def kind(self) -> int:
+        """0 none, 1 waypoint, 2 hotpoint, 3 follow, 4 IOC."""
+        return self.status.kind
+
+    @property
+    def name(self) -> str:
+        """With the kind in a word."""
+        return f"{self.NAME}_{self.status.word}"
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """6 bytes."""
+        return bytes((self.kind,)) + self.status.to_wire(self.name)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """6 bytes."""
+        tail = exactly(value, _PUSH_SIZE, cls.NAME)[1:]
+        if value[0] >= len(_STATUSES):
+            return cls(OtherKind(value[0], tail))
+        return cls(_STATUSES[value[0]].from_wire(tail))
+
+    def fields(self) -> dict[str, Any]:
+        """The kind in a word, and what is told in metres, degrees and words."""
+        return {"kind": self.status.word} | self.status.shown()
+
+    def raw(self) -> dict[str, Any]:
+        """The kind and its fields."""
+        return {"kind": self.kind} | self.status.raw()
+
+    def problems(self) -> list[Problem]:
+        """A kind that does not exist."""
+        return self.status.problems()
+
+
+@dataclass(frozen=True, slots=True)
+class WaypointEvent(Notification):
+    """0x02/0x04, a step of a waypoint mission, told once.
+
+    Attributes:
+        event: What happened.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x02, 0x04)
+    NAME: ClassVar[str] = "waypoint_event"
+    SINCE: ClassVar[Generation] = Generation.V3_1
+
+    event: Event
+
+    @property
+    def kind(self) -> int:
+        """0 uploaded, 1 finished, 2 reached."""
+        return self.event.kind
+
+    @property
+    def name(self) -> str:
+        """With the kind in a word."""
+        return f"{self.NAME}_{self.event.word}"
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """6 bytes."""
+        return bytes((self.kind,)) + self.event.to_wire(self.name)
+
+    @classmethod
+    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
+        """6 bytes; 5 for a waypoint reached, as DJI's last library lists that."""
+        if len(value) == _PUSH_SIZE - 1 and value[0] == Reached.KIND:
+            value += b"\0"
+        tail = exactly(value, _PUSH_SIZE, cls.NAME)[1:]
+        if value[0] >= len(_EVENTS):
+            return cls(OtherKind(value[0], tail))
+        return cls(_EVENTS[value[0]].from_wire(tail))
+
+    def fields(self) -> dict[str, Any]:
+        """The kind in a word, and what is told in seconds."""
+        return {"kind": self.event.word} | self.event.shown()
+
+    def raw(self) -> dict[str, Any]:
+        """The kind and its fields."""
+        return {"kind": self.kind} | self.event.raw()
+
+    def problems(self) -> list[Problem]:
+        """A kind that does not exist."""
+        return self.event.problems()
+
+
+# -- refusals of a firmware without missions ------------------------------------------------------
 
 _ADD_WAYPOINT, _FOLLOW_TARGET = 0x11, 0x33
 _TAILS = {
@@ -28,7 +425,11 @@ _TAILS = {
 
 
 def refusal(command_id: int, value: bytes) -> bytes | None:
-    """The ack that refuses a mission command as not supported; None for the one that has no ack."""
+    """The ack that refuses a mission command as not supported; None for the one that has no ack.
+
+    An aircraft that knows no missions must refuse them in the shape of their acks: of 0xFF00, "not
+    supported" elsewhere, DJI's programs read the first byte, and 0 is success.
+    """
     if command_id == _FOLLOW_TARGET:
         return None
     tail = bytes(_TAILS.get(command_id, 0))

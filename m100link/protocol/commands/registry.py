@@ -11,9 +11,37 @@ from m100link.protocol.commands.activation import (
 )
 from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
 from m100link.protocol.commands.control import Arm, Move, QueryTask, RequestAuthority, StartTask
+from m100link.protocol.commands.follow import (
+    FollowPauseResume,
+    FollowStart,
+    FollowStop,
+    FollowTarget,
+)
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.hotpoint import (
+    HotpointAutoRadius,
+    HotpointDownload,
+    HotpointPauseResume,
+    HotpointResetYaw,
+    HotpointSetRadius,
+    HotpointSetRate,
+    HotpointStart,
+    HotpointStop,
+)
+from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
+from m100link.protocol.commands.sync import Sync
 from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
+from m100link.protocol.commands.waypoint import (
+    WaypointDownloadMission,
+    WaypointDownloadPoint,
+    WaypointGetIdleSpeed,
+    WaypointMission,
+    WaypointPauseResume,
+    WaypointPoint,
+    WaypointSetIdleSpeed,
+    WaypointStartStop,
+)
 from m100link.protocol.firmware import FirmwareProfile
 
 __all__ = ["COMMANDS", "address_of", "parse_command"]
@@ -38,6 +66,29 @@ COMMANDS: dict[Address, type[Command]] = {
         PushTelemetry,
         AuthorityChanged,
         FromMobile,
+        MissionStatus,
+        WaypointEvent,
+        WaypointMission,
+        WaypointPoint,
+        WaypointStartStop,
+        WaypointPauseResume,
+        WaypointDownloadMission,
+        WaypointDownloadPoint,
+        WaypointSetIdleSpeed,
+        WaypointGetIdleSpeed,
+        HotpointStart,
+        HotpointStop,
+        HotpointPauseResume,
+        HotpointSetRate,
+        HotpointSetRadius,
+        HotpointResetYaw,
+        HotpointDownload,
+        HotpointAutoRadius,
+        FollowStart,
+        FollowStop,
+        FollowPauseResume,
+        FollowTarget,
+        Sync,
         VirtualRcSettings,
         VirtualRcData,
     )

@@ -1,0 +1,207 @@
+"""Circles around a point, DJI's "hotpoint": 0x03/0x20 to 0x27 of firmware 3.1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.command import Address
+from m100link.protocol.commands.mission_acks import (
+    Answer,
+    DownloadAnswer,
+    MissionRequest,
+    Unconfirmed,
+)
+from m100link.protocol.fields import Laid, Layout, Number, Reserved, latitude, longitude
+
+__all__ = [
+    "HotpointAutoRadius",
+    "HotpointDownload",
+    "HotpointDownloadAnswer",
+    "HotpointPauseResume",
+    "HotpointResetYaw",
+    "HotpointSetRadius",
+    "HotpointSetRate",
+    "HotpointStart",
+    "HotpointStartAnswer",
+    "HotpointStop",
+]
+
+_RADIUS = 5.0, 500.0
+_RATE = Number("angular_rate", "f", 0.0, 30.0, "°/s")
+_CLOCKWISE = Number("clockwise", words=("counter_clockwise", "clockwise"))
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointStartAnswer(Answer):
+    """Ack of a start.
+
+    Attributes:
+        code: The code.
+        largest_radius: Metres that the limits of the aircraft leave.
+    """
+
+    LAYOUT: ClassVar[Layout] = Layout(Number("largest_radius", "f", unit="m"))
+
+    code: MissionCode
+    largest_radius: float = 0.0
+
+    def raw(self) -> dict[str, Any]:
+        """DJI calls it the max radius."""
+        return {"code": int(self.code), "max_radius": self.largest_radius}
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
+    """0x03/0x20, circle around a point, at once.
+
+    Attributes:
+        latitude, longitude: The centre in radians.
+        altitude: 5 to 500 m above the take-off point, not above the sea.
+        radius: 5 to 500 m.
+        angular_rate: 0 to 30 degrees per second; the aircraft refuses more than about 10 m/s along
+            the circle.
+        clockwise: 1 clockwise seen from above, 0 counter-clockwise.
+        start_point: Where the circle is entered: 0 north, 1 south, 2 west, 3 east of the centre,
+            4 at the nearest place.
+        yaw_mode: 0 nose along the path, 1 to the centre, 2 outwards, 3 by the remote control, 4 as
+            at the start.
+        version: 0.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x03, 0x20)
+    NAME: ClassVar[str] = "hotpoint_start"
+    LAYOUT: ClassVar[Layout] = Layout(
+        Number("version", "B", 0, 0),
+        latitude(),
+        longitude(),
+        Number("altitude", "d", 5.0, 500.0, "m"),
+        Number("radius", "d", *_RADIUS, "m"),
+        _RATE,
+        _CLOCKWISE,
+        Number("start_point", words=("north", "south", "west", "east", "nearest")),
+        Number("yaw_mode", words=("along_path", "to_centre", "outwards", "by_rc", "as_at_start")),
+        Reserved(11),
+    )
+
+    latitude: float
+    longitude: float
+    altitude: float
+    radius: float
+    angular_rate: float
+    clockwise: int = 1
+    start_point: int = 4
+    yaw_mode: int = 1
+    version: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointStop(Laid, MissionRequest[MissionCode]):
+    """0x03/0x21, end the circle and hover."""
+
+    ADDRESS: ClassVar[Address] = Address(0x03, 0x21)
+    NAME: ClassVar[str] = "hotpoint_stop"
+    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
+
+    any: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointPauseResume(Laid, MissionRequest[MissionCode]):
+    """0x03/0x22, pause (0) or resume (1) the circle."""
+
+    ADDRESS: ClassVar[Address] = Address(0x03, 0x22)
+    NAME: ClassVar[str] = "hotpoint_pause_resume"
+    LAYOUT: ClassVar[Layout] = Layout(Number("resume", words=("pause", "resume")))
+
+    resume: int
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointSetRate(Laid, Unconfirmed):
+    """0x03/0x23, change direction and rate.
+
+    Attributes:
+        clockwise: 1 clockwise seen from above, 0 counter-clockwise.
+        angular_rate: 0 to 30 degrees per second.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x03, 0x23)
+    NAME: ClassVar[str] = "hotpoint_set_rate"
+    LAYOUT: ClassVar[Layout] = Layout(_CLOCKWISE, _RATE)
+
+    clockwise: int
+    angular_rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointSetRadius(Laid, Unconfirmed):
+    """0x03/0x24, change the radius.
+
+    Attributes:
+        radius: 5 to 500 m.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x03, 0x24)
+    NAME: ClassVar[str] = "hotpoint_set_radius"
+    LAYOUT: ClassVar[Layout] = Layout(Number("radius", "f", *_RADIUS, "m"))
+
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointResetYaw(Laid, Unconfirmed):
+    """0x03/0x25, turn the nose back to where the yaw mode wants it."""
+
+    ADDRESS: ClassVar[Address] = Address(0x03, 0x25)
+    NAME: ClassVar[str] = "hotpoint_reset_yaw"
+    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
+
+    any: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointDownloadAnswer(DownloadAnswer[HotpointStart]):
+    """Ack with the circle that the aircraft flies.
+
+    Attributes:
+        code: ``NOT_RUNNING`` when it flies none.
+        hotpoint: The circle, or zeros.
+    """
+
+    code: MissionCode
+    hotpoint: HotpointStart
+
+    @property
+    def record(self) -> HotpointStart:
+        """The circle."""
+        return self.hotpoint
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointDownload(Laid, MissionRequest[HotpointDownloadAnswer]):
+    """0x03/0x26, ask for the circle that the aircraft flies."""
+
+    ADDRESS: ClassVar[Address] = Address(0x03, 0x26)
+    NAME: ClassVar[str] = "hotpoint_download"
+    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
+
+    any: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class HotpointAutoRadius(Laid, MissionRequest[MissionCode]):
+    """0x03/0x27, let the radius change by itself; DJI's documents call it not available.
+
+    Attributes:
+        enable: 1 on, 0 off.
+        rate: How fast; its unit is nowhere told.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x03, 0x27)
+    NAME: ClassVar[str] = "hotpoint_auto_radius"
+    LAYOUT: ClassVar[Layout] = Layout(Number("enable", words=("off", "on")), Number("rate", "b"))
+
+    enable: int
+    rate: int = 0
