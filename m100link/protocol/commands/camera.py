@@ -6,9 +6,9 @@ Nothing tells what became of these commands, in no firmware: a program can only 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
-from m100link.protocol.command import Address, Push
+from m100link.protocol.command import Address, Push, in_range
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 __all__ = ["StartVideo", "StopVideo", "TakePhoto"]
@@ -19,18 +19,33 @@ class _CameraCommand(Push):
 
     __slots__ = ()
 
+    any: int
+
     LEVEL: ClassVar[int] = 1
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V2_3
 
     def value(self, profile: FirmwareProfile) -> bytes:
-        """One zero byte."""
-        return b"\0"
+        """One byte.
+
+        Raises:
+            BadValue: It does not fit.
+        """
+        in_range("any", self.any, 0, 255)
+        return bytes((self.any,))
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """Any value will do."""
-        return cls()
+        return cls(value[0] if value else 0)  # type: ignore[call-arg]  # the three are dataclasses
+
+    def fields(self) -> dict[str, Any]:
+        """Nothing: the byte has no meaning."""
+        return {}
+
+    def raw(self) -> dict[str, Any]:
+        """The byte that may be anything."""
+        return {"any": self.any}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +55,8 @@ class TakePhoto(_CameraCommand):
     ADDRESS: ClassVar[Address] = Address(0x01, 0x20)
     NAME: ClassVar[str] = "take_photo"
 
+    any: int = 0
+
 
 @dataclass(frozen=True, slots=True)
 class StartVideo(_CameraCommand):
@@ -48,6 +65,8 @@ class StartVideo(_CameraCommand):
     ADDRESS: ClassVar[Address] = Address(0x01, 0x21)
     NAME: ClassVar[str] = "start_video"
 
+    any: int = 0
+
 
 @dataclass(frozen=True, slots=True)
 class StopVideo(_CameraCommand):
@@ -55,3 +74,5 @@ class StopVideo(_CameraCommand):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x22)
     NAME: ClassVar[str] = "stop_video"
+
+    any: int = 0

@@ -5,12 +5,13 @@ Angles are sent in tenths of a degree. Nothing answers: telemetry shows what bec
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 from struct import Struct
 from typing import Any, ClassVar, Self
 
-from m100link.protocol.command import Address, Push, exactly, in_range
+from m100link.protocol.command import Address, Problem, Push, exactly, in_range
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 __all__ = ["GIMBAL_LIMITS_DEG", "GimbalAngle", "GimbalAngleMode", "GimbalSpeed"]
@@ -22,10 +23,22 @@ _SPEED_LIMIT_DEG_S = 180.0
 _SPEED = Struct("<3hB")
 _ANGLE = Struct("<3h2B")
 _DURATION_LIMIT_S = 25.5
+_SPEED_FLAGS = 0xE0
+_MODE_BITS = 0x0F
 
 
 def _tenths(degrees: tuple[float, float, float]) -> list[int]:
     return [round(angle * 10.0) for angle in degrees]
+
+
+def _outside(
+    raw: Mapping[str, int], limits: Mapping[str, tuple[int, int]], unit: str
+) -> list[Problem]:
+    return [
+        Problem(name, raw[name], f"{low} to {high}, in {unit}")
+        for name, (low, high) in limits.items()
+        if not low <= raw[name] <= high
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +47,8 @@ class GimbalSpeed(Push):
 
     Attributes:
         yaw_deg_s, roll_deg_s, pitch_deg_s: -180 to 180 degrees per second, sent in tenths.
-        flags: Bit 7 takes control of the gimbal; without it the aircraft ignores the command.
+        flags: Bit 7 takes control of the gimbal; without it the aircraft ignores the command. Bit
+            6 ignores the pilot's dial, bit 5 turns yaw back to the centre.
     """
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x1A)
@@ -57,7 +71,8 @@ class GimbalSpeed(Push):
         speeds = self.yaw_deg_s, self.roll_deg_s, self.pitch_deg_s
         for axis, speed in zip(GIMBAL_LIMITS_DEG, speeds, strict=True):
             in_range(f"{axis} speed", speed, -_SPEED_LIMIT_DEG_S, _SPEED_LIMIT_DEG_S, "°/s")
-        in_range("flags", self.flags, 0, 255)
+        for problem in self.problems():
+            raise problem.error(self.NAME)
         return _SPEED.pack(*_tenths(speeds), self.flags)
 
     @classmethod
@@ -65,6 +80,19 @@ class GimbalSpeed(Push):
         """7 bytes; rates beyond the limits are kept as they came."""
         yaw, roll, pitch, flags = _SPEED.unpack(exactly(value, _SPEED.size, cls.NAME))
         return cls(yaw / 10.0, roll / 10.0, pitch / 10.0, flags)
+
+    def raw(self) -> dict[str, Any]:
+        """Tenths of a degree per second."""
+        tenths = _tenths((self.yaw_deg_s, self.roll_deg_s, self.pitch_deg_s))
+        return dict(zip(GIMBAL_LIMITS_DEG, tenths, strict=True)) | {"flags": self.flags}
+
+    def problems(self) -> list[Problem]:
+        """Faster than the gimbal turns, or a flag without a meaning."""
+        limit = round(_SPEED_LIMIT_DEG_S * 10.0)
+        found = _outside(self.raw(), dict.fromkeys(GIMBAL_LIMITS_DEG, (-limit, limit)), "0.1 °/s")
+        if not 0 <= self.flags <= 0xFF or self.flags & ~_SPEED_FLAGS:
+            found.append(Problem("flags", self.flags, "bits 5 to 7"))
+        return found
 
 
 class GimbalAngleMode(IntFlag):
@@ -84,7 +112,7 @@ class GimbalAngle(Push):
         yaw_deg: -320 to 320 degrees; absolute it counts from north, else from the present angle.
         roll_deg: -35 to 35 degrees.
         pitch_deg: -90 (straight down) to 30 degrees.
-        mode: Bits of :class:`GimbalAngleMode`; other bits are kept and mean nothing.
+        mode: Bits of :class:`GimbalAngleMode`; other bits are shown and never sent.
         duration_s: 0.1 to 25.5 seconds; faster than 400 degrees per second is discouraged.
     """
 
@@ -114,7 +142,7 @@ class GimbalAngle(Push):
         limits = GIMBAL_LIMITS_DEG.items()
         for (axis, (low, high)), angle in zip(limits, self.angles_deg, strict=True):
             in_range(axis, angle, low, high, "°")
-        in_range("mode", self.mode, 0, 255)
+        in_range("mode", self.mode, 0, _MODE_BITS)
         in_range("duration", self.duration_s, 0.0, _DURATION_LIMIT_S, "s")
         duration = round(self.duration_s * 10.0)
         return _ANGLE.pack(*_tenths(self.angles_deg), self.mode, duration)
@@ -125,6 +153,24 @@ class GimbalAngle(Push):
         *angles, mode, duration = _ANGLE.unpack(exactly(value, _ANGLE.size, cls.NAME))
         yaw, roll, pitch = (angle / 10.0 for angle in angles)
         return cls(yaw, roll, pitch, mode, duration / 10.0)
+
+    def raw(self) -> dict[str, Any]:
+        """Tenths of a degree and of a second."""
+        return dict(zip(GIMBAL_LIMITS_DEG, _tenths(self.angles_deg), strict=True)) | {
+            "mode": int(self.mode),
+            "duration": round(self.duration_s * 10.0),
+        }
+
+    def problems(self) -> list[Problem]:
+        """Angles that the gimbal does not have, or mode bits without a meaning."""
+        limits = {
+            axis: (round(low * 10.0), round(high * 10.0))
+            for axis, (low, high) in GIMBAL_LIMITS_DEG.items()
+        }
+        found = _outside(self.raw(), limits, "0.1°")
+        if not 0 <= self.mode <= _MODE_BITS:
+            found.append(Problem("mode", self.mode, f"0 to {_MODE_BITS}"))
+        return found
 
     def fields(self) -> dict[str, Any]:
         """With the mode as a number and in words."""

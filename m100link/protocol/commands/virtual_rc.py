@@ -6,11 +6,11 @@ what watches over flying.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from struct import Struct
 from typing import Any, ClassVar, Self
 
-from m100link.protocol.command import Address, Movement, exactly, in_range
+from m100link.protocol.command import Address, Movement, Problem, exactly, in_range
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 __all__ = ["CENTRE", "CHANNELS", "TRAVEL", "VirtualRcData", "VirtualRcSettings"]
@@ -35,6 +35,7 @@ class VirtualRcSettings(Movement):
         is_on: On or off.
         falls_back: When the channels stop coming the real remote control flies; otherwise the
             aircraft behaves as if the remote control were lost.
+        rest: Bits 2 to 7 as another program sent them; they have no meaning.
     """
 
     ADDRESS: ClassVar[Address] = Address(0x05, 0x00)
@@ -44,16 +45,39 @@ class VirtualRcSettings(Movement):
 
     is_on: bool
     falls_back: bool = True
+    rest: int = field(default=0, compare=False)
+
+    @property
+    def _flags(self) -> int:
+        return self.is_on | self.falls_back << 1 | self.rest
 
     def value(self, profile: FirmwareProfile) -> bytes:
-        """One byte."""
-        return bytes((self.is_on | self.falls_back << 1,))
+        """One byte.
+
+        Raises:
+            BadValue: A bit without a meaning.
+        """
+        for problem in self.problems():
+            raise problem.error(self.NAME)
+        return bytes((self._flags,))
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """One byte. Later libraries of DJI send channels under this id, too: those are refused."""
         (flags,) = exactly(value, 1, cls.NAME)
-        return cls(bool(flags & 1), bool(flags & 2))
+        return cls(bool(flags & 1), bool(flags & 2), flags & ~3)
+
+    def fields(self) -> dict[str, Any]:
+        """The two bits that have a meaning."""
+        return {"is_on": self.is_on, "falls_back": self.falls_back}
+
+    def raw(self) -> dict[str, Any]:
+        """All bits as one number."""
+        return {"flags": self._flags}
+
+    def problems(self) -> list[Problem]:
+        """Bits that are uninitialised in DJI's programs; the aircraft ignores them."""
+        return [Problem("flags", self._flags, "0 to 3")] if self.rest else []
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +103,8 @@ class VirtualRcData(Movement):
             UsageError: Not 16 channels, or one beyond its range.
         """
         in_range("number of channels", len(self.channels), 16, 16)
-        for channel, value in enumerate(self.channels):
-            in_range(f"channel {channel}", value, CENTRE - TRAVEL, CENTRE + TRAVEL)
+        for problem in self.problems():
+            raise problem.error(self.NAME)
         return _DATA.pack(*self.channels)
 
     @classmethod
@@ -90,4 +114,17 @@ class VirtualRcData(Movement):
 
     def fields(self) -> dict[str, Any]:
         """The channels that mean something by name, and all of them as they are."""
-        return dict(zip(CHANNELS, self.channels, strict=False)) | {"channels": list(self.channels)}
+        return dict(zip(CHANNELS, self.channels, strict=False)) | self.raw()
+
+    def raw(self) -> dict[str, Any]:
+        """The channels."""
+        return {"channels": list(self.channels)}
+
+    def problems(self) -> list[Problem]:
+        """Channels beyond their range."""
+        low, high = CENTRE - TRAVEL, CENTRE + TRAVEL
+        return [
+            Problem(f"channels[{channel}]", value, f"{low} to {high}")
+            for channel, value in enumerate(self.channels)
+            if not low <= value <= high
+        ]

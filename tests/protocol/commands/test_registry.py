@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from m100link.errors import UsageError
+from m100link.errors import BadValue
 from m100link.protocol import (
+    Address,
     Command,
     FirmwareProfile,
-    Request,
-    Unrecognised,
+    Notification,
     commands,
     parse_command,
     profile,
 )
+from m100link.protocol.command import Acknowledged
 from m100link.protocol.commands.registry import COMMANDS
+from m100link.protocol.commands.waypoint import WaypointPoint
 from m100link.wire import FrameDecoder
 from tests.support import load_vectors
 
 FIRMWARE: FirmwareProfile = profile("3.1")
-RAW_NAMES = {command.NAME: address for address, command in COMMANDS.items()}
-ROWS = [row for row in load_vectors("later-commands") if row["name"] in RAW_NAMES]
+ROWS = [row for row in load_vectors("later-commands") if row["kind"] != "dialogue"]
 SENT = [row for row in ROWS if row["kind"] == "command"]
+PUSHED = [row for row in ROWS if row["kind"] == "push"]
 ACKS = [row for row in ROWS if row["kind"] == "ack"]
 
 
@@ -58,44 +61,62 @@ def name_of(row: dict[str, Any]) -> str:
 
 def test_the_vectors_cover_every_command_that_later_firmware_added() -> None:
     later = {c.NAME: c for c in COMMANDS.values() if not c.is_known_to(profile("1.0"))}
-    assert {row["name"] for row in SENT} == set(later)
+    told = {kind.NAME for kind in later.values() if issubclass(kind, Notification)}
+    assert {row["name"] for row in SENT} == set(later) - told
+    assert {command_of(row).NAME for row in PUSHED} == told
     for row in SENT:
         assert (row["set"], row["id"]) == later[row["name"]].ADDRESS
         assert row["since"] == str(later[row["name"]].SINCE)
 
 
-@pytest.mark.parametrize("row", SENT, ids=name_of)
+def command_of(row: dict[str, Any]) -> Command:
+    command = parse_command(data_of(row["frame"]), FIRMWARE)
+    assert isinstance(command, Command), command
+    return command
+
+
+def data_of(frame: str) -> bytes:
+    [found] = FrameDecoder().feed(bytes.fromhex(frame))
+    return found.data
+
+
+@pytest.mark.parametrize("row", SENT + PUSHED, ids=name_of)
 def test_a_published_value_is_read_and_written_both_ways(row: dict[str, Any]) -> None:
-    """A value inside its ranges comes back as it went; any other is shown or says what is wrong."""
+    """What is inside its ranges comes back as it went; what is not is shown, and refused."""
     value = bytes.fromhex(row["value"])
-    [frame] = FrameDecoder().feed(bytes.fromhex(row["frame"]))
-    assert frame.data[2:] == value
-    command = parse_command(frame.data, FIRMWARE)
-    if isinstance(command, Unrecognised):
-        assert not row["legal"]
-        assert command.reason
+    assert data_of(row["frame"]) == bytes((row["set"], row["id"])) + value
+    command = command_of(row)
+    assert (command.name, command.raw()) == (row["name"], row["fields"])
+    if not command.problems():
+        assert command.value(FIRMWARE) == value
         return
-    assert row["name"] == command.NAME
-    ignored_byte = row["fields"].keys() == {"any"}
-    uninitialised_bits = row["name"] == "virtual_rc_settings"
-    try:
-        encoded = command.value(FIRMWARE)
-    except UsageError:
-        assert not row["legal"]
-        return
-    if ignored_byte:
-        assert encoded == b"\0"
-    elif uninitialised_bits:
-        assert encoded[0] == value[0] & 0b11
-    else:
-        assert encoded == value
+    assert not row["legal"]
+    with pytest.raises(BadValue) as caught:
+        command.value(FIRMWARE)
+    assert caught.value.field in str(caught.value)
+    assert caught.value.limit in str(caught.value)
 
 
 @pytest.mark.parametrize("row", ACKS, ids=name_of)
-def test_a_published_ack_is_its_code(row: dict[str, Any]) -> None:
-    kind = COMMANDS[RAW_NAMES[row["name"]]]
-    assert issubclass(kind, Request)
+def test_a_published_ack_is_read_and_written_both_ways(row: dict[str, Any]) -> None:
+    kind = COMMANDS[Address(row["set"], row["id"])]
+    assert issubclass(kind, Acknowledged)
     payload = bytes.fromhex(row["value"])
     answer = kind.parse_ack(payload)
-    assert answer == row["fields"]["code"]
+    assert kind.ack_raw(answer) == row["fields"]
+    assert kind.code_of(answer) == row["fields"]["code"]
     assert kind.encode_ack(answer) == payload
+
+
+def test_the_point_of_the_documents_is_read_as_that_of_the_wire() -> None:
+    rows = [row for row in SENT if "value_in_document_layout" in row]
+    assert len(rows) == 6
+    for row in rows:
+        value = bytes.fromhex(row["value_in_document_layout"])
+        read, wanted = (
+            WaypointPoint.parse(value, FIRMWARE),
+            WaypointPoint.parse(bytes.fromhex(row["value"]), FIRMWARE),
+        )
+        assert read.actions == (*wanted.actions[:15], 0)
+        assert read.parameters == (*wanted.parameters[:15], 0)
+        assert replace(read, actions=wanted.actions, parameters=wanted.parameters) == wanted
