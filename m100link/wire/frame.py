@@ -207,14 +207,13 @@ class FrameDecoder:
         discards: Count per :class:`Discard`.
         discarded_bytes: Bytes that were part of no delivered frame.
         frames: Frames delivered.
-        bytes: Bytes fed in.
     """
 
     __slots__ = (
+        "_delivered",
         "_headers",
         "_kept",
         "_missing",
-        "bytes",
         "cipher",
         "discarded_bytes",
         "discards",
@@ -226,31 +225,77 @@ class FrameDecoder:
         self.discards: dict[Discard, int] = dict.fromkeys(Discard, 0)
         self.discarded_bytes = 0
         self.frames = 0
-        self.bytes = 0
+        self._delivered = 0  # bytes of these frames
         self._kept = b""  # what may begin a frame that is not all here, at most 1022 bytes
-        self._missing = 0  # bytes without which that cannot become a frame
+        self._missing = 0  # bytes without which that cannot become a frame; 0: nothing is kept
         self._headers: dict[int, _Header] = {}  # by word; only those without a fault
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take the next bytes of the stream; returns the frames that they complete."""
-        # Every frame of every link passes here, so this is written for speed: one loop, few calls,
-        # and nothing looked at that the next line would find out anyway. The bytes before a header
-        # need no test: a word that is remembered begins with a start byte.
-        size = len(data)
-        self.bytes += size
-        if self._kept:
-            data = self._kept + data
-            if size < self._missing:  # nothing can come of it yet
-                self._kept = data
-                self._missing -= size
+        # Every frame of every link passes here, so this is written for speed: mostly the bytes at
+        # hand are one frame of a known kind, or another piece of it. The rest is for _search.
+        missing = self._missing
+        if missing:
+            missing -= len(data)
+            if missing > 0:  # nothing can come of it yet
+                self._missing = missing
+                self._kept += data
                 return []
-            self._kept = b""
-            size = len(data)
-        frames: list[Frame] = []
+            data = self._kept + data
+            self._kept, self._missing = b"", 0
+        size = len(data)
+        if size < HEADER_SIZE:
+            return self._search(data, [])
+        word, sequence, crc16 = _unpack_header(data)
+        header = self._headers.get(word)
+        if header is None or header[0] ^ _SEQUENCE_CRC16[sequence] != crc16:
+            end = size - HEADER_SIZE + 1
+            right = right_headers(data, 0, end)
+            return self._search(data, [], self._hunt(data, 0, right, end), right)
+        _, length, session, is_ack, encrypted, padding, obstacle, clear = header
+        if size < length:
+            self._kept, self._missing = data, length - size
+            return []
+        frame = data if size == length else data[:length]
+        if crc32(frame, ZLIB_START) != FRAME_RESIDUE and length != HEADER_SIZE:
+            return self._search(data, [], self._reject(_FRAME_CRC, data, 0))
+        payload = frame[_PAYLOAD]
+        if obstacle is not None:
+            cipher = self.cipher
+            if cipher is None or obstacle is _PADDING:
+                return self._search(data, [])
+            payload = cipher.decrypt(payload)[clear]
+        self.frames += 1
+        self._delivered += length
+        # Frame(…) would go through a constructor in Python, at twice the cost.
+        frames = [_new(Frame, (session, is_ack, sequence, encrypted, padding, payload))]
+        return frames if size == length else self._search(data, frames, length)
+
+    def _search(
+        self,
+        data: bytes,
+        frames: list[Frame],
+        position: int = 0,
+        right: Iterator[int] | None = None,
+    ) -> list[Frame]:
+        """Find the frames from that position on; keeps what may begin one more.
+
+        Args:
+            data: What to search.
+            frames: What was found before it, to which the others are added.
+            position: Where to begin.
+            right: The places of headers with a right CRC16, those that were not looked at before;
+                None: looking for them has not begun.
+
+        Returns:
+            ``frames``.
+        """
+        # The bytes before a header need no test: a word that is remembered begins with a start
+        # byte.
         headers = self._headers
+        size = len(data)
         last = size - HEADER_SIZE  # the last place where a whole header may stand
-        right: Iterator[int] | None = None
-        position = 0
+        found = delivered = missing = 0
         while position <= last:
             word, sequence, crc16 = _unpack_header(data, position)
             header = headers.get(word)
@@ -262,6 +307,7 @@ class FrameDecoder:
             _, length, session, is_ack, encrypted, padding, obstacle, clear = header
             end = position + length
             if end > size:
+                missing = end - size
                 break
             frame = data[position:end]
             if crc32(frame, ZLIB_START) != FRAME_RESIDUE and length != HEADER_SIZE:
@@ -279,13 +325,16 @@ class FrameDecoder:
                         position = self._reject(obstacle, data, position)
                     continue
                 payload = cipher.decrypt(payload)[clear]
-            # Frame(…) would go through a constructor in Python, at twice the cost.
             frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
+            found += 1
+            delivered += length
             position = end
-        if position < size:
-            self._keep(data, position, size)
-        if frames:
-            self.frames += len(frames)
+        self.frames += found
+        self._delivered += delivered
+        if missing:
+            self._kept, self._missing = data[position:], missing
+        elif position < size:
+            self._keep(data, position)
         return frames
 
     def close(self) -> list[Frame]:
@@ -293,8 +342,7 @@ class FrameDecoder:
         frames: list[Frame] = []
         while self._kept:
             self._discard(_TRUNCATED, 1)
-            rest, self._kept = self._kept[1:], b""
-            self.bytes -= len(rest)  # they were counted when they came
+            rest, self._kept, self._missing = self._kept[1:], b"", 0
             frames += self.feed(rest)
         return frames
 
@@ -303,19 +351,15 @@ class FrameDecoder:
         """Bytes kept because they may begin a frame, at most 1022."""
         return len(self._kept)
 
-    def _keep(self, data: bytes, position: int, size: int) -> None:
-        """Keep what may begin a frame: from there on a good header, or the start of any."""
-        if size - position >= HEADER_SIZE:
-            end = position + (data[position + 1] | data[position + 2] << 8)
+    def _keep(self, data: bytes, position: int) -> None:
+        """Keep what may begin a header, of bytes that are too few for one."""
+        start = data.find(SOF, position)
+        if start < 0:
+            self.discarded_bytes += len(data) - position
         else:
-            start = data.find(SOF, position)
-            if start < 0:
-                self.discarded_bytes += size - position
-                return
             self.discarded_bytes += start - position
-            position, end = start, start + HEADER_SIZE
-        self._kept = data[position:]
-        self._missing = end - size
+            self._kept = data[start:]
+            self._missing = HEADER_SIZE - len(self._kept)
 
     def _discard(self, cause: Discard, size: int) -> int:
         """Count a fault and the bytes that are passed over for it; returns their number."""
@@ -369,3 +413,9 @@ class FrameDecoder:
             if len(self._headers) >= _CACHE_LIMIT:
                 self._headers.clear()
             self._headers[word] = _parse_word(word)
+
+    # Last, because from here on the name is no type.
+    @property
+    def bytes(self) -> int:
+        """Bytes fed in: of frames, discarded, and kept."""
+        return self._delivered + self.discarded_bytes + len(self._kept)

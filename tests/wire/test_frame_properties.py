@@ -237,7 +237,7 @@ HOSTILE = {
 }
 
 
-SCAN = FrameDecoder.feed.__code__  # where it comes to its list of frames, it scans its data
+SCAN = FrameDecoder._search.__code__  # where more than one frame is looked for
 
 
 class Meter:
@@ -262,7 +262,7 @@ class Meter:
     def _profile(self, frame: FrameType, event: str, argument: object) -> None:
         if event in ("call", "c_call"):
             self.calls += 1
-        if event == "return" and frame.f_code is SCAN and "frames" in frame.f_locals:
+        if event == "return" and frame.f_code is SCAN:
             self.scanned += len(frame.f_locals["data"])
 
 
