@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 from m100link.errors import BadPlan
 from m100link.geodesy import distance_m
+from m100link.missions import wire
 from m100link.missions.checks import leg_lengths, problems
 from m100link.missions.waypoint import (
     AtEnd,
@@ -23,6 +24,9 @@ from m100link.missions.waypoint import (
     Waypoint,
     as_single,
 )
+
+if TYPE_CHECKING:
+    from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 
 __all__ = [
     "AtEnd",
@@ -130,3 +134,22 @@ class WaypointPlan:
             distance_m(latitude_deg, longitude_deg, point.latitude_deg, point.longitude_deg)
             for point in self.waypoints
         )
+
+    def to_wire(self) -> tuple[WaypointMission, tuple[WaypointPoint, ...]]:
+        """The commands 0x03/0x10 and 0x03/0x11 that upload it.
+
+        Values are those that an aircraft reads out of the bytes: a download compares equal.
+        """
+        return wire.to_wire(self)
+
+    @classmethod
+    def from_wire(cls, mission: WaypointMission, points: Iterable[WaypointPoint]) -> Self:
+        """The plan that such commands upload; points in any order.
+
+        What the aircraft ignores is left out: the focus, actions behind ``has_action`` 0, a
+        ``yaw_mode`` of 4 (DJI's ROS demo; the same as 0).
+
+        Raises:
+            BadPlan: A point is missing, or the aircraft would refuse it.
+        """
+        return cls(**wire.from_wire(mission, points))
