@@ -75,6 +75,7 @@ class ControlBlock:
         self._is_told = False  # by hand: the program was told what ended the block
         self._stop_path = StopPath(commander, self._life, setpoints, stop)
         self.taking_off = self._stop_path.taking_off
+        self.armed = self._stop_path.armed
         self._stopping = Errand(self._stop_path.run, self._on_stopped)
         self._is_over = asyncio.Event()
         self._keeper: asyncio.Task[None] | None = None  # by hand: see _keep()

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, I
 from contextlib import asynccontextmanager, contextmanager, nullcontext
 from functools import partial, update_wrapper
 from types import TracebackType
-from typing import Any, Concatenate, ParamSpec, Self
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from m100link.errors import (
     GuardRefused,
@@ -20,9 +20,10 @@ from m100link.errors import (
 from m100link.flight.authority import AuthorityState
 from m100link.flight.block import ControlBlock, PauseAction
 from m100link.flight.guards import GuardKeeper, Guards
-from m100link.flight.guidance import Arrival, Guidance
+from m100link.flight.guidance import Guidance
 from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
 from m100link.flight.loops import ClosedLoops
+from m100link.flight.motors import Motors
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
 from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold, SetpointLoop, check_lifetime
 from m100link.flight.stop_path import StopAction
@@ -41,18 +42,19 @@ SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 
 
 P = ParamSpec("P")
+R = TypeVar("R")
 
 
-def _closed_loop(
-    loop: Callable[Concatenate[ClosedLoops, P], Coroutine[Any, Any, Arrival]],
-) -> Callable[Concatenate[Control, P], Coroutine[Any, Any, Arrival]]:
-    """A closed loop as a method of Control: its arguments and its words stand there."""
+def _of_part(
+    part: str, method: Callable[Concatenate[Any, P], Coroutine[Any, Any, R]]
+) -> Callable[Concatenate[Control, P], Coroutine[Any, Any, R]]:
+    """What a part does as a method of Control: its arguments and its words stand there."""
 
-    async def fly(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> Arrival:
-        self._block.require_flying(loop.__name__)  # what ended the block comes first
-        return await loop(self._loops, *args, **kwargs)
+    async def call(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        self._block.require_flying(method.__name__)  # what ended the block comes first
+        return await method(getattr(self, part), *args, **kwargs)
 
-    return update_wrapper(fly, loop)
+    return update_wrapper(call, method)
 
 
 class Control:
@@ -101,6 +103,7 @@ class Control:
         )
         self._guidance = Guidance(commander.state, steer=self._steer, halt=self._setpoints.halt)
         self._loops = ClosedLoops(commander.state, self._guards, self._guidance)
+        self._motors = Motors(commander, self._guards, self._make_way, self._block.armed)
 
     # -- the block -------------------------------------------------------------------------------
 
@@ -428,13 +431,16 @@ class Control:
         """
         return self._loops.local_frame()
 
-    fly_to = _closed_loop(ClosedLoops.fly_to)
-    fly_path = _closed_loop(ClosedLoops.fly_path)
-    climb_to = _closed_loop(ClosedLoops.climb_to)
-    turn_to = _closed_loop(ClosedLoops.turn_to)
-    orbit = _closed_loop(ClosedLoops.orbit)
+    fly_to = _of_part("_loops", ClosedLoops.fly_to)
+    fly_path = _of_part("_loops", ClosedLoops.fly_path)
+    climb_to = _of_part("_loops", ClosedLoops.climb_to)
+    turn_to = _of_part("_loops", ClosedLoops.turn_to)
+    orbit = _of_part("_loops", ClosedLoops.orbit)
 
-    # -- tasks -----------------------------------------------------------------------------------
+    # -- motors and tasks ------------------------------------------------------------------------
+
+    arm = _of_part("_motors", Motors.arm)
+    disarm = _of_part("_motors", Motors.disarm)
 
     async def take_off(
         self, *, timeout: float | None = None, progress: TaskListener | None = None
@@ -473,16 +479,20 @@ class Control:
 
     async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
         self._block.require_flying(task_name(task))
-        if self._running_task is not None:
-            raise TaskRefused(
-                f"{task_name(task)} was asked for during {task_name(self._running_task)}",
-                remedy="await one task before the next",
-            )
+        self._make_way(task_name(task))
         self._running_task = task
-        self._setpoints.silence()
         watch = self._block.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
             with watch, self._block.waiting(task_name(task)):
                 await run_task(self._commander, task, timeout=timeout, progress=progress)
         finally:
             self._running_task = None
+
+    def _make_way(self, what: str) -> None:
+        """Setpoints end, for what the autopilot does by itself; one thing at a time."""
+        if self._running_task is not None:
+            raise TaskRefused(
+                f"{what} was asked for during {task_name(self._running_task)}",
+                remedy="await one task before the next",
+            )
+        self._setpoints.silence()

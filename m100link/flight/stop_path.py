@@ -13,6 +13,7 @@ from m100link.flight.authority import AuthorityState
 from m100link.flight.handover import explained_loss, release_authority
 from m100link.flight.known import known
 from m100link.flight.lifecycle import Lifecycle
+from m100link.flight.motors import is_on_ground, switch_motors
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
 from m100link.flight.tasks import Commander, run_task
 from m100link.protocol.commands.control import Task
@@ -27,6 +28,7 @@ StopAction = Literal["hover", "land"]
 
 _LANDING_DEADLINE_S = 60.0
 _LANDING_RETRY_S = 0.5
+_STATUS_POLL_S = 0.1
 _LEAVES_THE_GROUND_S = 1.0  # after a take-off was commanded, if it does at all
 
 
@@ -49,6 +51,7 @@ class StopPath:
         self._action: StopAction = action
         self._clock = commander.link.loop.time
         self._take_off_at: float | None = None  # the last one of this block that was not refused
+        self._is_armed = False  # this block started the motors, and did not stop them
 
     @contextmanager
     def taking_off(self) -> Iterator[None]:
@@ -59,6 +62,10 @@ class StopPath:
         except TaskRefused:
             self._take_off_at = before
             raise
+
+    def armed(self, is_armed: bool) -> None:
+        """The block starts the motors, or has stopped them."""
+        self._is_armed = is_armed
 
     def let_go(self) -> None:
         """At once: the neutral instead of the setpoint that is being sent, or nothing.
@@ -81,7 +88,8 @@ class StopPath:
         again.
         """
         failed: Exception | None = None
-        for step in (self._explain, self._end_setpoints, self._land, self._release):
+        steps = self._explain, self._end_setpoints, self._land, self._disarm, self._release
+        for step in steps:
             try:
                 await step()
             except Exception as error:  # noqa: BLE001 (raised below: the release must come first)
@@ -105,6 +113,8 @@ class StopPath:
         if self._has_authority and self._life.plan.neutral:
             self._setpoints.pay()  # nothing, unless this process stood still meanwhile
         await self._setpoints.stop()
+        if self._is_armed and self._setpoints.sent:
+            self._take_off_at = self._clock()  # any of them may have lifted it, up to now
 
     async def _land(self) -> None:
         """Land, although another task may be under way: the aircraft rejects it until that ended.
@@ -143,6 +153,22 @@ class StopPath:
                 "unknown" if status is None else "old",
             )
         return False
+
+    async def _disarm(self) -> None:
+        """Blades that were started and never flew do not run on with nobody to answer for them."""
+        if not self._is_armed or not self._has_authority or not self._life.plan.neutral:
+            return
+        deadline = self._clock() + 2 * _LEAVES_THE_GROUND_S
+        while is_on_ground(self._commander) and self._may_be_airborne():
+            if self._clock() >= deadline:
+                break
+            await asyncio.sleep(_STATUS_POLL_S)
+        if not is_on_ground(self._commander) or self._may_be_airborne():
+            return  # in the air nothing of the kind is ever sent
+        try:
+            await switch_motors(self._commander, on=False)
+        except M100Error as error:
+            _logger.error("the stop path could not stop the motors: %s", error)
 
     async def _release(self) -> None:
         if self._life.plan.release:

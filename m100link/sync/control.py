@@ -477,6 +477,38 @@ class Control:
             )
         )
 
+    def arm(self) -> None:
+        """Start the motors on the ground; they idle, and the aircraft stays where it is.
+
+        Only for programs that take off by setpoints of their own: a setpoint with thrust, height or
+        a climb rate lifts it from there. ``take_off()`` starts the motors itself, and **fails while
+        they run** (facts K7). With nothing commanded they stop by themselves after about 20 s; when
+        the block ends on the ground they are stopped. Firmware 3.1.
+
+        Raises:
+            NoAuthority: Authority is not held.
+            GuardRefused: As for a take-off.
+            TaskRefused: With the code; or another task, or a closed loop, is under way.
+            CommandNotSupported: The firmware is older; nothing was sent.
+            AckTimeout: Nobody knows whether they run.
+        """
+        return self._portal.wait(lambda _: self._control.arm())
+
+    def disarm(self) -> None:
+        """Stop the motors on the ground; landing stops them by itself.
+
+        **In the air nothing is sent**: the aircraft would refuse it (facts A2), and this does not
+        rely on that.
+
+        Raises:
+            NoAuthority: Authority is not held.
+            TaskRefused: It is in the air (code 3), or another task is under way.
+            TelemetryStalled: Nobody knows whether it is on the ground; nothing was sent.
+            CommandNotSupported: The firmware is older; nothing was sent.
+            AckTimeout: Nobody knows whether they stand.
+        """
+        return self._portal.wait(lambda _: self._control.disarm())
+
     def take_off(
         self, *, timeout: float | None = None, progress: TaskListener | None = None
     ) -> None:

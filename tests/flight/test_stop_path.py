@@ -30,6 +30,7 @@ from m100link.protocol.codes import VersionCode
 from m100link.protocol.commands.activation import GetVersion, Version
 from m100link.protocol.commands.control import RequestAuthority
 from m100link.sim import VirtualClockEventLoop
+from m100link.sim.vehicle.flight import Maneuver
 from tests.rig import FIRMWARES, NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -373,7 +374,7 @@ async def test_a_take_off_that_was_refused_is_nothing_to_land_from() -> None:
         start = flown.now
         with pytest.raises(TaskRefused):
             async with flown.aircraft.control(stop="land") as control:
-                flown.virtual.vehicle.flight.start_motors()  # then it refuses to take off
+                flown.virtual.vehicle.flight.maneuver = Maneuver.FINISH  # it refuses to take off
                 await control.take_off()
         assert flown.now - start < 3.0
         assert flown.is_released
