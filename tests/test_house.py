@@ -194,6 +194,8 @@ TESTED_ELSEWHERE = {
     "errors/line.py": ("test_errors.py", "names and attributes, nothing to run"),
     "errors/usage.py": ("test_errors.py", "names and attributes, nothing to run"),
     "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),
+    "link/opening.py": ("link/test_serial_pty.py", "what it opens is tested there"),
+    "link/statistics.py": ("link/test_link.py", "names of counters, nothing to run"),
     "protocol/records.py": ("protocol/test_packet.py", "records are what packages are read into"),
     "session/events.py": ("session/test_endpoint.py", "names and counters, nothing to run"),
     "sim/orders/ctl.py": ("cli/test_sim.py", "a socket between two processes"),

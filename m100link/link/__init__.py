@@ -2,8 +2,10 @@
 
 import logging
 
-from m100link.link.link import Link, LinkStatistics, open_link
+from m100link.link.link import Link
 from m100link.link.memory import MemoryTransport, connect_in_memory
+from m100link.link.opening import open_link
+from m100link.link.statistics import LinkStatistics
 from m100link.link.url import DEFAULT_BAUD_RATE, parse_url
 
 __all__ = [

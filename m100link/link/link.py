@@ -10,18 +10,16 @@ import asyncio
 import logging
 import secrets
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
-from m100link.link.transport import open_transport
-from m100link.link.url import ConnectionString, parse_url
+from m100link.link.statistics import LinkStatistics
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Event, Expired, SessionMode
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
-__all__ = ["Link", "LinkStatistics", "open_link"]
+__all__ = ["Link"]
 
 _logger = logging.getLogger("m100link.link")
 
@@ -38,49 +36,14 @@ of authority must not be taken for one that was told before.
 _LOGGED_BYTES = 64
 
 
-@dataclass(frozen=True, slots=True)
-class LinkStatistics:
-    """Counters of a link since it was opened.
-
-    Attributes:
-        bytes_received: Bytes read.
-        bytes_sent: Bytes written.
-        frames_received: Frames with good checksums.
-        frames_sent: Frames written.
-        discards: Discarded starts and frames per cause.
-        discarded_bytes: Bytes that were part of no frame.
-        dropped_writes: Frames not written because the line did not drain.
-        acks: Acks that answered a request.
-        duplicate_acks: Acks of a request answered before.
-        late_acks: Acks that came after their request had ended.
-        foreign_acks: Acks of nothing that was sent here.
-        repeats: Transmissions beyond the first of a request.
-        expired: Requests that ran out of tries.
-    """
-
-    bytes_received: int
-    bytes_sent: int
-    frames_received: int
-    frames_sent: int
-    discards: dict[str, int]
-    discarded_bytes: int
-    dropped_writes: int
-    acks: int
-    duplicate_acks: int
-    late_acks: int
-    foreign_acks: int
-    repeats: int
-    expired: int
-
-
-def _ignore(*_: object) -> None:
+def ignore(*_: object) -> None:
     """The default of the callbacks."""
 
 
 class Link(asyncio.Protocol):
     """One end of an open line.
 
-    Use :func:`open_link`, or give an instance to any transport as its protocol.
+    Use :func:`~m100link.link.open_link`, or give an instance to any transport as its protocol.
 
     Args:
         on_received: Called with each command or push frame and the time it arrived.
@@ -99,10 +62,11 @@ class Link(asyncio.Protocol):
         "_endpoint",
         "_failure",
         "_frames_sent",
+        "_is_failure_told",
         "_is_writable",
         "_loop",
         "_pending",
-        "_timer",
+        "_timers",
         "_transport",
         "last_received_at",
         "name",
@@ -113,8 +77,8 @@ class Link(asyncio.Protocol):
     def __init__(
         self,
         *,
-        on_received: Callable[[Frame, float], None] = _ignore,
-        on_lost: Callable[[LinkError], None] = _ignore,
+        on_received: Callable[[Frame, float], None] = ignore,
+        on_lost: Callable[[LinkError], None] = ignore,
         first_sequence: int | None = None,
     ) -> None:
         self._loop = asyncio.get_running_loop()
@@ -129,12 +93,15 @@ class Link(asyncio.Protocol):
         # Who waits for which ack, and the word for it in errors, by the token of the session's
         # request.
         self._pending: dict[int, tuple[asyncio.Future[bytes], str]] = {}
-        # The one timer of all requests; it stands at the earliest repeat or end of a wait.
-        self._timer: asyncio.TimerHandle | None = None
+        # The one timer of all requests, and its spare; they stand at the earliest repeat or end of
+        # a wait.
+        self._timers: tuple[asyncio.TimerHandle, ...] = ()
         # False while the transport's buffer is full: pushes are dropped then, never queued.
         self._is_writable = True
         # The first reason counts; whoever comes later gets the same one.
         self._failure: LinkError | None = None
+        # Whether all who wait, and the owner, know of it.
+        self._is_failure_told = False
         self._connected: asyncio.Future[None] = self._loop.create_future()
         self._disconnected = asyncio.Event()
         self._bytes_sent = self._frames_sent = self._dropped_writes = 0
@@ -223,17 +190,20 @@ class Link(asyncio.Protocol):
             timeout=timeout,
             tries=tries,
         )
-        future: asyncio.Future[bytes] = self._loop.create_future()
-        self._pending[token] = future, name
-        self._flush()
-        if self._timer is None or self._timer.when() > now + timeout:
-            self._set_timer()
         try:
+            future: asyncio.Future[bytes] = self._loop.create_future()
+            self._pending[token] = future, name
+            self._flush()
+            if not self._timers or self._timers[0].when() > now + timeout:
+                self._set_timer()
             return await future
+        except BaseException:
+            self._set_timer()  # what is abandoned ends, too
+            raise
         finally:
             # After a cancellation nobody waits: the session core keeps the slot as long as needed.
-            if self._pending.pop(token, None) is not None:
-                self._endpoint.abandon(token)
+            self._pending.pop(token, None)
+            self._endpoint.abandon(token)
 
     def push(self, data: bytes, *, encrypted: bool = False) -> bool:
         """Send a frame on session 0.
@@ -248,8 +218,12 @@ class Link(asyncio.Protocol):
         if not self._is_writable:
             self._dropped_writes += 1
             return False
-        self._endpoint.push(data, encrypted=encrypted)
-        self._flush()
+        try:
+            self._endpoint.push(data, encrypted=encrypted)
+            self._flush()
+        except BaseException:
+            self._endpoint.drop_pushes()  # cut off by Ctrl-C: it would leave with the next one
+            raise
         return True
 
     def acknowledge(self, command: Frame, payload: bytes, *, encrypted: bool | None = None) -> None:
@@ -266,16 +240,19 @@ class Link(asyncio.Protocol):
 
         Bytes already written get up to a second to leave. May be called any number of times.
         """
-        if self._transport is not None and self._failure is None:
-            self._fail(LinkClosed("the link was closed by this side"))
-            try:
+        is_attached = self._transport is not None
+        if self._failure is None:
+            when = "by this side" if is_attached else "before it was open"
+            self._failure = LinkClosed(f"the link was closed {when}")
+        try:
+            self._tell_of_failure()
+            if is_attached and not self._disconnected.is_set():
                 await self._drain()
-            finally:  # cancelled, too: whoever closes in a hurry wants it closed
+        finally:  # cancelled, too: whoever closes in a hurry wants it closed
+            if self._transport is not None:
                 self._transport.abort()
-        elif self._transport is None:
-            self._fail(LinkClosed("the link was closed before it was open"))
-            return
-        await self.wait_disconnected()
+        if is_attached:
+            await self.wait_disconnected()
 
     async def wait_disconnected(self, timeout: float | None = CLOSE_TIMEOUT) -> None:
         """Wait until the transport has let go of the line; None: however long that takes."""
@@ -302,12 +279,16 @@ class Link(asyncio.Protocol):
         """Bytes from the line."""
         now = self.last_received_at = self._loop.time()
         endpoint = self._endpoint
-        events = endpoint.receive_data(data, now)
-        if events:
-            self._dispatch(iter(events), now)
-        if not endpoint.only_pushes and endpoint.has_output:
-            self._flush()
-            self._set_timer()
+        try:
+            events = endpoint.receive_data(data, now)
+            if events:
+                self._dispatch(iter(events), now)
+            if not endpoint.only_pushes and endpoint.has_output:
+                self._flush()
+                self._set_timer()
+        except (KeyboardInterrupt, SystemExit):
+            self._loop.call_soon(self._mend)
+            raise
 
     def pause_writing(self) -> None:
         """The other end does not drain."""
@@ -323,15 +304,20 @@ class Link(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The line is gone."""
-        self._disconnected.set()
-        if self._failure is None:
-            error = LinkLost(
-                f"{self.name} went away" + (f": {exc}" if exc else ""),
-                cause="unplugged, powered off, or the other end closed",
-                remedy="check cable and power, then connect again",
-            )
-            error.__cause__ = exc
-            self._fail(error)
+        try:
+            self._disconnected.set()
+            if self._failure is None:
+                error = LinkLost(
+                    f"{self.name} went away" + (f": {exc}" if exc else ""),
+                    cause="unplugged, powered off, or the other end closed",
+                    remedy="check cable and power, then connect again",
+                )
+                error.__cause__ = exc
+                self._failure = error
+            self._tell_of_failure()
+        except KeyboardInterrupt:
+            self._loop.call_soon(self.connection_lost, exc)
+            raise
 
     # -- inside ----------------------------------------------------------------------------------
 
@@ -370,21 +356,20 @@ class Link(asyncio.Protocol):
         if isinstance(event, Acked):
             future.set_result(event.payload)
         else:
-            error = self._timeout(name, event.session, event.sequence, event.tries)
-            future.set_exception(error)
+            future.set_exception(self._timeout(name, event))
 
-    def _timeout(self, name: str, session: int, sequence: int, tries: int) -> AckTimeout:
+    def _timeout(self, name: str, event: Expired) -> AckTimeout:
         cause = "the frame or its ack was lost, or the aircraft ignores the command"
         if not self._is_writable:
             cause = "the other end of the line does not take bytes"
         elif self.last_received_at is None:
             cause = "nothing arrives from the aircraft at all"
         return AckTimeout(
-            f"no ack of {name} after {tries} tries; its outcome is unknown",
+            f"no ack of {name} after {event.tries} tries; its outcome is unknown",
             command=name,
-            session=session,
-            sequence=sequence,
-            tries=tries,
+            session=event.session,
+            sequence=event.sequence,
+            tries=event.tries,
             cause=cause,
             remedy="look at telemetry before repeating the command",
         )
@@ -410,20 +395,40 @@ class Link(asyncio.Protocol):
             return
         # An armed timer that is early stays: waking once too often is cheaper than re-arming for
         # every request.
-        if self._timer is not None:
-            if self._timer.when() <= wakeup:
-                return
-            self._timer.cancel()
-        self._timer = self._loop.call_at(wakeup, self._on_timer)
+        if not self._timers or self._timers[0].when() > wakeup:
+            before = self._timers
+            # A KeyboardInterrupt can take one, and without any no request would ever end.
+            self._timers = tuple(self._loop.call_at(wakeup, self._on_timer) for _ in range(2))
+            for timer in before:
+                timer.cancel()
 
     def _on_timer(self) -> None:
-        self._timer = None
         try:
+            for timer in self._timers:
+                timer.cancel()
+            self._timers = ()
             now = self._loop.time()
             self._dispatch(iter(self._endpoint.handle_timer(now)), now)
             self._flush()
-        finally:  # Ctrl-C, too: without a timer no request would ever end
             self._set_timer()
+        except BaseException:
+            self._loop.call_soon(self._mend)
+            raise
+
+    def _mend(self) -> None:
+        """Go on after something (Ctrl-C) cut one of the callbacks off, wherever that was."""
+        for token, (future, name) in list(self._pending.items()):
+            if not self._endpoint.is_open(token):
+                del self._pending[token]
+                if not future.done():
+                    seen = f"the ack of {name} was cut off; its outcome is unknown"
+                    remedy = "look at telemetry before repeating the command"
+                    future.set_exception(AckTimeout(seen, command=name, remedy=remedy))
+        for timer in self._timers:
+            timer.cancel()
+        self._timers = ()
+        self._flush()
+        self._set_timer()
 
     async def _drain(self) -> None:
         """Give written bytes a bounded time to leave."""
@@ -441,11 +446,14 @@ class Link(asyncio.Protocol):
                 return
             await asyncio.sleep(0.005)
 
-    def _fail(self, error: LinkError) -> None:
-        self._failure = error
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+    def _tell_of_failure(self) -> None:
+        """Tell everybody who waits, and the owner; what Ctrl-C cuts off may be done again."""
+        if self._is_failure_told or self._failure is None:
+            return
+        error = self._failure
+        for timer in self._timers:
+            timer.cancel()
+        self._timers = ()
         for future, _ in list(self._pending.values()):
             if not future.done():
                 future.set_exception(error.again())
@@ -454,42 +462,14 @@ class Link(asyncio.Protocol):
             self._connected.exception()  # read, so that nobody is told it never was
         if isinstance(error, LinkLost):
             _logger.warning("%s", error.seen)
-        self.on_lost(error)
+        try:
+            self._is_failure_told = True
+            self.on_lost(error)
+        except KeyboardInterrupt:
+            self._is_failure_told = False  # it may not have heard, and may hear twice
+            raise
 
 
 def _excerpt(data: bytes) -> str:
     more = "…" if len(data) > _LOGGED_BYTES else ""
     return data[:_LOGGED_BYTES].hex() + more
-
-
-async def open_link(
-    url: str | ConnectionString,
-    *,
-    baud_rate: int | None = None,
-    on_received: Callable[[Frame, float], None] = _ignore,
-    on_lost: Callable[[LinkError], None] = _ignore,
-    first_sequence: int | None = None,
-) -> Link:
-    """Open a line and return the link on it.
-
-    Args:
-        url: Connection string, see :func:`~m100link.link.url.parse_url`.
-        baud_rate: Rate when the string has none.
-        on_received: See :class:`Link`.
-        on_lost: See :class:`Link`.
-        first_sequence: See :class:`Link`.
-
-    Raises:
-        BadURL, PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
-    """
-    address = url if isinstance(url, ConnectionString) else parse_url(url, baud_rate=baud_rate)
-    link = Link(on_received=on_received, on_lost=on_lost, first_sequence=first_sequence)
-    link.name = str(address)
-    transport = await open_transport(address, link)
-    try:
-        await link.wait_connected()
-    except BaseException:
-        transport.abort()
-        await link.wait_disconnected()  # whoever opens it next finds it free
-        raise
-    return link

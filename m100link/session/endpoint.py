@@ -74,6 +74,10 @@ class Endpoint:
         """Queue a frame on session 0; see :meth:`Sender.push` for errors."""
         self._pushed.append(self.sender.push(data, encrypted=encrypted))
 
+    def drop_pushes(self) -> None:
+        """Forget pushes that were not taken for writing."""
+        self._pushed.clear()
+
     def request(
         self,
         data: bytes,
@@ -92,6 +96,10 @@ class Endpoint:
     def abandon(self, token: int) -> None:
         """Forget a request; see :meth:`Sender.abandon`."""
         self.sender.abandon(token)
+
+    def is_open(self, token: int) -> bool:
+        """Whether a request has yet to end; see :meth:`Sender.is_open`."""
+        return self.sender.is_open(token)
 
     def acknowledge(
         self, command: Frame, payload: bytes, *, now: float, encrypted: bool | None = None

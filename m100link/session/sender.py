@@ -159,7 +159,7 @@ class Sender:
         return request.token
 
     def abandon(self, token: int) -> None:
-        """Forget a request: no more repeats and no event.
+        """Forget a request: no more repeats and no event; what has not left does not leave.
 
         One that was transmitted keeps its session until its ack or its time-out, so that no late
         ack can be taken for another's.
@@ -170,6 +170,12 @@ class Sender:
         if self._waiting.pop(token, None) is None:
             request.is_abandoned = True
             request.tries_left = 0
+            if request.wire in self.output:
+                self.output.remove(request.wire)
+
+    def is_open(self, token: int) -> bool:
+        """Whether a request has yet to end, and was not abandoned."""
+        return token in self._by_token
 
     def receive_ack(self, frame: Frame, now: float) -> Acked | None:
         """Take an ack frame; None (and a count) when it answers nothing that is open."""

@@ -18,7 +18,8 @@ from m100link.flight.authority import Authority
 from m100link.flight.block import PauseAction
 from m100link.flight.guards import Guards
 from m100link.flight.stop_path import StopAction
-from m100link.link.link import Link, LinkStatistics
+from m100link.link.link import Link
+from m100link.link.statistics import LinkStatistics
 from m100link.protocol.command import Request
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.firmware import FirmwareProfile

@@ -533,7 +533,7 @@ async def test_no_timer_is_left_behind() -> None:
         await link.request(b"x", timeout=1, tries=1)
     await link.close()
     await asyncio.sleep(100)
-    assert link._timer is None
+    assert link._timers == ()
 
 
 async def test_everything_that_a_link_raises_is_an_m100_error() -> None:

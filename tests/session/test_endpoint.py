@@ -73,6 +73,14 @@ def test_whether_there_is_output_is_known_without_taking_it() -> None:
     assert waits(host, aircraft) == [False, False]
 
 
+def test_dropped_pushes_do_not_leave_and_requests_do() -> None:
+    host = End()
+    host.push(b"push")
+    host.request(b"request", now=0.0)
+    host.drop_pushes()
+    assert [frame.data for frame in FrameDecoder().feed(b"".join(host.output()))] == [b"request"]
+
+
 def test_what_one_read_brings_is_reported_in_the_order_in_which_it_arrived() -> None:
     host, aircraft = End(), Endpoint()
     tokens = [host.request(data, now=0) for data in (b"first", b"second")]
@@ -207,7 +215,10 @@ def test_expiry_is_an_event_of_the_endpoint() -> None:
 
 def test_an_abandoned_request_reports_nothing() -> None:
     host = End()
-    host.abandon(host.request(b"x", now=0, timeout=1, tries=1))
+    token = host.request(b"x", now=0, timeout=1, tries=1)
+    assert host.is_open(token)
+    host.abandon(token)
+    assert not host.is_open(token)
     host.handle_timer(1)
     assert host.events() == []
 

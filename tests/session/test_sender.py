@@ -355,6 +355,31 @@ def test_an_abandoned_request_keeps_its_session_until_its_ack_or_its_time_out() 
     assert sender.busy_sessions == 0
 
 
+def test_what_nobody_wants_any_more_does_not_leave_later() -> None:
+    sender = Sender()
+    sender.request(b"first", now=0)
+    token = sender.request(b"one", now=0, timeout=1)
+    assert sender.is_open(token)
+    sender.abandon(token)
+    assert not sender.is_open(token)
+    assert [frame.data for frame in sent(sender)] == [b"first"]
+    sender.handle_timer(1)
+    assert [frame.data for frame in sent(sender)] == [b"first"]
+    sender.request(b"two", now=1)
+    assert [frame.data for frame in sent(sender)] == [b"two"]
+
+
+def test_a_request_is_open_until_it_ends() -> None:
+    sender = Sender()
+    answered, unanswered = sender.request(b"x", now=0), sender.request(b"y", now=0, tries=1)
+    frame, _ = sent(sender)
+    assert (sender.is_open(answered), sender.is_open(unanswered)) == (True, True)
+    sender.receive_ack(ack(frame), 0)
+    assert (sender.is_open(answered), sender.is_open(unanswered)) == (False, True)
+    sender.handle_timer(1)
+    assert not sender.is_open(unanswered)
+
+
 def test_a_request_abandoned_while_it_waits_is_never_sent() -> None:
     sender = Sender()
     for _ in range(30):
