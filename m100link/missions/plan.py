@@ -135,6 +135,23 @@ class WaypointPlan:
             for point in self.waypoints
         )
 
+    def to_json(self) -> str:
+        """As JSON: ``"format"``, ``"version"`` and the fields by the names that they have here."""
+        from m100link.missions import document
+
+        return document.to_json(self)
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Self:
+        """Read what :meth:`to_json` wrote, or somebody by hand.
+
+        Raises:
+            BadPlan: It is not such a file, a field is unknown, or the aircraft would refuse it.
+        """
+        from m100link.missions import document
+
+        return cls(**document.from_json(document.load_object(text)))
+
     def to_wire(self) -> tuple[WaypointMission, tuple[WaypointPoint, ...]]:
         """The commands 0x03/0x10 and 0x03/0x11 that upload it.
 

@@ -1,0 +1,275 @@
+"""Plans as JSON of our own: every field by the name that it has in Python, choices by their names.
+
+What stands in a file and is not read would be flown without being seen, so nothing is passed over:
+a field that does not exist, or stands there twice, is refused by its name.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from enum import IntEnum
+from typing import Any
+
+from m100link.errors import BadPlan
+from m100link.missions.waypoint import (
+    Action,
+    AtEnd,
+    GimbalPitch,
+    Heading,
+    OnRCLoss,
+    PlanValues,
+    StartVideo,
+    Stay,
+    StopVideo,
+    TakePhoto,
+    Trace,
+    TurnTo,
+    Waypoint,
+)
+
+__all__ = ["FORMAT", "VERSION", "from_json", "load_object", "to_json", "values_of"]
+
+FORMAT = "m100link waypoint plan"
+VERSION = 1
+
+_CHOICES: dict[str, type[IntEnum]] = {
+    "heading": Heading,
+    "trace": Trace,
+    "at_end": AtEnd,
+    "on_rc_loss": OnRCLoss,
+}
+_FIELDS = ("speed", "max_speed", *_CHOICES, "gimbal_by_waypoint", "repeat")
+_POINT_FIELDS = tuple(field.name for field in fields(Waypoint) if field.name != "_")
+_NEEDED = ("latitude_deg", "longitude_deg", "height")
+
+# Actions that are a word, and actions that are an object with one number.
+_WORDS: dict[str, Callable[[], Action]] = {
+    "take_photo": TakePhoto,
+    "start_video": StartVideo,
+    "stop_video": StopVideo,
+}
+_NUMBERED: dict[str, Callable[[Any], Action]] = {
+    "stay": Stay,
+    "turn_to": TurnTo,
+    "gimbal_pitch": GimbalPitch,
+}
+
+
+def to_json(plan: PlanValues) -> str:
+    """See :meth:`m100link.WaypointPlan.to_json`."""
+    lines = [f'  "format": {json.dumps(FORMAT)}', f'  "version": {VERSION}']
+    values = values_of(plan)
+    points = values.pop("waypoints")
+    lines += [f'  "{name}": {json.dumps(value)}' for name, value in values.items()]
+    # A line for each point: what changed between two plans is seen in a diff.
+    listed = ",\n".join(f"    {json.dumps(point)}" for point in points)
+    lines.append(f'  "waypoints": [\n{listed}\n  ]')
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def values_of(plan: PlanValues) -> dict[str, Any]:
+    """The fields of a plan as JSON has them."""
+    values: dict[str, Any] = {}
+    for name in _FIELDS:
+        value = getattr(plan, name)
+        values[name] = value.name.lower() if isinstance(value, IntEnum) else value
+    values["waypoints"] = [_point_values(point) for point in plan.waypoints]
+    return values
+
+
+def _point_values(point: Waypoint) -> dict[str, Any]:
+    """Without what is as it is by default."""
+    defaults = {field.name: field.default for field in fields(Waypoint)}
+    values = {name: getattr(point, name) for name in _POINT_FIELDS}
+    values["actions"] = [_action_value(action) for action in point.actions]
+    return {
+        name: value
+        for name, value in values.items()
+        if name in _NEEDED or value != (defaults[name] if name != "actions" else [])
+    }
+
+
+def _action_value(action: Action) -> Any:
+    match action:
+        case Stay(number) | TurnTo(number) | GimbalPitch(number):
+            name = next(name for name, kind in _NUMBERED.items() if kind is type(action))
+            return {name: number}
+        case _:
+            return next(name for name, kind in _WORDS.items() if kind is type(action))
+
+
+def load_object(text: str | bytes) -> dict[str, Any]:
+    """The object that a JSON text is.
+
+    Raises:
+        BadPlan: It is not UTF-8, not JSON, no object, or a name stands twice in one.
+    """
+    try:
+        decoded = text.decode("utf-8-sig") if isinstance(text, bytes) else text.lstrip("\ufeff")
+        value = json.loads(decoded, object_pairs_hook=_object)
+    except UnicodeDecodeError as error:
+        raise BadPlan(
+            f"the file is not text: byte {error.start} is not UTF-8",
+            remedy="give a plan as JSON, or a .plan of QGroundControl",
+        ) from None
+    except RecursionError:
+        raise BadPlan("the JSON is nested too deeply to be a plan") from None
+    except BadPlan:
+        raise
+    except ValueError as error:
+        raise BadPlan(
+            f"the file is not JSON: {error}",
+            remedy="give a plan as JSON, or a .plan of QGroundControl",
+        ) from None
+    if not isinstance(value, dict):
+        raise BadPlan(f"the file is JSON, but {_named(value)} and not an object")
+    return value
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in made:
+            raise BadPlan(
+                f"{_short(name)} stands twice in one object",
+                field=name,
+                cause="which of them was meant cannot be known",
+                remedy="leave out one",
+            )
+        made[name] = value
+    return made
+
+
+def _named(value: object) -> str:
+    """A value by its kind in JSON, with itself where it is short."""
+    kinds = {dict: "an object", list: "a list", str: "a text", bool: "", type(None): "null"}
+    return kinds.get(type(value)) or _short(value)
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value, ensure_ascii=False, default=repr)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def from_json(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of :class:`m100link.WaypointPlan`, from an object; see its ``from_json``.
+
+    Raises:
+        BadPlan: Something is missing, unknown or of another kind.
+    """
+    if document.get("format") != FORMAT:
+        raise BadPlan(
+            f"the format is {_short(document.get('format'))}, not {FORMAT!r}",
+            field="format",
+            value=document.get("format"),
+            limit=FORMAT,
+            cause="the file is something else",
+            remedy=f'"format": "{FORMAT}", or a .plan of QGroundControl',
+        )
+    if document.get("version") != VERSION or isinstance(document["version"], bool):
+        raise BadPlan(
+            f"version {_short(document.get('version'))} of the format is not known",
+            field="version",
+            value=document.get("version"),
+            limit=VERSION,
+            cause="the file was written by another version of m100link",
+            remedy=f'this one reads "version": {VERSION}',
+        )
+    _refuse_unknown(document, ("format", "version", *_FIELDS, "waypoints"))
+    arguments = {name: document[name] for name in _FIELDS if name in document}
+    for name, kind in _CHOICES.items():
+        if name in arguments:
+            arguments[name] = _choice(name, kind, arguments[name])
+    points = document.get("waypoints")
+    if not isinstance(points, list):
+        raise BadPlan(
+            "waypoints is missing" if points is None else f"waypoints is {_named(points)}",
+            field="waypoints",
+            value=points,
+            remedy='"waypoints": a list of objects',
+        )
+    arguments["waypoints"] = [_waypoint(index, point) for index, point in enumerate(points)]
+    return arguments
+
+
+def _refuse_unknown(
+    found: Mapping[str, Any], known: Sequence[str], point: int | None = None
+) -> None:
+    for name in found:
+        if name not in known:
+            place = "" if point is None else f"waypoint {point}: "
+            raise BadPlan(
+                f"{place}there is no field {_short(name)}",
+                point=point,
+                field=name,
+                value=found[name],
+                limit=tuple(known),
+                remedy=f"one of {', '.join(known)}",
+            )
+
+
+def _choice(field: str, kind: type[IntEnum], value: object) -> IntEnum:
+    names = {one.name.lower(): one for one in kind}
+    if not isinstance(value, str) or value not in names:
+        raise BadPlan(
+            f"{field} is {_short(value)}",
+            field=field,
+            value=value,
+            limit=tuple(names),
+            remedy=f"one of {', '.join(names)}",
+        )
+    return names[value]
+
+
+def _waypoint(index: int, found: object) -> Waypoint:
+    if not isinstance(found, dict):
+        raise BadPlan(
+            f"waypoint {index} is {_named(found)}",
+            point=index,
+            field="waypoints",
+            value=found,
+            remedy=f"an object with {', '.join(_NEEDED)}",
+        )
+    _refuse_unknown(found, _POINT_FIELDS, index)
+    for name in _NEEDED:
+        if name not in found:
+            raise BadPlan(
+                f"waypoint {index}: {name} is missing",
+                point=index,
+                field=name,
+                remedy=f"{', '.join(_NEEDED)} are needed",
+            )
+    values = dict(found)
+    actions = values.get("actions", [])
+    if not isinstance(actions, list):
+        raise BadPlan(
+            f"waypoint {index}: actions is {_named(actions)}",
+            point=index,
+            field="actions",
+            value=actions,
+            remedy='a list such as ["take_photo", {"stay": 2}]',
+        )
+    values["actions"] = [
+        _action(index, f"actions[{place}]", action) for place, action in enumerate(actions)
+    ]
+    return Waypoint(**values)
+
+
+def _action(index: int, field: str, value: object) -> Action:
+    if isinstance(value, str) and value in _WORDS:
+        return _WORDS[value]()
+    if isinstance(value, dict) and len(value) == 1:
+        [(name, number)] = value.items()
+        if name in _NUMBERED:
+            return _NUMBERED[name](number)
+    choices = [f'"{name}"' for name in _WORDS] + [f'{{"{name}": …}}' for name in _NUMBERED]
+    raise BadPlan(
+        f"waypoint {index}: {field} is {_short(value)}",
+        point=index,
+        field=field,
+        value=value,
+        limit=tuple(choices),
+        remedy=f"one of {', '.join(choices)}",
+    )
