@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -151,6 +151,61 @@ class WaypointPlan:
         from m100link.missions import document
 
         return cls(**document.from_json(document.load_object(text)))
+
+    def to_qgroundcontrol(self) -> str:
+        """As a ``.plan`` of QGroundControl.
+
+        Its items are the nearest that MAVLink has. What it has no words for (``max_speed``,
+        ``on_rc_loss``, curves and more) stands beside them, for :meth:`from_qgroundcontrol`; other
+        programs do not see it.
+        """
+        from m100link.missions import qgroundcontrol_export
+
+        return qgroundcontrol_export.to_text(self)
+
+    @classmethod
+    def from_qgroundcontrol(
+        cls,
+        text: str | bytes,
+        *,
+        home_altitude: float | None = None,
+        leave_out: Collection[int | str] = (),
+    ) -> Self:
+        """Read a ``.plan`` of QGroundControl: waypoints, photographs, videos, gimbal, surveys.
+
+        A take-off becomes the first waypoint (the mission takes off by itself), return and landing
+        become ``at_end``. It stops at every waypoint. What :meth:`to_qgroundcontrol` wrote, and
+        nobody changed, is read exactly.
+
+        Args:
+            text: The file.
+            home_altitude: Of the take-off point above sea level, m, for heights that count from
+                there; without it they are refused.
+            leave_out: What may be left out: items by their number in MAVLink (530 sets the camera),
+                complex items by their name, ``"geoFence"`` and ``"rallyPoints"``.
+
+        Raises:
+            BadPlan: It is not such a file, or an item is nothing that the M100 flies; it is named
+                by its number, such as ``item 3``, or ``item 3.12`` inside of a survey.
+        """
+        from m100link.missions import (
+            document,
+            qgroundcontrol,
+            qgroundcontrol_export,
+            qgroundcontrol_items,
+        )
+
+        found = document.load_object(text)
+        written = qgroundcontrol_export.extra_of(found)
+        if written is not None:
+            plan = cls(**written)
+            made = qgroundcontrol_export.document_of(plan)
+            if made["mission"] == found.get("mission"):
+                qgroundcontrol_items.refuse_fences(found, leave_out)
+                return plan
+        return cls(
+            **qgroundcontrol.from_document(found, home_altitude=home_altitude, leave_out=leave_out)
+        )
 
     def to_wire(self) -> tuple[WaypointMission, tuple[WaypointPoint, ...]]:
         """The commands 0x03/0x10 and 0x03/0x11 that upload it.

@@ -1,0 +1,412 @@
+"""Plans of QGroundControl: the ``.plan`` file, mission items of MAVLink, read as waypoints.
+
+A mission of the M100 knows less than MAVLink, and other things. What it cannot fly is refused by
+name and number of its item, and never left out in silence; :func:`from_items` leaves out what its
+caller names.
+
+| Item | Becomes |
+|---|---|
+| 22 take-off | the first waypoint, unless the next one is there already |
+| 16 waypoint | a waypoint; its hold time a :class:`~m100link.Stay`, its yaw the heading |
+| 93, 112 delay | :class:`~m100link.Stay` |
+| 115 yaw, absolute | :class:`~m100link.TurnTo` |
+| 178 speed | the speed of the whole |
+| 203 shoot, 2000 one image | :class:`~m100link.TakePhoto` |
+| 206 photographs by distance | waypoints so far apart, each with a photograph |
+| 2500, 2501 | :class:`~m100link.StartVideo`, :class:`~m100link.StopVideo` |
+| 205, 1000 gimbal | :class:`~m100link.GimbalPitch` |
+| 20 return, 21 land | what happens at the end; a place to land at is flown to first |
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from m100link.geodesy import distance_m, normalize_degrees
+from m100link.missions.checks import MOST_POINTS, NEAREST_M
+from m100link.missions.qgroundcontrol_items import Item, bad, items_of
+from m100link.missions.waypoint import (
+    Action,
+    AtEnd,
+    GimbalPitch,
+    Heading,
+    StartVideo,
+    Stay,
+    StopVideo,
+    TakePhoto,
+    TurnTo,
+    Waypoint,
+    number,
+)
+
+__all__ = ["from_document"]
+
+_RELATIVE_FRAMES = (3, 6)
+"""Heights above the home position: MAV_FRAME_GLOBAL_RELATIVE_ALT, and the same in integers."""
+_SEA_LEVEL_FRAMES = (0, 5)
+_TERRAIN_FRAMES = (10, 11)
+
+_REMEDIES = {
+    530: "the mode of the camera is set by hand",
+    19: "a waypoint with a hold time",
+    177: "repeat=2 of the plan flies the whole way twice",
+}
+
+
+def from_document(
+    document: dict[str, Any],
+    *,
+    home_altitude: float | None = None,
+    leave_out: Collection[int | str] = (),
+) -> dict[str, Any]:
+    """Arguments of :class:`m100link.WaypointPlan`; see its ``from_qgroundcontrol``.
+
+    Raises:
+        BadPlan: The file is none of these, or has what the M100 cannot fly.
+    """
+    mission, items = items_of(document, leave_out)
+    builder = _Builder(mission, home_altitude)
+    for item in items:
+        builder.read(item)
+    return builder.arguments()
+
+
+@dataclass
+class _Builder:
+    """What the items have told so far.
+
+    Attributes:
+        mission: The object of the file that has the items.
+        home_altitude: Of the home position above sea level, m; None if nobody says it.
+        points: Waypoints, each with the actions that came behind it.
+        yaws: Heading of each waypoint; None if it has none, NaN if it cannot have one.
+        waiting: Actions that came before there was a waypoint.
+        speed: None until an item says it.
+        at_end: None until an item ends the mission.
+        begins_with_take_off: Whether the first waypoint is one.
+        spacing: Metres from photograph to photograph, while they are taken by distance.
+        since_photo: Metres flown since the last of them.
+    """
+
+    mission: dict[str, Any]
+    home_altitude: float | None
+    points: list[Waypoint] = field(default_factory=list)
+    yaws: list[float | None] = field(default_factory=list)
+    waiting: list[Action] = field(default_factory=list)
+    speed: float | None = None
+    at_end: AtEnd | None = None
+    begins_with_take_off: bool = False
+    spacing: float | None = None
+    since_photo: float = 0.0
+
+    def read(self, item: Item) -> None:
+        """The next item."""
+        if self.at_end is not None:
+            raise item.refuse("it comes after the item that ends the mission")
+        reader = _READERS.get(item.command)
+        if reader is None:
+            remedy = _REMEDIES.get(item.command, "fly it another way")
+            raise item.refuse(
+                "the M100 cannot do that in a mission",
+                remedy=f"{remedy}; or leave it out by its number, {item.command}",
+            )
+        reader(self, item)
+
+    def arguments(self) -> dict[str, Any]:
+        """Of the plan."""
+        if self.waiting and not self.points:
+            raise bad("mission.items", "the mission has no waypoint", 0)
+        speed = self.speed
+        if speed is None and "hoverSpeed" in self.mission:
+            speed = number(self.mission["hoverSpeed"])
+            if speed is None or not speed > 0:
+                found = self.mission["hoverSpeed"]
+                raise bad("mission.hoverSpeed", f"hoverSpeed is {found!r}", found, "above 0 m/s")
+        values: dict[str, Any] = {"at_end": self.at_end or AtEnd.HOVER}
+        if speed is not None:
+            values |= {"speed": speed, "max_speed": max(10.0, speed)}
+        return values | self._headed()
+
+    def _headed(self) -> dict[str, Any]:
+        """By waypoint if each has one; a few of them turn the nose where they are."""
+        said = [yaw for yaw in self.yaws if yaw is None or not math.isnan(yaw)]
+        points = list(zip(self.points, self.yaws, strict=True))
+        if None in said or not said:
+            turned = [
+                point
+                if yaw is None or math.isnan(yaw)
+                else replace(point, actions=[TurnTo(yaw), *point.actions])
+                for point, yaw in points
+            ]
+            return {"waypoints": turned}
+        heading, headed = said[0], []
+        for point, yaw in points:
+            if yaw is not None and not math.isnan(yaw):
+                heading = yaw
+            headed.append(replace(point, heading_deg=heading or 0.0))
+        return {"waypoints": headed, "heading": Heading.BY_WAYPOINT}
+
+    def add(
+        self, item: Item, yaw: float | None, *, height: float | None = None, hold: float = 0.0
+    ) -> None:
+        """A waypoint where the item is."""
+        latitude, longitude = item.parameters[4:6]
+        if math.isnan(latitude) or math.isnan(longitude):
+            raise item.refuse("it has no place", value=item.parameters[4:6])
+        height = self._height(item) if height is None else height
+        point = Waypoint(latitude, longitude, height, actions=self.waiting)
+        if self.begins_with_take_off and len(self.points) == 1 and _is_there(self.points[0], point):
+            # Taken off to this very place.
+            point = replace(point, actions=[*self.points[0].actions, *self.waiting])
+            self.points.clear()
+            self.yaws.clear()
+        self.waiting = []
+        if self.spacing is not None and self.points:
+            point = self._photograph_to(point)
+        self.points.append(point)
+        self.yaws.append(yaw)
+        if hold > 0:
+            self.do(Stay(hold))
+
+    def _photograph_to(self, there: Waypoint) -> Waypoint:
+        """Waypoints on the way, a photograph at each; those nearest to its ends are taken there."""
+        assert self.spacing is not None
+        here, begin = self.points[-1], self.spacing - self.since_photo
+        across = distance_m(
+            here.latitude_deg, here.longitude_deg, there.latitude_deg, there.longitude_deg
+        )
+        length = math.hypot(across, there.height - here.height)
+        # One that falls behind the end by a hair is taken there.
+        count = max(0, math.floor((length + NEAREST_M / 2 - begin) / self.spacing) + 1)
+        if count > MOST_POINTS:
+            raise bad(
+                "mission.items",
+                f"{count} photographs on one leg are more than a mission has waypoints",
+                count,
+                f"{MOST_POINTS} waypoints at most; a survey with fewer photographs, or in parts",
+            )
+        for index in range(count):
+            flown = begin + index * self.spacing
+            if flown < NEAREST_M:
+                self.do(TakePhoto())
+            elif flown > length - NEAREST_M:
+                there = replace(there, actions=[TakePhoto(), *there.actions])
+            else:
+                self.points.append(_between(here, there, flown / length))
+                self.yaws.append(math.nan)
+        self.since_photo = length - (begin + (count - 1) * self.spacing)
+        return there
+
+    def do(self, action: Action) -> None:
+        """An action at the newest waypoint, or at the first one when it comes."""
+        if self.points:
+            last = self.points[-1]
+            self.points[-1] = replace(last, actions=[*last.actions, action])
+        else:
+            self.waiting.append(action)
+
+    def _height(self, item: Item) -> float:
+        """Above the take-off point."""
+        height = item.parameters[6]
+        if math.isnan(height):
+            raise item.refuse("it has no height", value=None)
+        if item.frame in _RELATIVE_FRAMES:
+            return height
+        if item.frame in _SEA_LEVEL_FRAMES and self.home_altitude is not None:
+            return height - self.home_altitude
+        above = "sea level" if item.frame in _SEA_LEVEL_FRAMES else f"frame {item.frame}"
+        if item.frame in _TERRAIN_FRAMES:
+            above = "the terrain"
+        raise item.refuse(
+            f"its height {height:g} counts from {above}",
+            value=item.frame,
+            remedy="choose heights relative to launch in QGroundControl"
+            + (
+                ", or give the altitude of the take-off point"
+                if item.frame in _SEA_LEVEL_FRAMES
+                else ""
+            ),
+        )
+
+
+def _is_there(one: Waypoint, other: Waypoint) -> bool:
+    across = distance_m(
+        one.latitude_deg, one.longitude_deg, other.latitude_deg, other.longitude_deg
+    )
+    return math.hypot(across, one.height - other.height) < NEAREST_M
+
+
+def _between(here: Waypoint, there: Waypoint, part: float) -> Waypoint:
+    """A place on the way, and a photograph there."""
+    east = normalize_degrees(there.longitude_deg - here.longitude_deg)
+    return Waypoint(
+        here.latitude_deg + part * (there.latitude_deg - here.latitude_deg),
+        normalize_degrees(here.longitude_deg + part * east),
+        here.height + part * (there.height - here.height),
+        actions=[TakePhoto()],
+    )
+
+
+def _zero(item: Item, **named: float) -> None:
+    """Refuse parameters that the M100 has nothing for; null and 0 ask for nothing."""
+    for name, value in named.items():
+        if value and not math.isnan(value):
+            raise item.refuse(f"{name} {value:g} is not possible on the M100", value=value)
+
+
+def _take_off(builder: _Builder, item: Item) -> None:
+    if builder.points:
+        raise item.refuse("it comes behind a waypoint")
+    place = item.parameters[4:6]
+    if any(map(math.isnan, place)) or place == (0.0, 0.0):
+        home = builder.mission.get("plannedHomePosition")
+        found = [number(value) for value in home] if isinstance(home, list) else []
+        place = tuple(value for value in found[:2] if value is not None)
+        if len(place) < 2:
+            raise item.refuse("it has no place, and the file no plannedHomePosition")
+    parameters = (*item.parameters[:4], *place, item.parameters[6])
+    builder.add(item._replace(parameters=parameters), math.nan)
+    builder.begins_with_take_off = True
+
+
+def _waypoint(builder: _Builder, item: Item) -> None:
+    hold, _, pass_radius, yaw, *_ = item.parameters
+    _zero(item, pass_radius=pass_radius)
+    heading = None if math.isnan(yaw) else normalize_degrees(yaw)
+    builder.add(item, heading, hold=0.0 if math.isnan(hold) else hold)
+
+
+def _return(builder: _Builder, _: Item) -> None:
+    builder.at_end = AtEnd.GO_HOME
+
+
+def _land(builder: _Builder, item: Item) -> None:
+    latitude, longitude = item.parameters[4:6]
+    has_place = not (math.isnan(latitude) or math.isnan(longitude)) and (latitude or longitude)
+    if has_place and builder.points:
+        last = builder.points[-1]
+        there = replace(last, latitude_deg=latitude, longitude_deg=longitude)
+        if not _is_there(last, there):
+            builder.add(item, math.nan, height=last.height)
+    builder.at_end = AtEnd.LAND
+
+
+def _delay(builder: _Builder, item: Item) -> None:
+    seconds = item.parameters[0]
+    if math.isnan(seconds) or seconds < 0:
+        raise item.refuse("it waits for a time of day", remedy="a delay in seconds")
+    builder.do(Stay(seconds))
+
+
+def _yaw(builder: _Builder, item: Item) -> None:
+    angle, _, direction, relative, *_ = item.parameters
+    _zero(item, relative=relative)
+    if math.isnan(angle):
+        raise item.refuse("it has no angle")
+    point = builder.points[-1] if builder.points else None
+    is_clockwise = direction != -1
+    if point is None:
+        raise item.refuse("it comes before the first waypoint")
+    turns = any(isinstance(action, TurnTo) for action in point.actions)
+    if turns and point.turn_clockwise != is_clockwise:
+        raise item.refuse(
+            "the M100 turns in one direction at a waypoint", value=direction, remedy="one of them"
+        )
+    builder.points[-1] = replace(point, turn_clockwise=is_clockwise)
+    builder.do(TurnTo(normalize_degrees(angle)))
+
+
+def _speed(builder: _Builder, item: Item) -> None:
+    kind, speed, throttle, *_ = item.parameters
+    if throttle > 0 or kind not in (0, 1) or not speed > 0:
+        raise item.refuse(
+            "the M100 has one speed along the way",
+            value=item.parameters[:3],
+            remedy="an airspeed or ground speed in m/s, no throttle",
+        )
+    if builder.speed not in (None, speed) or (builder.speed is None and len(builder.points) > 1):
+        raise item.refuse(
+            "the speed changes on the way, and the M100 has one for the whole",
+            value=speed,
+            remedy="one speed, before the second waypoint; or two plans",
+        )
+    builder.speed = speed
+
+
+def _digicam(builder: _Builder, item: Item) -> None:
+    _, zoom, zoom_step, focus, shoot, *_ = item.parameters
+    _zero(item, zoom=zoom, zoom_step=zoom_step, focus=focus)
+    if shoot != 1:
+        raise item.refuse("it takes no photograph", value=shoot)
+    builder.do(TakePhoto())
+
+
+def _image(builder: _Builder, item: Item) -> None:
+    count = item.parameters[2]
+    if count != 1:
+        raise item.refuse(
+            "photographs by time", value=count, remedy="one image (parameter 3 is 1) per item"
+        )
+    builder.do(TakePhoto())
+
+
+def _by_distance(builder: _Builder, item: Item) -> None:
+    spacing, _, at_once, *_ = item.parameters
+    if not spacing >= 0:
+        raise item.refuse(f"photographs {spacing:g} m apart", value=spacing)
+    if 0 < spacing < NEAREST_M:
+        raise item.refuse(
+            f"photographs {spacing:g} m apart, and the M100 stops at each",
+            value=spacing,
+            remedy=f"{NEAREST_M:g} m or more",
+        )
+    builder.spacing, builder.since_photo = spacing or None, 0.0
+    if spacing and at_once == 1:
+        builder.do(TakePhoto())
+
+
+def _start_video(builder: _Builder, _: Item) -> None:
+    builder.do(StartVideo())
+
+
+def _stop_video(builder: _Builder, _: Item) -> None:
+    builder.do(StopVideo())
+
+
+def _mount(builder: _Builder, item: Item) -> None:
+    pitch, roll, yaw, *_, mode = item.parameters
+    _zero(item, roll=roll, yaw=yaw)
+    if mode != 2 or math.isnan(pitch):
+        raise item.refuse(f"mode {mode:g} of the mount", value=mode, remedy="2, angles")
+    builder.do(GimbalPitch(pitch))
+
+
+def _gimbal(builder: _Builder, item: Item) -> None:
+    pitch, yaw, pitch_rate, yaw_rate, *_ = item.parameters
+    _zero(item, yaw=yaw, pitch_rate=pitch_rate, yaw_rate=yaw_rate)
+    if math.isnan(pitch):
+        raise item.refuse("it has no pitch")
+    builder.do(GimbalPitch(pitch))
+
+
+# Command → what becomes of it.
+_READERS: dict[int, Callable[[_Builder, Item], None]] = {
+    16: _waypoint,
+    20: _return,
+    21: _land,
+    22: _take_off,
+    93: _delay,
+    112: _delay,
+    115: _yaw,
+    178: _speed,
+    203: _digicam,
+    205: _mount,
+    206: _by_distance,
+    1000: _gimbal,
+    2000: _image,
+    2500: _start_video,
+    2501: _stop_video,
+}

@@ -1,0 +1,80 @@
+"""Plans written for QGroundControl."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+
+from m100link import AtEnd, BadPlan, Heading, Trace, TurnTo, Waypoint, WaypointPlan
+from m100link.missions.waypoint import Action
+from tests.missions.plans import plans
+
+
+@given(plans())
+def test_what_was_written_is_read(plan: WaypointPlan) -> None:
+    assert WaypointPlan.from_qgroundcontrol(plan.to_qgroundcontrol()) == plan
+
+
+def same_way(action: Action) -> Action:
+    """To the south is 180 and -180."""
+    return TurnTo(180) if action == TurnTo(-180) else action
+
+
+@given(plans())
+def test_the_items_alone_are_the_nearest_that_mavlink_has(plan: WaypointPlan) -> None:
+    document = json.loads(plan.to_qgroundcontrol())
+    del document["m100link"]
+    read = WaypointPlan.from_qgroundcontrol(json.dumps(document))
+    by_waypoint = plan.heading is Heading.BY_WAYPOINT
+    assert read.heading is (Heading.BY_WAYPOINT if by_waypoint else Heading.ALONG_PATH)
+    assert read.at_end is (
+        plan.at_end if plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND) else AtEnd.HOVER
+    )
+    for found, wanted in zip(read.waypoints, plan.waypoints, strict=True):
+        assert (found.latitude_deg, found.longitude_deg, found.height) == (
+            wanted.latitude_deg,
+            wanted.longitude_deg,
+            wanted.height,
+        )
+        assert list(map(same_way, found.actions)) == list(map(same_way, wanted.actions))
+    if plan.speed > 0:
+        assert read.speed == plan.speed
+
+
+PLAN = WaypointPlan(
+    [Waypoint(47.3977, 8.5456, 30.0), Waypoint(47.399, 8.5456, 35.0, damping=3)],
+    trace=Trace.COORDINATED_TURNS,
+)
+
+
+def test_a_file_that_was_changed_is_read_by_its_items() -> None:
+    document = json.loads(PLAN.to_qgroundcontrol())
+    assert document["fileType"] == "Plan"
+    document["mission"]["items"][1]["params"][6] = 50
+    changed = WaypointPlan.from_qgroundcontrol(json.dumps(document))
+    assert changed.waypoints[0].height == 50
+    assert changed.trace is Trace.STOP_AT_POINTS
+    document = json.loads(PLAN.to_qgroundcontrol())
+    document["m100link"]["waypoints"][0]["height"] = 50
+    assert WaypointPlan.from_qgroundcontrol(json.dumps(document)).waypoints[0].height == 30
+
+
+def test_a_plan_beside_the_items_that_is_none_is_refused() -> None:
+    document = json.loads(PLAN.to_qgroundcontrol())
+    document["m100link"]["speeed"] = 5
+    with pytest.raises(BadPlan, match="there is no field"):
+        WaypointPlan.from_qgroundcontrol(json.dumps(document))
+    document = json.loads(PLAN.to_qgroundcontrol())
+    document["rallyPoints"]["points"] = [[1, 2, 3]]
+    with pytest.raises(BadPlan, match="rallyPoints"):
+        WaypointPlan.from_qgroundcontrol(json.dumps(document))
+
+
+def test_landing_and_home_are_the_last_items() -> None:
+    for at_end, command in ((AtEnd.LAND, 21), (AtEnd.GO_HOME, 20), (AtEnd.HOVER, 16)):
+        items = json.loads(replace(PLAN, at_end=at_end).to_qgroundcontrol())["mission"]["items"]
+        assert items[-1]["command"] == command
+        assert [one["doJumpId"] for one in items] == list(range(1, len(items) + 1))
