@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -13,10 +13,10 @@ from cyclopts import Parameter
 from m100link.cli.options import Firmware
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import BadAck, M100Error, UsageError
-from m100link.protocol.command import Request, Unrecognised
+from m100link.protocol.command import Acknowledged, Command, Problem, Unrecognised, plain
 from m100link.protocol.commands.monitor import PushTelemetry
-from m100link.protocol.commands.registry import COMMANDS, parse_command
-from m100link.protocol.firmware import FirmwareProfile, profile
+from m100link.protocol.commands.registry import COMMANDS, address_of, parse_command
+from m100link.protocol.firmware import FirmwareProfile, Generation, profile
 from m100link.protocol.packet import fitting_profiles
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 
@@ -115,12 +115,13 @@ def decode_stream(
     """Everything that can be said about a stream of bytes, ready for JSON.
 
     An ack does not say what it answers; it is decoded when the stream holds its command too. Of an
-    encrypted frame without a key everything but its data is told.
+    encrypted frame without a key everything but its data is told. Commands of later firmware are
+    read whatever the profile, with their fields as on the wire under ``raw``.
     """
     opener = _Opener(cipher)
     decoder = FrameDecoder(opener)
     frames = decoder.feed(stream) + decoder.close()
-    asked: dict[tuple[int, int], type[Request[Any]]] = {}
+    asked: dict[tuple[int, int], type[Command]] = {}
     described = []
     for frame in frames:
         is_sealed = frame.encrypted and bool(frame.data or frame.padding)
@@ -169,22 +170,44 @@ def _describe_sealed(frame: Frame, sealed: bytes, stream: bytes) -> dict[str, An
 
 
 def _describe(
-    frame: Frame, profile: FirmwareProfile, asked: dict[tuple[int, int], type[Request[Any]]]
+    frame: Frame, profile: FirmwareProfile, asked: dict[tuple[int, int], type[Command]]
 ) -> dict[str, Any]:
     described = _outside(frame) | {"data": frame.data.hex()}
     exchange = (frame.session, frame.sequence)
     if frame.is_ack:
-        request = asked.get(exchange)
-        return described | (_ack(request, frame.data) if request else {"command": None})
+        return described | _ack(asked.get(exchange), frame.data, profile)
+    address = address_of(frame.data)
+    kind = COMMANDS.get(address) if address else None
+    if kind is not None:  # whatever its value, it may be answered
+        asked[exchange] = kind
     if not frame.data:
         return described | {"command": None}
     command = parse_command(frame.data, profile)
-    kind = type(command)
     if isinstance(command, Unrecognised):
         return described | _unrecognised(command)
-    if issubclass(kind, Request):
-        asked[exchange] = kind
-    return described | {"command": command.NAME} | command.fields()
+    return (
+        described
+        | _later(command.name, type(command), command.raw(), profile)
+        | (command.fields() | _note(command.problems()))
+    )
+
+
+def _later(
+    name: str, kind: type[Command], raw: dict[str, Any], profile: FirmwareProfile
+) -> dict[str, Any]:
+    """The name, and what is told of commands that the document does not have."""
+    described: dict[str, Any] = {"command": name}
+    if kind.SINCE > Generation.V1_0:
+        described["raw"] = raw
+    if not kind.is_known_to(profile):
+        since = f"it came with {kind.SINCE}"
+        described["firmware_note"] = f"firmware {profile} does not know this command: {since}"
+    return described
+
+
+def _note(problems: Iterable[Problem]) -> dict[str, Any]:
+    text = "; ".join(map(str, problems))
+    return {"note": text} if text else {}
 
 
 def _unrecognised(command: Unrecognised) -> dict[str, Any]:
@@ -199,15 +222,23 @@ def _unrecognised(command: Unrecognised) -> dict[str, Any]:
     return described
 
 
-def _ack(request: type[Request[Any]], payload: bytes) -> dict[str, Any]:
+def _ack(asked: type[Command] | None, payload: bytes, profile: FirmwareProfile) -> dict[str, Any]:
+    if asked is None or not issubclass(asked, Acknowledged):
+        return {"command": None}
     try:
-        fields = request.ack_fields(request.parse_ack(payload))
+        answer = asked.parse_ack(payload)
     except BadAck as error:
-        fields = {"problem": error.seen}
-    return {"command": request.NAME} | fields
+        return {"command": asked.NAME, "problem": error.seen}
+    if asked.SINCE > Generation.V1_0 and len(payload) < len(asked.encode_ack(answer)):
+        code = asked.code_of(answer)
+        described = _later(asked.NAME, asked, {"code": code}, profile)
+        return described | {"ack": plain(code), "note": "its code alone: the rest did not come"}
+    return _later(asked.NAME, asked, asked.ack_raw(answer), profile) | (
+        asked.ack_fields(answer) | _note(asked.ack_problems(answer))
+    )
 
 
-_COMMON = ("session", "is_ack", "sequence", "encrypted", "padding", "data", "command")
+_COMMON = ("session", "is_ack", "sequence", "encrypted", "padding", "data", "command", "raw")
 
 
 def _print_table(decoded: dict[str, Any]) -> None:

@@ -199,6 +199,11 @@ class Acknowledged(Generic[A]):
         return {"code": int(answer)} if isinstance(answer, AckCode) else {}
 
     @classmethod
+    def ack_problems(cls, answer: Any) -> list[Problem]:
+        """The values of the ack outside their documented range, for people."""
+        return []
+
+    @classmethod
     def code_of(cls, answer: Any) -> AckCode | None:
         """The code in an answer by which the request was taken or refused."""
         return answer if isinstance(answer, AckCode) else None

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+import math
+import struct
 import sys
 from typing import Any
 
 import pytest
 
+from m100link.wire import FrameDecoder
 from tests.cli.conftest import CommandLine, process
 from tests.support import KEY, crc16, crc32, encrypted_frame, load_vectors, raw_frame
 
@@ -16,6 +19,7 @@ FRAMES = load_vectors("frames")
 MOVEMENT = load_vectors("movement")
 STREAMS = load_vectors("streams")
 TELEMETRY = load_vectors("telemetry")
+LATER = [row for row in load_vectors("later-commands") if row["kind"] != "dialogue"]
 
 
 def test_every_golden_frame(cli: CommandLine) -> None:
@@ -110,6 +114,94 @@ def test_an_ack_is_read_by_the_command_that_it_answers(cli: CommandLine) -> None
     assert both["frames"][1]["ack"]["code"] == 3
     [alone] = cli("decode", ack.hex()).objects
     assert alone["frames"][0]["command"] is None
+
+
+STREAMED = [row.get("request", "") + row["frame"] for row in LATER]
+OUTSIDE = {"session", "is_ack", "sequence", "encrypted", "padding", "data", "command", "raw"}
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+def test_every_golden_row_of_later_firmware(cli: CommandLine, firmware: str) -> None:
+    """Fields as on the wire, whatever the profile; an ack is read with its request."""
+    for row, decoded in zip(
+        LATER, cli("decode", "--firmware", firmware, *STREAMED).objects, strict=True
+    ):
+        assert decoded["discarded_bytes"] == 0
+        found = decoded["frames"][-1]
+        assert (found["command"], found["raw"]) == (row["name"], row["fields"])
+        assert "problem" not in found
+        assert ("firmware_note" in found) is (row["since"] > firmware)
+        if row["kind"] == "ack":
+            assert found["ack"]["code"] == row["fields"]["code"]
+
+
+def test_golden_rows_of_later_firmware_encrypted_and_in_one_stream(cli: CommandLine) -> None:
+    plain_frames, sealed = [], b""
+    for sequence, row in enumerate(LATER):
+        for frame in filter(None, (row.get("request"), row["frame"])):
+            [inner] = FrameDecoder().feed(bytes.fromhex(frame))
+            sealed += encrypted_frame(
+                inner.data, session=inner.session, sequence=sequence, is_ack=inner.is_ack
+            )
+            plain_frames.append((row, frame))
+    [decoded] = cli("decode", "--key", KEY.hex(), sealed.hex()).objects
+    assert len(decoded["frames"]) == len(plain_frames)
+    for found, (row, frame) in zip(decoded["frames"], plain_frames, strict=True):
+        assert found["encrypted"]
+        assert found["command"] == row["name"]
+        if frame == row["frame"]:
+            assert found["raw"] == row["fields"]
+
+
+def test_values_outside_their_range_are_shown_with_a_note(cli: CommandLine) -> None:
+    for row, decoded in zip(LATER, cli("decode", *STREAMED).objects, strict=True):
+        found = decoded["frames"][-1]
+        assert "note" not in found or not row["legal"]
+    frame = raw_frame(b"\x03\x24" + struct.pack("<f", math.nan))
+    [found] = cli("decode", frame.hex()).objects[0]["frames"]
+    assert found["raw"] == {"radius": "nan"}
+    assert found["note"] == "radius is nan, allowed: 5 to 500 m"
+    frame = raw_frame(b"\x01\x1a" + struct.pack("<3hB", 1801, 0, -1900, 0x80))
+    [found] = cli("decode", frame.hex()).objects[0]["frames"]
+    assert found["yaw_deg_s"] == 180.1
+    for words in ("yaw is 1801", "pitch is -1900", "-1800 to 1800"):
+        assert words in found["note"]
+
+
+def test_degrees_metres_and_words_stand_beside_the_wire(cli: CommandLine) -> None:
+    for row, decoded in zip(LATER, cli("decode", *STREAMED).objects, strict=True):
+        friendly = decoded["frames"][-1].keys() - OUTSIDE - {"note", "firmware_note"}
+        meaningless = row["fields"].keys() == {"any"} and row["set"] == 0x01
+        assert bool(friendly) is not meaningless, row
+    row = next(row for row in LATER if row["name"] == "hotpoint_start")
+    [found] = cli("decode", row["frame"]).objects[0]["frames"]
+    assert found["latitude_deg"] == pytest.approx(math.degrees(row["fields"]["latitude"]))
+    assert found["radius_m"] == 5.0
+    assert found["start_point"] == "west"
+
+
+def test_an_ack_is_read_even_when_its_command_cannot_be(cli: CommandLine) -> None:
+    request = raw_frame(b"\x03\x12", session=2, sequence=7)
+    ack = raw_frame(b"\xdb", session=2, sequence=7, is_ack=True)
+    first, second = cli("decode", (request + ack).hex()).objects[0]["frames"]
+    assert first["command"] == second["command"] == "waypoint_start_stop"
+    assert "takes 1 byte(s), there are 0" in first["problem"]
+    assert second["raw"] == {"code": 0xDB}
+    assert second["ack"]["name"] == "BAD_PARAMETERS"
+
+
+@pytest.mark.parametrize(
+    ("payload", "code", "name"),
+    [(b"\xea", 0xEA, "NO_MISSION"), (b"\x01\xff", 0xFF01, "NOT_ACTIVATED")],
+)
+def test_of_an_ack_that_is_a_code_alone_nothing_is_invented(
+    cli: CommandLine, payload: bytes, code: int, name: str
+) -> None:
+    request = raw_frame(b"\x03\x14\x00", session=2, sequence=7)
+    ack = raw_frame(payload, session=2, sequence=7, is_ack=True)
+    found = cli("decode", (request + ack).hex()).objects[0]["frames"][1]
+    assert found["raw"] == {"code": code}
+    assert found["ack"]["name"] == name
 
 
 def test_one_stream_per_argument_and_per_line_of_standard_input(

@@ -47,9 +47,8 @@ class HotpointStartAnswer(Answer):
     code: MissionCode
     largest_radius: float = 0.0
 
-    def raw(self) -> dict[str, Any]:
-        """DJI calls it the max radius."""
-        return {"code": int(self.code), "max_radius": self.largest_radius}
+    def _tail_raw(self) -> dict[str, Any]:
+        return {"max_radius": self.largest_radius}  # DJI's name for it
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,8 +66,12 @@ class Answer(Record):
         return self.LAYOUT.write(self)
 
     def raw(self) -> dict[str, Any]:
-        """The code and the fields behind it, as on the wire."""
-        return {"code": int(self.code)} | self.LAYOUT.raw(self)
+        """The code and the fields behind it, as on the wire: a system code stands alone."""
+        code = {"code": int(self.code)}
+        return code if self.code.is_system else code | self._tail_raw()
+
+    def _tail_raw(self) -> dict[str, Any]:
+        return self.LAYOUT.raw(self)
 
 
 class DownloadAnswer(Answer, Generic[R]):
@@ -104,9 +108,8 @@ class DownloadAnswer(Answer, Generic[R]):
         """What the aircraft has is sent as it is."""
         return self.record.LAYOUT.write(self.record)
 
-    def raw(self) -> dict[str, Any]:
-        """The code and the fields of the upload."""
-        return {"code": int(self.code)} | self.record.raw()
+    def _tail_raw(self) -> dict[str, Any]:
+        return self.record.raw()
 
     def problems(self) -> list[Problem]:
         """Those of the upload."""
@@ -164,6 +167,11 @@ class _MissionAck(Acknowledged[A]):
     def ack_raw(cls, answer: AckCode | Answer) -> dict[str, Any]:
         """The code and the fields behind it."""
         return answer.raw() if isinstance(answer, Answer) else {"code": int(answer)}
+
+    @classmethod
+    def ack_problems(cls, answer: AckCode | Answer) -> list[Problem]:
+        """Those of the fields behind the code."""
+        return answer.problems() if isinstance(answer, Answer) else []
 
     @classmethod
     def ack_fields(cls, answer: AckCode | Answer) -> dict[str, Any]:
