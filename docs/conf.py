@@ -24,6 +24,7 @@ extensions = [
     "pictures",
     "public_names",
     "tables",
+    "command_tables",
     "figures",
 ]
 exclude_patterns = ["_build"]

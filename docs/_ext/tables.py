@@ -2,10 +2,6 @@
 
 Each directive takes its rows from one object of the package::
 
-    ```{ack-codes} ActivationCode         an enum in m100link.protocol.codes
-    ```{command-table}                    m100link.protocol.commands.registry.COMMANDS
-    ```{command-classes}                  the classes of all of them
-    ```{answer-codes}                     the codes that answer them, a table for each
     ```{profile-table}                    m100link.protocol.firmware.PROFILES
     ```{item-table}                       sizes of the telemetry items per profile
     ```{item-fields} 3.1                  fields of the telemetry items under one profile
@@ -48,9 +44,7 @@ from m100link.cli.app import app as cli
 from m100link.flight import lifecycle
 from m100link.flight.authority import TRANSITIONS
 from m100link.link.url import EXAMPLES
-from m100link.protocol import codes, firmware, records, setpoint
-from m100link.protocol.command import Command, Movement, Notification, Push, Request
-from m100link.protocol.commands.registry import COMMANDS
+from m100link.protocol import firmware, records, setpoint
 from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import telemetry_size
 from m100link.wire import Discard
@@ -70,10 +64,11 @@ class TableDirective(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """The table as document nodes."""
-        return [_table(self.rows())]
+        return [table(self.rows())]
 
 
-def _table(rows: Iterable[Sequence[str]]) -> nodes.table:
+def table(rows: Iterable[Sequence[str]]) -> nodes.table:
+    """A table from its head row and its body rows."""
     head, *body = rows
     table = nodes.table(classes=["colwidths-auto"])
     group = nodes.tgroup(cols=len(head))
@@ -98,7 +93,8 @@ def _paragraph(text: str) -> nodes.paragraph:
     return paragraph
 
 
-def _sentence(text: str) -> str:
+def sentence(text: str) -> str:
+    """The text with a capital, or a dash for none."""
     return text[:1].upper() + text[1:] if text else "—"
 
 
@@ -106,104 +102,10 @@ def _yes(value: bool) -> str:
     return "yes" if value else "no"
 
 
-class AckCodes(TableDirective):
-    """Codes of one enum with meaning, cause and remedy."""
-
-    required_arguments = 1
-
-    def rows(self) -> Iterable[Sequence[str]]:
-        """One row per member."""
-        return _code_rows(getattr(codes, self.arguments[0]))
-
-
-def _code_rows(enum: type[codes.AckCode]) -> Iterable[Sequence[str]]:
-    yield "Code", "Name", "Meaning", "Likely cause", "What to do"
-    for code in enum:
-        number = f"``0x{code:04X}``" if code > 9 else f"``{int(code)}``"
-        yield (
-            number,
-            f"``{code.name}``",
-            _sentence(code.meaning),
-            _sentence(code.cause),
-            _sentence(code.remedy),
-        )
-
-
-class AnswerCodes(SphinxDirective):
-    """A section for each request that is answered by a code and nothing else."""
-
-    def run(self) -> list[nodes.Node]:
-        """In the order of the addresses."""
-        return [
-            self._section(command)
-            for _, command in sorted(COMMANDS.items())
-            if issubclass(command, Request) and issubclass(command.ANSWER, codes.AckCode)
-        ]
-
-    @staticmethod
-    def _section(request: type[Request[Any]]) -> nodes.section:
-        name = f"codes-{request.NAME.replace('_', '-')}"
-        section = nodes.section(ids=[name], names=[name])
-        section += nodes.title(text=_sentence(request.NAME.replace("_", " ")))
-        section += _table(_code_rows(request.ANSWER))
-        return section
-
-
-def _kind(command: type[Command]) -> str:
-    kinds = {Request: "request", Push: "push", Movement: "movement", Notification: "notification"}
-    return next(word for kind, word in kinds.items() if issubclass(command, kind))
-
-
-def _summary(command: type[Command]) -> str:
-    text = (inspect.getdoc(command) or "").split("\n\n")[0].replace("\n", " ")
-    return _sentence(text.removeprefix(f"{command.ADDRESS}, ").removesuffix("."))
-
-
-class CommandTable(TableDirective):
-    """Every command and push, as it declares itself."""
-
-    def rows(self) -> Iterable[Sequence[str]]:
-        """One row per address."""
-        yield "Set/id", "Name", "Kind", "What it is", "Ack", "Level", "Since"
-        for address, command in sorted(COMMANDS.items()):
-            ack = f"``{command.ANSWER.__name__}``" if issubclass(command, Request) else "none"
-            level = "" if issubclass(command, Notification) else str(command.LEVEL)
-            yield (
-                *(f"``{address}``", f"``{command.NAME}``", _kind(command), _summary(command)),
-                *(ack, level, str(command.SINCE)),
-            )
-
-
-def _home(described: type) -> str:
+def home(described: type) -> str:
     """Where users import it from."""
     is_exported = getattr(protocol, described.__name__, None) is described
     return f"{protocol.__name__ if is_exported else described.__module__}.{described.__name__}"
-
-
-_DESCRIBED_BY_THE_KIND = "ack_fields, encode_ack, fields, parse, parse_ack, unreadable, value"
-
-
-class CommandClasses(SphinxDirective):
-    """The classes of all commands, set by set."""
-
-    def run(self) -> list[nodes.Node]:
-        """What autodoc makes of each."""
-        lines = ["```{eval-rst}"]
-        command_set = None
-        for address, command in sorted(COMMANDS.items()):
-            if address.command_set != command_set:
-                command_set = address.command_set
-                lines += [f".. rubric:: Set 0x{command_set:02X}", ""]
-            answer = command.ANSWER if issubclass(command, Request) else object
-            # Codes that stand beside their command; the others have a list of their own.
-            if issubclass(answer, codes.AckCode) and answer.__module__ == command.__module__:
-                lines += [f".. autoclass:: {_home(answer)}", ""]
-            lines += [f".. autoclass:: {_home(command)}", "   :members:"]
-            lines += [f"   :exclude-members: {_DESCRIBED_BY_THE_KIND}", ""]
-        parsed = nodes.Element()
-        source = "m100link.protocol.commands.registry"
-        self.state.nested_parse(StringList([*lines, "```"], source=source), 0, parsed)
-        return parsed.children
 
 
 class ProfileTable(TableDirective):
@@ -355,7 +257,7 @@ class AuthorityTable(TableDirective):
         for state, transitions in TRANSITIONS.items():
             for index, (what, after) in enumerate(transitions.items()):
                 name = f"``{state.name}``" if index == 0 else ""
-                yield name, _sentence(what.value), f"``{after.name}``"
+                yield name, sentence(what.value), f"``{after.name}``"
 
 
 class StopTable(TableDirective):
@@ -363,9 +265,9 @@ class StopTable(TableDirective):
 
     def rows(self) -> Iterable[Sequence[str]]:
         """One row per cause."""
-        yield "What ends the block", *(_sentence(step) for step in lifecycle.StopPlan._fields)
+        yield "What ends the block", *(sentence(step) for step in lifecycle.StopPlan._fields)
         for cause, plan in lifecycle.STOP_PLANS.items():
-            yield _sentence(cause.value), *map(_yes, plan)
+            yield sentence(cause.value), *map(_yes, plan)
 
 
 class BlockTable(TableDirective):
@@ -380,7 +282,7 @@ class BlockTable(TableDirective):
                 ways.setdefault(after, []).append(what.value)
             name = f"``{state.name}``: {state.value}"
             for after, happenings in ways.items():
-                yield name, _sentence("; or: ".join(happenings)), f"``{after.name}``"
+                yield name, sentence("; or: ".join(happenings)), f"``{after.name}``"
                 name = ""
             if not ways:
                 yield name, "—", "—"
@@ -478,10 +380,6 @@ class ContractList(SphinxDirective):
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
-    app.add_directive("ack-codes", AckCodes)
-    app.add_directive("command-table", CommandTable)
-    app.add_directive("command-classes", CommandClasses)
-    app.add_directive("answer-codes", AnswerCodes)
     app.add_directive("profile-table", ProfileTable)
     app.add_directive("item-table", ItemTable)
     app.add_directive("item-fields", ItemFields)

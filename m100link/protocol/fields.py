@@ -8,8 +8,11 @@ seconds and words. Reading never refuses a value: what was sent is shown as it i
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Sequence
-from struct import Struct
+from functools import cache
+from numbers import Integral, Real
+from struct import Struct, calcsize
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 from m100link.protocol.command import Command, Problem
@@ -63,6 +66,11 @@ class Number(NamedTuple):
     words: tuple[str, ...] = ()
     besides: tuple[float, ...] = ()
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its name."""
+        return (self.name,)
+
     def write(self, record: object) -> tuple[Any, ...]:
         """What goes into the struct."""
         return (getattr(record, self.name),)
@@ -79,30 +87,18 @@ class Number(NamedTuple):
 
     def fits(self, value: Any) -> bool:
         """Whether a value is inside."""
-        if self.format in _INTEGERS and not isinstance(value, int):
+        # The numbers of numpy are among these two, and a text is not.
+        if not isinstance(value, Integral if self.format in _INTEGERS else Real):
             return False
-        low, high = self._range
-        return bool(low <= value <= high) or value in self.besides  # nothing compares with NaN
-
-    @property
-    def _range(self) -> tuple[float, float]:
-        """The documented range, as far as the type reaches."""
-        if self.words:
-            return 0, len(self.words) - 1
-        if self.format not in _INTEGERS:
-            largest = _LARGEST_F32 if self.format == "f" else 1.7976931348623157e308
-            return max(self.low, -largest), min(self.high, largest)
-        bits = 8 * Struct(f"<{self.format}").size
-        is_signed = self.format.islower()
-        least = -(1 << bits - 1) if is_signed else 0
-        return max(self.low, least), min(self.high, least + (1 << bits) - 1)
+        low, high = _range_of(self)
+        return low <= float(value) <= high or value in self.besides  # nothing compares with NaN
 
     @property
     def limit(self) -> str:
         """The documented range in words."""
         if self.words:
             return ", ".join(f"{number} {word}" for number, word in enumerate(self.words))
-        low, high = self._range
+        low, high = _range_of(self)
         if self.format not in _INTEGERS and math.isinf(self.high):
             return "a finite number"
         text = f"{low:g}" if low == high else f"{low:.6g} to {high:.6g}"
@@ -124,6 +120,19 @@ class Number(NamedTuple):
             yield self.name, value
 
 
+@cache
+def _range_of(number: Number) -> tuple[float, float]:
+    """The documented range, as far as the type reaches."""
+    if number.words:
+        return 0, len(number.words) - 1
+    if number.format not in _INTEGERS:
+        largest = _LARGEST_F32 if number.format == "f" else sys.float_info.max
+        return max(number.low, -largest), min(number.high, largest)
+    bits = 8 * calcsize(f"<{number.format}")
+    least = -(1 << bits - 1) if number.format.islower() else 0
+    return max(number.low, least), min(number.high, least + (1 << bits) - 1)
+
+
 class Numbers(NamedTuple):
     """Several numbers of one kind.
 
@@ -141,6 +150,16 @@ class Numbers(NamedTuple):
     def format(self) -> str:
         """All of them."""
         return f"{self.many}{self.each.format}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The name of all of them."""
+        return (self.name,)
+
+    @property
+    def limit(self) -> str:
+        """The documented range of each."""
+        return f"each {self.each.limit}"
 
     def write(self, record: object) -> tuple[Any, ...]:
         """What goes into the struct."""
@@ -180,6 +199,16 @@ class Nibbles(NamedTuple):
         """One byte."""
         return "B"
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The low half, the high half."""
+        return tuple(self)
+
+    @property
+    def limit(self) -> str:
+        """The documented range of each."""
+        return "low and high four bits, each 0 to 15"
+
     def write(self, record: object) -> tuple[Any, ...]:
         """What goes into the struct."""
         return (getattr(record, self.low) | getattr(record, self.high) << 4,)
@@ -215,6 +244,16 @@ class Reserved(NamedTuple):
         """Padding, in the language of :mod:`struct`."""
         return f"{self.many}x"
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
+    @property
+    def limit(self) -> str:
+        """What stands there."""
+        return "sent as 0, ignored"
+
     def write(self, record: object) -> tuple[Any, ...]:
         """Nothing."""
         return ()
@@ -249,6 +288,13 @@ class Layout:
         self._struct = Struct("<" + "".join(part.format for part in parts))
         self.size = self._struct.size
 
+    def offsets(self) -> Iterator[tuple[int, Part]]:
+        """Each part with the byte that it begins at."""
+        offset = 0
+        for part in self._parts:
+            yield offset, part
+            offset += calcsize(f"<{part.format}")
+
     def write(self, record: object) -> bytes:
         """The bytes of a record whose values fit."""
         return self._struct.pack(*(value for part in self._parts for value in part.write(record)))
@@ -268,7 +314,7 @@ class Layout:
 
     def raw(self, record: object) -> dict[str, Any]:
         """The fields as on the wire, lists as lists."""
-        names = self.read(bytes(self.size))
+        names = (name for part in self._parts for name in part.names)
         values = ((name, getattr(record, name)) for name in names)
         return {name: list(v) if isinstance(v, tuple) else v for name, v in values}
 
