@@ -220,6 +220,7 @@ def wheel(session: nox.Session) -> None:
     install(session, ".[cli]")
     session.chdir(session.create_tmp())  # what is imported here, is installed
     session.run("m100link", "--version")
+    session.run("m100link", "docs", "safety", silent=True)
     session.run("m100link", "decode", GET_VERSION)
     session.run("python", "-W", "error", "-c", FLIGHT)
 
@@ -375,11 +376,12 @@ def bench(session: nox.Session) -> None:
 @nox.session(default=False)
 def build(session: nox.Session) -> None:
     """Source archive and wheel, and whether the right files are in them."""
-    session.install("build")
+    # What Sphinx needs is here, so that the manual in the wheel has every table and class.
+    session.install("build", "hatchling", PACKAGE, *group("docs", "test"))
     output = Path(session.create_tmp()) / "dist"
     for old in output.glob("m100link-*"):
         old.unlink()
-    session.run("python", "-m", "build", "--outdir", str(output), silent=True)
+    session.run("python", "-m", "build", "--no-isolation", "--outdir", str(output), silent=True)
     (wheel,) = output.glob("*.whl")
     (archive,) = output.glob("*.tar.gz")
     with zipfile.ZipFile(wheel) as packed:
@@ -391,6 +393,8 @@ def build(session: nox.Session) -> None:
         session.error("the wheel has no py.typed")
     if strangers:
         session.error(f"the wheel holds more than the package: {strangers}")
+    if "m100link/manual/explanation/safety.txt" not in in_wheel:
+        session.error("the wheel has no manual, or one that Sphinx did not make")
     missing = {"LICENSE", "README.md", "noxfile.py", *PAGES} - set(in_archive)
     if missing:
         session.error(f"the source archive lacks {missing}")

@@ -69,6 +69,10 @@ VERBS = {
         "completion:completion",
         "Print what completes verbs, options and aircraft in a shell, or install it there.",
     ),
+    "docs": (
+        "manual:docs",
+        "Read the manual: a page by its topic, or the list of topics. Needs no network.",
+    ),
     "sim": ("sim:app", "A virtual Matrice 100, for people and other programs."),
     "serve": (
         "station:serve",

@@ -1,0 +1,40 @@
+"""The manual in the wheel, for `m100link docs`.
+
+Where Sphinx is installed (`nox -s build`) the pages are made as text, with every table and class in
+them. In the environment that pip makes to install from a source tree it is not: the pages are then
+taken as they are written.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+PLACE = "m100link/manual"
+FOLDERS = ("tutorial", "howto", "reference", "explanation")
+
+
+class Manual(BuildHookInterface[Any]):
+    """Adds the pages to what is packed."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Called before a wheel is packed; an editable one finds the pages where they are."""
+        if version == "editable":
+            return
+        source = Path(self.root) / "docs"
+        suffix = ".md"
+        if importlib.util.find_spec("sphinx") and importlib.util.find_spec("myst_parser"):
+            made = tempfile.mkdtemp()
+            command = ("-m", "sphinx", "-q", "-b", "text", "-d", f"{made}/.doctrees")
+            subprocess.run([sys.executable, *command, str(source), f"{made}/text"], check=True)
+            source, suffix = Path(made) / "text", ".txt"
+        for folder in FOLDERS:
+            for page in sorted((source / folder).glob(f"*{suffix}")):
+                if page.stem != "index":
+                    build_data["force_include"][str(page)] = f"{PLACE}/{folder}/{page.name}"
