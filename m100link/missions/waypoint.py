@@ -8,11 +8,15 @@ flown is decided for the plan as a whole, in :mod:`m100link.missions.checks`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import IntEnum
+from itertools import pairwise
 from struct import Struct
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
+
+from m100link.errors import UsageError
+from m100link.geodesy import LocalFrame
 
 __all__ = [
     "Action",
@@ -236,6 +240,60 @@ class Waypoint:
             kept["actions"] = tuple(self.actions)
         for name, value in kept.items():
             object.__setattr__(self, name, value)
+
+    @classmethod
+    def along(
+        cls,
+        track: Iterable[tuple[float, float, float]],
+        *,
+        frame: LocalFrame,
+        every: float | None = None,
+        actions: Sequence[Action] = (),
+        damping: float = 0.0,
+    ) -> list[Self]:
+        """Waypoints along a track such as :func:`m100link.patterns.survey` makes.
+
+        >>> from m100link.geodesy import LocalFrame
+        >>> from m100link.patterns import survey
+        >>> lines = survey([(0, 0), (0, 30), (20, 30), (20, 0)], spacing=15, height=12)
+        >>> frame = LocalFrame(52.1, 4.31)
+        >>> points = Waypoint.along(lines, frame=frame, every=10, actions=[TakePhoto()])
+        >>> len(points)
+        8
+
+        Args:
+            track: North and east in metres in ``frame``, height above the take-off point.
+            frame: Where the track counts from, such as ``control.local_frame()``.
+            every: Legs are divided evenly into parts of so many metres at most; by default there
+                is a waypoint at each point of the track and nowhere else.
+            actions: What is done at each of them.
+            damping: Of each corner, m.
+
+        Raises:
+            UsageError: ``every`` is not more than 0.
+        """
+        places = [(float(north), float(east), float(up)) for north, east, up in track]
+        if every is not None:
+            places = _divided(places, every)
+        return [
+            cls(*frame.to_geodetic(north, east), height, damping=damping, actions=actions)
+            for north, east, height in places
+        ]
+
+
+def _divided(
+    places: Sequence[tuple[float, float, float]], every: float
+) -> list[tuple[float, float, float]]:
+    if not 0.0 < every < math.inf:
+        raise UsageError(f"waypoints cannot be {every:g} m apart", remedy="more than 0")
+    made = list(places[:1])
+    for here, there in pairwise(places):
+        parts = max(1, math.ceil(math.dist(here, there) / every - 1e-9))
+        for part in range(1, parts + 1):
+            share = part / parts
+            north, east, up = (a + share * (b - a) for a, b in zip(here, there, strict=True))
+            made.append((north, east, up))
+    return made
 
 
 class PlanValues(Protocol):

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link import GimbalPitch, Stay, TurnTo, Waypoint
+from m100link import GimbalPitch, Stay, TakePhoto, TurnTo, UsageError, Waypoint
+from m100link.geodesy import LocalFrame
 from m100link.missions.waypoint import as_single, number
 
 
@@ -57,3 +58,29 @@ def test_what_is_not_a_number_is_left_for_the_plan_to_name(value: object) -> Non
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
 def test_what_no_single_holds_is_left_for_the_plan_to_name(value: float) -> None:
     assert Waypoint(value, 0.0, value).height is value
+
+
+def test_a_track_becomes_waypoints() -> None:
+    frame = LocalFrame(52.1, 4.31)
+    points = Waypoint.along([(0, 0, 10), (100, 0, 20)], frame=frame, damping=3)
+    assert [point.height for point in points] == [10, 20]
+    assert frame.to_local(points[1].latitude_deg, points[1].longitude_deg) == pytest.approx(
+        (100, 0), abs=1e-4
+    )
+    assert {point.damping for point in points} == {3}
+
+
+@pytest.mark.parametrize(("every", "count"), [(50, 3), (49.9, 4), (1000, 2), (100, 2), (33, 5)])
+def test_legs_are_divided_evenly(every: float, count: int) -> None:
+    frame = LocalFrame(52.1, 4.31)
+    track = [(0.0, 0.0, 10.0), (100.0, 0.0, 10.0)]
+    points = Waypoint.along(track, frame=frame, every=every, actions=[TakePhoto()])
+    places = [frame.to_local(point.latitude_deg, point.longitude_deg)[0] for point in points]
+    assert places == pytest.approx([100 * n / (count - 1) for n in range(count)], abs=1e-4)
+    assert all(point.actions == (TakePhoto(),) for point in points)
+
+
+@pytest.mark.parametrize("every", [0, -1, math.nan, math.inf])
+def test_a_track_cannot_be_divided_into_nothing(every: float) -> None:
+    with pytest.raises(UsageError, match="apart"):
+        Waypoint.along([(0, 0, 1), (9, 0, 1)], frame=LocalFrame(0, 0), every=every)
