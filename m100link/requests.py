@@ -180,13 +180,13 @@ class Requests:
         encrypted = command.ENCRYPTED and link.cipher is not None
         return link.push(command.encode(self.firmware), encrypted=encrypted)
 
-    async def send(self, command: Push) -> None:
-        """Send a command that nobody answers; what the aircraft would ignore is refused here.
+    async def admit(self, command: Push | Movement) -> None:
+        """Refuse a command that nobody answers and that the aircraft would ignore in silence.
 
         Raises:
-            NotActivated, LevelTooLow, CommandNotSupported: The aircraft would ignore it in silence.
+            NotActivated, LevelTooLow, CommandNotSupported: It would.
             UsageError: The firmware is unknown.
-            LinkError: The line is gone, or does not drain.
+            AckTimeout, LinkError: See each class.
         """
         self._require_firmware(command)
         if self._link.cipher is None and command.NEEDS_ACTIVATION:
@@ -196,6 +196,13 @@ class Requests:
                 raise _ignored(NotActivated, command, SystemCode.NOT_ACTIVATED)
         if self.level is not None and self.level < command.LEVEL:
             raise _ignored(LevelTooLow, command, SystemCode.LEVEL_TOO_LOW)
+
+    async def send(self, command: Push) -> None:
+        """Send a command that nobody answers, unless it would be ignored.
+
+        Raises: as :meth:`admit`, and LinkError when the line does not drain.
+        """
+        await self.admit(command)
         if not self.push(command):
             raise LinkError(
                 f"{command.NAME} was not sent: the line does not drain",
@@ -340,7 +347,7 @@ def _key_rejected(name: str) -> KeyRejected:
     )
 
 
-def _ignored(kind: type[CommandRefused], command: Push, code: SystemCode) -> CommandRefused:
+def _ignored(kind: type[CommandRefused], command: Command, code: SystemCode) -> CommandRefused:
     """The error for what would be ignored in silence."""
     return kind(
         f"{command.NAME} was not sent, it would be ignored: {code.meaning}",

@@ -45,6 +45,7 @@ __all__ = EXPORTS
 LEFT_OUT = {
     "aclose": "close() is the word here",
     "push": "for experts, who await",
+    "virtual_rc": "its sticks are renewed twice a second by a program that awaits",
     "send_raw_move_as_expert": "for experts, who await",
 }
 

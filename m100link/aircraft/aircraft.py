@@ -21,8 +21,10 @@ from m100link.flight.control import Control, PauseAction
 from m100link.flight.guards import Guards
 from m100link.flight.handover import release_authority
 from m100link.flight.lifecycle import BlockClaim
+from m100link.flight.sticks import SettingsPace
 from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, task_sequences
+from m100link.flight.virtual_rc import VirtualRc
 from m100link.link import Link, LinkStatistics
 from m100link.notifications import Notifications
 from m100link.protocol.command import Push, Request
@@ -96,6 +98,7 @@ class Aircraft:
         self._from_mobile: Hub[bytes] = Hub()
         self._events: Hub[ConnectionEvent | AuthorityEvent] = Hub()
         self._claim = BlockClaim()
+        self._rc_settings = SettingsPace(link.loop.time)
         self.gimbal = AircraftGimbal(self._requests, self._telemetry)
         self.camera = AircraftCamera(self._requests)
         self.link = link
@@ -279,6 +282,39 @@ class Aircraft:
             self._claim,
             stop=stop,
             on_pause=on_pause,
+            guards=guards,
+            handle_signals=handle_signals,
+        )
+
+    def virtual_rc(
+        self,
+        *,
+        fall_back: bool = True,
+        guards: Guards | None = None,
+        handle_signals: bool = True,
+    ) -> VirtualRc:
+        """A remote control made of commands, for a block; it flies **without authority**.
+
+        Firmware 3.1. Not beside a control block of this program. Read
+        :class:`~m100link.flight.virtual_rc.VirtualRc` first.
+
+        Args:
+            fall_back: When the channels stop, the pilot's own remote control flies. False makes the
+                aircraft act as if its remote control were lost, and go home.
+            guards: Safety guards; all on by default.
+            handle_signals: Let Ctrl-C, SIGTERM and SIGHUP take the stop path first.
+
+        Raises (on entering):
+            CommandNotSupported, NotActivated: Nothing was sent.
+            AuthorityRefused: The pilot's mode switch is not seen in F.
+            UsageError: A control block of this program is running; the firmware is unknown.
+            NotObserved: Telemetry does not show that it is on.
+        """
+        return VirtualRc(
+            self._commander,
+            self._claim,
+            self._rc_settings,
+            fall_back=fall_back,
             guards=guards,
             handle_signals=handle_signals,
         )

@@ -27,6 +27,9 @@ __all__ = ["Envelope", "GuardKeeper", "Guards"]
 GPS_HEALTH_NEEDED = 3
 """From this health on the autopilot holds a position (document 2.2.3.1)."""
 
+STICK_SPEED = 17.0
+"""What full deflection may fly in P, m/s: the fastest that the maker says of this aircraft."""
+
 FIRST_VALUES_S = 1.5
 """Seconds that an item has for its first value: the battery item is sent once a second."""
 
@@ -141,6 +144,40 @@ class GuardKeeper:
             self._check_height(setpoint, envelope, position)
             self._check_speed(setpoint, envelope)
             self._check_radius(setpoint, envelope, position)
+
+    def check_sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
+        """Whether sticks may be moved now; nobody says how fast they fly, so 17 m/s are assumed.
+
+        Args:
+            roll: Deflection, -1 to 1, like the others.
+            pitch: Forward.
+            throttle: Up.
+            yaw: To the right.
+
+        Raises:
+            GuardRefused: With the guard's name, the measured value and the limit.
+        """
+        deflection = math.hypot(roll, pitch)
+        speed = deflection * STICK_SPEED
+        envelope = self.guards.envelope
+        if envelope is not None and speed > envelope.max_speed_m_s + 1e-9:
+            raise GuardRefused(
+                f"a deflection of {deflection:.2f} was refused: it may fly {speed:.1f} m/s, the "
+                f"envelope allows {envelope.max_speed_m_s:g} m/s",
+                guard="envelope",
+                measured=speed,
+                limit=envelope.max_speed_m_s,
+                remedy="move them less, or Guards(envelope=Envelope(max_speed_m_s=…))",
+            )
+        least = max(1.0, deflection)  # the direction counts
+        self.check(
+            Setpoint.velocity(
+                forward=pitch / least,
+                right=roll / least,
+                up=throttle,
+                yaw_rate_deg_s=yaw,
+            )
+        )
 
     def check_target(
         self,

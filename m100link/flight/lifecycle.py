@@ -186,7 +186,7 @@ class BlockClaim:
         if self._close is not None:
             raise UsageError(
                 "another control block of this program is running",
-                remedy="share its Control object, or leave or release() that one first",
+                remedy="share its object, or leave or release() that one first",
             )
         self._close = close
 
