@@ -90,15 +90,20 @@ class Number(NamedTuple):
         # The numbers of numpy are among these two, and a text is not.
         if not isinstance(value, Integral if self.format in _INTEGERS else Real):
             return False
-        low, high = _range_of(self)
+        low, high = self.bounds
         return low <= float(value) <= high or value in self.besides  # nothing compares with NaN
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The documented range, as far as the type reaches."""
+        return _bounds(self)
 
     @property
     def limit(self) -> str:
         """The documented range in words."""
         if self.words:
             return ", ".join(f"{number} {word}" for number, word in enumerate(self.words))
-        low, high = _range_of(self)
+        low, high = self.bounds
         if self.format not in _INTEGERS and math.isinf(self.high):
             return "a finite number"
         text = f"{low:g}" if low == high else f"{low:.6g} to {high:.6g}"
@@ -121,8 +126,7 @@ class Number(NamedTuple):
 
 
 @cache
-def _range_of(number: Number) -> tuple[float, float]:
-    """The documented range, as far as the type reaches."""
+def _bounds(number: Number) -> tuple[float, float]:
     if number.words:
         return 0, len(number.words) - 1
     if number.format not in _INTEGERS:

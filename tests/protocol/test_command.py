@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import struct
 from typing import Any, Generic, TypeVar
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.errors import BadAck
+from m100link.errors import BadAck, BadValue
 from m100link.protocol import (
     PROFILES,
     Activate,
@@ -55,6 +56,7 @@ from m100link.protocol.commands.missions import COMMAND_SET, MissionStatus, Wayp
 from m100link.protocol.commands.registry import COMMANDS, address_of
 from m100link.protocol.commands.sync import Sync
 from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
+from m100link.protocol.fields import Laid, Number, Numbers
 from m100link.protocol.items import BY_NAME
 from m100link.session import SessionMode
 
@@ -72,7 +74,39 @@ def tenths(low: int, high: int) -> st.SearchStrategy[float]:
 
 F32 = st.floats(width=32, allow_nan=False)
 
+LAID = [kind for kind in COMMANDS.values() if issubclass(kind, Laid)]
+
+
+def inside(number: Number) -> st.SearchStrategy[int | float]:
+    """Whatever the declaration of a number allows."""
+    low, high = number.bounds
+    if isinstance(low, int) and isinstance(high, int):
+        return st.integers(low, high)
+    values = st.floats(low, high)
+    return values.map(as_f32).filter(number.fits) if number.format == "f" else values
+
+
+def as_f32(number: float) -> float:
+    """As a wire that has 32 bits rounds it."""
+    [rounded] = struct.unpack("<f", struct.pack("<f", number))
+    return float(rounded)
+
+
+def laid(kind: type[Laid]) -> st.SearchStrategy[Command]:
+    """Commands of a fixed layout whose values are inside their ranges."""
+    values: dict[str, st.SearchStrategy[Any]] = {}
+    for _, part in kind.LAYOUT.offsets():
+        if isinstance(part, Number):
+            values[part.name] = inside(part)
+        elif isinstance(part, Numbers):
+            values[part.name] = st.tuples(*[inside(part.each)] * part.many)
+        else:
+            values |= dict.fromkeys(part.names, st.integers(0, 15))
+    return st.builds(kind, **values).filter(lambda command: not command.problems())
+
+
 COMMAND = st.one_of(
+    *map(laid, LAID),
     st.just(GetVersion()),
     st.builds(
         Activate,
@@ -117,6 +151,23 @@ def test_every_command_comes_back_as_it_went(command: Command, firmware: Firmwar
     data = command.encode(firmware)
     assert data[:2] == bytes(command.ADDRESS)
     assert parse_command(data, firmware) == command
+
+
+@given(st.data(), FIRMWARES)
+def test_a_command_with_a_fixed_layout_is_read_whatever_it_holds(
+    data: st.DataObject, firmware: FirmwareProfile
+) -> None:
+    kind = data.draw(st.sampled_from(LAID))
+    value = data.draw(st.binary(min_size=kind.LAYOUT.size, max_size=kind.LAYOUT.size))
+    command = kind.parse(value, firmware)
+    assert repr(kind.from_wire(kind.LAYOUT.write(command))) == repr(command)  # NaN is not NaN
+    assert command.fields()
+    if not command.problems():
+        assert kind.parse(command.value(firmware), firmware) == command
+        return
+    with pytest.raises(BadValue) as caught:
+        command.value(firmware)
+    assert repr(caught.value.value) == repr(command.problems()[0].value)
 
 
 @given(COMMAND)
