@@ -14,14 +14,28 @@ from m100link.protocol import (
     AuthorityChanged,
     GetVersion,
     Move,
+    Request,
     RequestAuthority,
     TaskResultCode,
     Version,
 )
 from m100link.protocol.commands.camera import TakePhoto
 from m100link.protocol.commands.control import Arm, QueryTask
+from m100link.protocol.commands.follow import FollowPauseResume, FollowStart, FollowStop
 from m100link.protocol.commands.gimbal import GimbalAngle
+from m100link.protocol.commands.hotpoint import (
+    HotpointAutoRadius,
+    HotpointPauseResume,
+    HotpointStart,
+    HotpointStop,
+)
 from m100link.protocol.commands.virtual_rc import VirtualRcSettings
+from m100link.protocol.commands.waypoint import (
+    WaypointDownloadMission,
+    WaypointPauseResume,
+    WaypointSetIdleSpeed,
+    WaypointStartStop,
+)
 from m100link.requests import Requests
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import FIRMWARES, rig
@@ -62,6 +76,46 @@ async def test_a_movement_is_neither_executed_nor_pushed_past_the_control_block(
             flown.aircraft.push(cast("Any", MOVE))
         assert "control" in caught.value.remedy
         assert not flown.moves
+
+
+IN_MOTION = [
+    WaypointStartStop(stop=0),
+    WaypointStartStop(stop=7),
+    WaypointPauseResume(resume=1),
+    WaypointSetIdleSpeed(5.0),
+    HotpointStart(0.9, 0.1, altitude=20.0, radius=30.0, angular_rate=5.0),
+    HotpointPauseResume(resume=1),
+    HotpointAutoRadius(enable=1),
+    FollowStart(0.9, 0.1),
+    FollowPauseResume(resume=1),
+]
+AT_REST = [
+    WaypointStartStop(stop=1),
+    WaypointPauseResume(resume=0),
+    WaypointDownloadMission(),
+    HotpointStop(),
+    HotpointPauseResume(resume=0),
+    FollowStop(),
+    FollowPauseResume(resume=0),
+]
+
+
+@pytest.mark.parametrize("request_", IN_MOTION, ids=repr)
+async def test_no_mission_is_started_past_the_control_block(request_: Request[Any]) -> None:
+    async with rig(firmware="3.1") as flown:
+        before = len(flown.virtual.autopilot.received_commands)
+        with pytest.raises(UsageError, match="in motion; nothing was sent") as caught:
+            await flown.aircraft.execute(request_)
+        assert "control" in caught.value.remedy
+        assert len(flown.virtual.autopilot.received_commands) == before
+
+
+@pytest.mark.parametrize("request_", AT_REST, ids=repr)
+async def test_whoever_is_connected_may_stop_or_ask_for_a_mission(request_: Request[Any]) -> None:
+    async with rig(firmware="3.1") as flown:
+        await flown.aircraft.execute(request_)
+        [*_, command] = flown.virtual.autopilot.received_commands
+        assert command.address == request_.ADDRESS
 
 
 async def test_a_request_is_not_pushed() -> None:

@@ -232,7 +232,19 @@ class Aircraft:
         encrypted: bool | None = None,
         refusal: type[CommandRefused] = CommandRefused,
     ) -> A:
-        """Send any request and return what its ack says: see ``m100link.requests``."""
+        """Send any request and return what its ack says: see ``m100link.requests``.
+
+        What sets the aircraft in motion on a mission is not among them: it leaves through a control
+        block alone. Stopping and pausing one are.
+
+        Raises:
+            UsageError: It would start or resume a mission, or is not a request.
+        """
+        if isinstance(request, Request) and request.sets_in_motion:
+            raise UsageError(
+                f"{request!r} sets the aircraft in motion; nothing was sent",
+                remedy="fly missions in `async with aircraft.control()`",
+            )
         return await self._requests.execute(
             request, timeout=timeout, tries=tries, encrypted=encrypted, refusal=refusal
         )

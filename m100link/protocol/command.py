@@ -136,6 +136,14 @@ class Command:
         """The word for this one: ``NAME``, except where an address has several kinds."""
         return self.NAME
 
+    @property
+    def sets_in_motion(self) -> bool:
+        """Whether the aircraft begins to fly a mission, or flies it otherwise, because of it.
+
+        Such a request leaves through a control block alone, as movement does.
+        """
+        return False
+
     def fields(self) -> dict[str, Any]:
         """The decoded fields as JSON-ready values, in units for people."""
         return {name: plain(getattr(self, name)) for name in field_names(self)}

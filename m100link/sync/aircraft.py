@@ -176,7 +176,14 @@ class Aircraft:
         encrypted: bool | None = None,
         refusal: type[CommandRefused] = CommandRefused,
     ) -> A:
-        """Send any request and return what its ack says: see ``m100link.requests``."""
+        """Send any request and return what its ack says: see ``m100link.requests``.
+
+        What sets the aircraft in motion on a mission is not among them: it leaves through a control
+        block alone. Stopping and pausing one are.
+
+        Raises:
+            UsageError: It would start or resume a mission, or is not a request.
+        """
         return self._portal.wait(
             lambda _: self._aircraft.execute(
                 request, timeout=timeout, tries=tries, encrypted=encrypted, refusal=refusal

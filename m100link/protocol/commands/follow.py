@@ -50,6 +50,11 @@ class FollowStart(Laid, MissionRequest[MissionCode]):
     angle: int = 0
     sensitivity: int = 1
 
+    @property
+    def sets_in_motion(self) -> bool:
+        """At once."""
+        return True
+
 
 @dataclass(frozen=True, slots=True)
 class FollowStop(Laid, MissionRequest[MissionCode]):
@@ -71,6 +76,11 @@ class FollowPauseResume(Laid, MissionRequest[MissionCode]):
     LAYOUT: ClassVar[Layout] = Layout(Number("resume", words=("pause", "resume")))
 
     resume: int
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """Resuming does."""
+        return self.resume != 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,6 +94,11 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
     yaw_mode: int = 1
     version: int = 0
 
+    @property
+    def sets_in_motion(self) -> bool:
+        """At once."""
+        return True
+
 
 @dataclass(frozen=True, slots=True)
 class HotpointStop(Laid, MissionRequest[MissionCode]):
@@ -115,6 +120,11 @@ class HotpointPauseResume(Laid, MissionRequest[MissionCode]):
     LAYOUT: ClassVar[Layout] = Layout(Number("resume", words=("pause", "resume")))
 
     resume: int
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """Resuming does."""
+        return self.resume != 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,3 +214,8 @@ class HotpointAutoRadius(Laid, MissionRequest[MissionCode]):
 
     enable: int
     rate: int = 0
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """It changes the circle."""
+        return True

@@ -242,6 +242,11 @@ class WaypointStartStop(Laid, MissionRequest[MissionCode]):
 
     stop: int
 
+    @property
+    def sets_in_motion(self) -> bool:
+        """A start does."""
+        return self.stop != 1
+
 
 @dataclass(frozen=True, slots=True)
 class WaypointPauseResume(Laid, MissionRequest[MissionCode]):
@@ -252,6 +257,11 @@ class WaypointPauseResume(Laid, MissionRequest[MissionCode]):
     LAYOUT: ClassVar[Layout] = Layout(Number("resume", words=("pause", "resume")))
 
     resume: int
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """Resuming does."""
+        return self.resume != 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,6 +353,11 @@ class WaypointSetIdleSpeed(Laid, MissionRequest[IdleSpeedAnswer]):
     LAYOUT: ClassVar[Layout] = _IDLE_SPEED
 
     idle_speed: float
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """From a standstill it does."""
+        return True
 
 
 @dataclass(frozen=True, slots=True)
