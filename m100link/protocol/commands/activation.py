@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from struct import Struct
 from typing import Any, ClassVar, Self
 
-from m100link.errors import BadAck, PayloadTooLarge, UsageError
+from m100link.errors import BadAck, BadValue, PayloadTooLarge, UsageError
 from m100link.protocol.codes import (
     AckCode,
     ActivationCode,
@@ -268,7 +268,8 @@ class SetTelemetryRates(Request[RatesCode]):
         """16 bytes: one per item, then zeros.
 
         Raises:
-            UsageError: An item or a rate that does not exist.
+            UsageError: An item that does not exist.
+            BadValue: A rate that does not exist.
         """
         for problem in self.problems():
             raise problem.error(self.NAME)
@@ -284,7 +285,13 @@ class SetTelemetryRates(Request[RatesCode]):
                     remedy=f"items: {', '.join(BY_NAME)}",
                 )
             if rate not in RATES_HZ:
-                raise UsageError(f"{name} cannot be sent at {rate} Hz", remedy=f"rates: {RATES_HZ}")
+                raise BadValue(
+                    f"{name} cannot be sent at {rate} Hz",
+                    field=name,
+                    value=rate,
+                    limit=", ".join(map(str, RATES_HZ)) + " Hz",
+                    remedy=f"rates: {RATES_HZ}",
+                )
         codes = [
             RATES_HZ.index(self.rates_hz[name]) if name in self.rates_hz else KEEP_RATE
             for name in BY_NAME

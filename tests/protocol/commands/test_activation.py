@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.errors import BadAck, BadKey, PayloadTooLarge, UsageError
+from m100link.errors import BadAck, BadKey, BadValue, PayloadTooLarge, UsageError
 from m100link.protocol import (
     PROFILES,
     Activate,
@@ -188,10 +188,32 @@ def test_rates_are_codes_in_item_order_and_what_is_left_out_keeps_its_rate() -> 
 
 
 def test_a_rate_or_an_item_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(UsageError, match="200 Hz"):
+    with pytest.raises(BadValue, match="200 Hz") as caught:
         SetTelemetryRates({"time": 200}).value(FIRMWARE)
+    assert (caught.value.field, caught.value.value) == ("time", 200)
+    assert caught.value.limit == "0, 1, 10, 50, 100 Hz"
     with pytest.raises(UsageError, match="'speed'"):
         SetTelemetryRates({"speed": 50}).value(FIRMWARE)
+
+
+@pytest.mark.parametrize(
+    ("value", "field", "limit", "is_taken"),
+    [
+        (b"\0\6" + bytes(14), "rates[1]", "0 to 5", False),
+        (bytes(12) + b"\0\0\7\0", "rates[14]", "0, reserved", True),
+    ],
+)
+def test_rates_that_nobody_should_send_are_kept_as_they_came(
+    value: bytes, field: str, limit: str, is_taken: bool
+) -> None:
+    """DJI's libraries from 3.3 on leave memory in the reserved bytes; the aircraft ignores it."""
+    rates = SetTelemetryRates.parse(value, FIRMWARE)
+    assert rates.raw() == {"rates": list(value)}
+    assert rates.rates_hz["time"] == 0
+    assert rates.is_taken is is_taken
+    with pytest.raises(BadValue) as caught:
+        rates.value(FIRMWARE)
+    assert (caught.value.field, caught.value.limit) == (field, limit)
 
 
 # -- mobile data -----------------------------------------------------------------------------------

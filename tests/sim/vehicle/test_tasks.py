@@ -319,6 +319,14 @@ def arm(host: Host, on: bool) -> int:
     return code
 
 
+def test_an_arm_value_that_does_not_exist_is_no_command() -> None:
+    host = Host(firmware="3.1").ready()
+    ack = host.ask_raw(b"\x01\x05\xff")
+    assert ack is not None
+    assert ack.data == b"\x00\xff"
+    assert not host.motion.motors_on
+
+
 def test_a1_arm_codes_of_3_1() -> None:
     host = Host(firmware="3.1")
     host.activate()
