@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Coroutine, Generator
 from functools import partial
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import UsageError
@@ -17,11 +17,39 @@ __all__ = ["Connecting", "connect"]
 
 
 class Connecting:
-    """A connection to be made, by ``async with`` or ``await``: see :func:`m100link.connect`."""
+    """A connection to be made, by ``async with`` or ``await``: see :func:`m100link.connect`.
 
-    def __init__(self, connect: Callable[[], Coroutine[Any, Any, Aircraft]]) -> None:
+    Args:
+        connect: Makes it.
+        line: Where to, for people.
+    """
+
+    def __init__(self, connect: Callable[[], Coroutine[Any, Any, Aircraft]], line: str) -> None:
         self._connect = connect
+        self._line = line
         self._aircraft: Aircraft | None = None  # while the block runs
+
+    def __repr__(self) -> str:
+        return f"<connection to {self._line}, to be made by `async with` or `await`>"
+
+    if not TYPE_CHECKING:  # a checker names what is missing by itself
+
+        def __getattr__(self, name: str) -> object:
+            if name.startswith("_"):  # what copies and inspects asks for much
+                raise AttributeError(name)
+            raise AttributeError(
+                f"this is {self!r} and has no {name!r} yet: write `async with connect(...) as "
+                "aircraft:`, or `aircraft = await connect(...)`"
+            )
+
+        def __enter__(self) -> NoReturn:
+            raise UsageError(
+                f"`with` cannot make a {repr(self).strip('<>')}",
+                remedy="async with; in a program without await: m100link.sync.connect(...)",
+            )
+
+        def __exit__(self, *_: object) -> None:
+            """Only so that ``with`` gets as far as its error."""
 
     def __await__(self) -> Generator[Any, Any, Aircraft]:
         return self._connect().__await__()
@@ -69,7 +97,9 @@ def connect(
         PortNotFound, PortPermissionDenied, PortBusy, PortFailed: The port cannot be opened.
         SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
     """
-    return Connecting(partial(_open, line, firmware=firmware, baud_rate=baud_rate, timeout=timeout))
+    name = line if isinstance(line, str) else line.name
+    opening = partial(_open, line, firmware=firmware, baud_rate=baud_rate, timeout=timeout)
+    return Connecting(opening, name)
 
 
 async def _open(

@@ -283,6 +283,6 @@ def _not_shown(
         + (f"; it shows {shown}" if shown else ""),
         situation={"gimbal": found, "age_s": age},
         cause=cause,
-        remedy="look at the gimbal item: m100link echo --item gimbal; nobody acknowledges the "
+        remedy="look at the gimbal item: m100link echo gimbal; nobody acknowledges the "
         "command, so it may be sent again",
     )

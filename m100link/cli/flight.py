@@ -113,6 +113,8 @@ def fly(
     """
     where, words = (link or LinkOptions()).place_among(place, _is_number, app)
     north, east, up = _metres(words)
+    if where.is_virtual:
+        err.print("sim:// is a new aircraft for each command, on the ground; `m100link sim` stays")
     guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
 
     def progress(found: GuidanceProgress) -> None:

@@ -12,6 +12,16 @@ from m100link import errors
 __all__ = ["ExitCode", "complain", "exit_code", "finite", "print_json"]
 
 
+_TYPED = {
+    "await control.take_off()": "m100link takeoff",
+    "connect(..., firmware='3.1')": "--firmware 3.1",
+    "control(guards=Guards(envelope=Envelope(max_height_m=…)))": "--max-height",
+    "control(guards=Guards(envelope=Envelope(max_radius_m=…)))": "--max-radius",
+    "docs: howto/silent-line": "m100link docs silent-line",
+}
+"""What remedies ask a program to do, and what a person types for it."""
+
+
 class ExitCode:
     """Exit status classes."""
 
@@ -58,7 +68,10 @@ def complain(error: BaseException) -> int:
 
     err = Console(stderr=True, highlight=False)
     err.print("[bold red]error:[/] ", end="")
-    err.print(str(error), markup=False)
+    text = str(error)
+    for written, typed in _TYPED.items():
+        text = text.replace(written, typed)
+    err.print(text, markup=False)
     return exit_code(error)
 
 

@@ -13,6 +13,7 @@ import errno
 import functools
 import logging
 import os
+import socket
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -171,11 +172,17 @@ def _translate(device: str, address: ConnectionString, error: Exception) -> Link
             cause="only one program can talk to the aircraft",
             remedy="end the other program, or have it share the aircraft",
         )
-    if number in (errno.ENOTTY, errno.EINVAL) or isinstance(error, ValueError):
+    if number in (errno.ENOTTY, errno.EISDIR):
+        return PortFailed(
+            f"{device} is not a serial port",
+            cause="a folder" if number == errno.EISDIR else "a file, or a device of another kind",
+            remedy=f"ports on this machine: {', '.join(serial_ports()) or 'none'}",
+        )
+    if number == errno.EINVAL or isinstance(error, ValueError):
         return PortFailed(
             f"{device} cannot be used at {address.number} baud: {error}",
-            cause="not a serial port, or an adapter that does not know this rate",
-            remedy="check the device name and the baud rate set in the PC assistant",
+            cause="an adapter that does not know this rate",
+            remedy="check the baud rate that is set in the PC assistant",
         )
     return PortFailed(f"{device} cannot be opened: {error}")
 
@@ -216,6 +223,12 @@ async def _open_tcp(address: ConnectionString, protocol: asyncio.Protocol) -> as
             transport, _ = await loop.create_connection(
                 lambda: protocol, address.target, address.number or 0
             )
+    except socket.gaierror as error:
+        raise PortFailed(
+            f"no host called {address.target} is known: {error.strerror}",
+            cause="a typing error, or no network that knows names",
+            remedy="check the name, or give the address: tcp://192.168.1.5:7000",
+        ) from error
     except (OSError, TimeoutError) as error:
         raise PortFailed(
             f"nothing answers at {address}: {error or 'no connection in time'}",

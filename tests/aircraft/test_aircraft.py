@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -60,6 +61,20 @@ each_firmware = pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.fixture
 def anyio_backend() -> object:
     return "asyncio", {"loop_factory": VirtualClockEventLoop}
+
+
+async def test_a_forgotten_await_is_told_from_a_missing_name() -> None:
+    connecting = m100link.connect("sim://")
+    assert repr(connecting) == "<connection to sim://, to be made by `async with` or `await`>"
+    with pytest.raises(AttributeError, match=r"has no 'version' yet.*aircraft = await connect"):
+        await connecting.version()  # type: ignore[attr-defined] # what is tested
+    with pytest.raises(UsageError, match=r"m100link\.sync\.connect"):
+        with connecting:  # type: ignore[attr-defined] # what is tested
+            raise AssertionError("entered")
+    assert not hasattr(connecting, "state")
+    assert repr(copy.copy(connecting)) == repr(connecting)
+    async with connecting as aircraft:
+        assert aircraft.is_connected
 
 
 class Peer(asyncio.Protocol):

@@ -7,7 +7,8 @@ import json
 import pytest
 
 from m100link import errors
-from m100link.cli.outcome import complain, exit_code, print_json
+from m100link.cli.outcome import _TYPED, complain, exit_code, print_json
+from tests.test_house import programs
 
 
 @pytest.mark.parametrize(
@@ -53,6 +54,19 @@ def test_an_error_is_told_on_standard_error_as_it_is(capsys: pytest.CaptureFixtu
     out, err = capsys.readouterr()
     assert out == ""
     assert err == "error: [bold]x[/]\n  what to do:   write y\n"
+
+
+def test_a_remedy_for_programs_is_told_as_what_is_typed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    complain(errors.UsageError("x", remedy="take off first: await control.take_off()"))
+    assert "take off first: m100link takeoff\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("written", _TYPED)
+def test_what_is_told_otherwise_is_what_the_library_says(written: str) -> None:
+    sources = "".join(path.read_text() for path in programs("m100link") if "cli" not in path.parts)
+    assert written in sources
 
 
 def test_json_has_no_number_that_json_does_not_know(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import importlib.metadata
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -112,8 +113,9 @@ async def test_a_file_is_no_serial_port(tmp_path: Path) -> None:
     for path in (file, tmp_path, Path("/dev/null")):
         with pytest.raises(PortFailed) as caught:
             await open_link(str(path))
-        how = "opened" if path is tmp_path else "used at 230400 baud"
-        assert f"{path} cannot be {how}" in caught.value.seen
+        assert caught.value.seen == f"{path} is not a serial port"
+        assert caught.value.cause.startswith("a folder" if path is tmp_path else "a file")
+        assert "ports on this machine" in caught.value.remedy
 
 
 async def test_a_rate_that_the_adapter_does_not_know_is_named(
@@ -142,6 +144,18 @@ async def test_a_scheme_that_nobody_installed_is_a_bad_url() -> None:
     with pytest.raises(BadURL, match="no transport called 'carrier-pigeon'") as caught:
         await open_link("carrier-pigeon://loft")
     assert "tcp://" in caught.value.remedy
+
+
+async def test_a_host_that_nobody_knows_is_not_one_that_does_not_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def resolve(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", resolve)
+    with pytest.raises(PortFailed, match="no host called ground-sation is known") as caught:
+        await open_link("tcp://ground-sation:7000")
+    assert "tcp://192.168.1.5:7000" in caught.value.remedy
 
 
 @pytest.fixture
