@@ -71,6 +71,14 @@ def known() -> dict[str, Callable[[random.Random], Iterator[bytes]]]:
             frame = encode_frame(bytes(size), session=session, sequence=dice.randrange(65536))
             yield frame[:12] + bytes([START] * dice.choice(between))
 
+    def empty_frames(dice: random.Random) -> Iterator[bytes]:
+        """More kinds than a decoder remembers, each good, start bytes between."""
+        while True:
+            header = bytes([START, 12, 0, dice.randrange(64), dice.randrange(256), 0, 0, 0])
+            header += bytes([START, START])
+            between = bytes([START] * dice.randrange(4))
+            yield header + crc16(header).to_bytes(2, "little") + between
+
     def start_bytes_and_zeros(dice: random.Random) -> Iterator[bytes]:
         while True:
             yield bytes(dice.choice((START, 0)) for _ in range(64))
@@ -86,6 +94,7 @@ def known() -> dict[str, Callable[[random.Random], Iterator[bytes]]]:
         "damaged telemetry": damaged_frames,
         "good headers, all different": different_headers,
         "good headers, start bytes between": partial(different_headers, between=(1, 4, 11)),
+        "empty frames, all different, start bytes between": empty_frames,
         "good headers that overlap": repeated(overlapping(40)),
         "headers of another version, one for 3 bytes": partial(other_versions, gap=3),
         "headers of another version, one for 4 bytes": partial(other_versions, gap=4),

@@ -20,7 +20,9 @@ from m100link.errors import PayloadTooLarge, UsageError
 from m100link.wire.cipher import BLOCK_SIZE, Cipher
 from m100link.wire.crc import (
     FRAME_RESIDUE,
+    HEADER_RESIDUE,
     ZLIB_START,
+    header_crc16,
     header_crc16_of_word,
 )
 from m100link.wire.crc import SEQUENCE_CRC16 as _SEQUENCE_CRC16
@@ -49,6 +51,7 @@ _unpack_header = Struct("<QHH").unpack_from  # word (the first eight bytes), seq
 _pack_crc32 = Struct("<I").pack
 _unpack_word = Struct("<Q").unpack_from
 _RESERVED = 0xFFFFFF00_C0000000  # bits of the word
+_FAULTS = 0xFFFFFF00_C0FC00FF  # these, the version, and the start byte: all that says SOF only
 _PAYLOAD = slice(HEADER_SIZE, -CRC32_SIZE)
 _new = tuple.__new__
 
@@ -159,34 +162,23 @@ def _check_kind(size: int, session: int, is_ack: bool, padding: int) -> _Kind:
 # bytes and the payload (nothing, a key: NO_KEY, or padding that cannot be: PADDING), and which part
 # of decrypted data is no padding.
 # Plain tuples: the interpreter takes those apart several times as fast as named ones.
-_Header = tuple[int, int, int, bool, bool, int, Discard | None, slice]
+_Header = tuple[int, int, int, bool, bool, int, Discard | None, int]
 
 
-def _parse_word(word: int) -> _Header:
-    """Read the word of a header that has no fault."""
+def _parse_word(word: int, crc16: int) -> _Header:
+    """Read the word of a header that has no fault; its CRC16 is that with sequence number 0."""
     length = word >> 8 & 0x3FF
-    encrypted = bool(word >> 37 & 0x07)  # DJI's codec takes any value but 0 for AES
     padding = word >> 32 & 0x1F
-    size = max(0, length - OVERHEAD)
+    encrypted = word >> 37 & 0x07 != 0  # DJI's codec takes any value but 0 for AES
+    size = length - OVERHEAD if length > OVERHEAD else 0
     obstacle: Discard | None = None
-    if padding > min(size, BLOCK_SIZE):
+    if padding > size or padding > BLOCK_SIZE:
         obstacle = _PADDING
     elif encrypted and size:
         obstacle = _NO_KEY  # padding alone means nothing, DJI's codec ignores it too
-    return (
-        header_crc16_of_word(word.to_bytes(8, "little")),
-        length,
-        word >> 24 & 0x1F,
-        bool(word >> 29 & 1),
-        encrypted,
-        padding,
-        obstacle,
-        slice(size - padding),
-    )
-
-
-def _is_intact(frame: bytes) -> bool:
-    return crc32(frame, ZLIB_START) == FRAME_RESIDUE or len(frame) == HEADER_SIZE
+    clear = size - padding
+    session, is_ack = word >> 24 & 0x1F, word >> 29 & 1 != 0
+    return crc16, length, session, is_ack, encrypted, padding, obstacle, clear
 
 
 class FrameDecoder:
@@ -249,9 +241,7 @@ class FrameDecoder:
         word, sequence, crc16 = _unpack_header(data)
         header = self._headers.get(word)
         if header is None or header[0] ^ _SEQUENCE_CRC16[sequence] != crc16:
-            end = size - HEADER_SIZE + 1
-            right = right_headers(data, 0, end)
-            return self._search(data, [], self._hunt(data, 0, right, end), right)
+            return self._search(data, [])
         _, length, session, is_ack, encrypted, padding, obstacle, clear = header
         if size < length:
             self._kept, self._missing = data, length - size
@@ -264,28 +254,20 @@ class FrameDecoder:
             cipher = self.cipher
             if cipher is None or obstacle is _PADDING:
                 return self._search(data, [])
-            payload = cipher.decrypt(payload)[clear]
+            payload = cipher.decrypt(payload)[:clear]
         self.frames += 1
         self._delivered += length
         # Frame(…) would go through a constructor in Python, at twice the cost.
         frames = [_new(Frame, (session, is_ack, sequence, encrypted, padding, payload))]
         return frames if size == length else self._search(data, frames, length)
 
-    def _search(
-        self,
-        data: bytes,
-        frames: list[Frame],
-        position: int = 0,
-        right: Iterator[int] | None = None,
-    ) -> list[Frame]:
+    def _search(self, data: bytes, frames: list[Frame], position: int = 0) -> list[Frame]:
         """Find the frames from that position on; keeps what may begin one more.
 
         Args:
             data: What to search.
             frames: What was found before it, to which the others are added.
             position: Where to begin.
-            right: The places of headers with a right CRC16, those that were not looked at before;
-                None: looking for them has not begun.
 
         Returns:
             ``frames``.
@@ -295,14 +277,27 @@ class FrameDecoder:
         headers = self._headers
         size = len(data)
         last = size - HEADER_SIZE  # the last place where a whole header may stand
+        right: Iterator[int] | None = None
         found = delivered = missing = 0
+        hunted = -1  # where a header is right and has no fault
         while position <= last:
             word, sequence, crc16 = _unpack_header(data, position)
             header = headers.get(word)
+            if header is None and (
+                position == hunted
+                or (
+                    word & _FAULTS == SOF
+                    and header_crc16(data[position : position + HEADER_SIZE]) == HEADER_RESIDUE
+                )
+            ):
+                header = self._learn(word, crc16 ^ _SEQUENCE_CRC16[sequence])
             if header is None or header[0] ^ _SEQUENCE_CRC16[sequence] != crc16:
                 if right is None:
                     right = right_headers(data, position, last + 1)
-                position = self._hunt(data, position, right, last + 1)
+                position, missing = self._hunt(data, position, right, last + 1)
+                hunted = position
+                if missing:
+                    break
                 continue
             _, length, session, is_ack, encrypted, padding, obstacle, clear = header
             end = position + length
@@ -324,7 +319,7 @@ class FrameDecoder:
                     else:
                         position = self._reject(obstacle, data, position)
                     continue
-                payload = cipher.decrypt(payload)[clear]
+                payload = cipher.decrypt(payload)[:clear]
             frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
             found += 1
             delivered += length
@@ -334,7 +329,7 @@ class FrameDecoder:
         if missing:
             self._kept, self._missing = data[position:], missing
         elif position < size:
-            self._keep(data, position)
+            self._keep(data, position, size)
         return frames
 
     def close(self) -> list[Frame]:
@@ -351,15 +346,14 @@ class FrameDecoder:
         """Bytes kept because they may begin a frame, at most 1022."""
         return len(self._kept)
 
-    def _keep(self, data: bytes, position: int) -> None:
+    def _keep(self, data: bytes, position: int, size: int) -> None:
         """Keep what may begin a header, of bytes that are too few for one."""
         start = data.find(SOF, position)
         if start < 0:
-            self.discarded_bytes += len(data) - position
+            start = size
         else:
-            self.discarded_bytes += start - position
-            self._kept = data[start:]
-            self._missing = HEADER_SIZE - len(self._kept)
+            self._kept, self._missing = data[start:], start + HEADER_SIZE - size
+        self.discarded_bytes += start - position
 
     def _discard(self, cause: Discard, size: int) -> int:
         """Count a fault and the bytes that are passed over for it; returns their number."""
@@ -372,8 +366,8 @@ class FrameDecoder:
         start = data.find(SOF, position + 1)
         return position + self._discard(cause, (len(data) if start < 0 else start) - position)
 
-    def _hunt(self, data: bytes, position: int, right: Iterator[int], end: int) -> int:
-        """Find the next header behind which a frame may be, and remember what it says.
+    def _hunt(self, data: bytes, position: int, right: Iterator[int], end: int) -> tuple[int, int]:
+        """Find the next header behind which a frame may be.
 
         What is passed over is counted: each start byte by the fault of what it begins.
 
@@ -384,35 +378,50 @@ class FrameDecoder:
             end: The first place where there is no room for a header.
 
         Returns:
-            Its place, ``end`` when there is none.
+            Its place, ``end`` when there is none, and how many bytes of its frame are missing.
         """
-        begin, known, discards = position, 0, self.discards
+        begin, known, versions, missing, discards = position, 0, 0, 0, self.discards
         for place in right:
             if place < position:
                 continue  # inside a frame
             if data[place + 2] > 0x03:  # the version, behind two bits of length
-                discards[_VERSION] += 1
-            elif (word := _unpack_word(data, place)[0]) & _RESERVED:
+                versions += 1  # that of the densest floods
+                continue
+            word = _unpack_word(data, place)[0]
+            length = word >> 8 & 0x3FF
+            if word & _RESERVED:
                 discards[_RESERVED_BITS] += 1
-            elif (length := word >> 8 & 0x3FF) < OVERHEAD and length != HEADER_SIZE:
+            elif length < OVERHEAD and length != HEADER_SIZE:
                 discards[_LENGTH] += 1
-            elif place + length > len(data) or _is_intact(data[place : place + length]):
-                self._remember(word)
+            elif place + length > len(data):
+                missing = place + length - len(data)
+                break
+            elif (
+                length == HEADER_SIZE
+                or crc32(data[place : place + length], ZLIB_START) == FRAME_RESIDUE
+            ):
                 break
             else:
                 discards[_FRAME_CRC] += 1
             known += 1
         else:
             place = end
+        if versions:
+            discards[_VERSION] += versions
+            known += versions
         discards[_HEADER_CRC] += data.count(SOF, begin, place) - known
         self.discarded_bytes += place - begin
-        return place
+        return place, missing
 
-    def _remember(self, word: int) -> None:
-        if word not in self._headers:
-            if len(self._headers) >= _CACHE_LIMIT:
-                self._headers.clear()
-            self._headers[word] = _parse_word(word)
+    def _learn(self, word: int, crc16: int) -> _Header | None:
+        """What a header with a right CRC16 says, from now on known; None if it has a fault."""
+        length = word >> 8 & 0x3FF
+        if length < OVERHEAD and length != HEADER_SIZE:
+            return None
+        if len(self._headers) >= _CACHE_LIMIT:
+            self._headers.clear()
+        header = self._headers[word] = _parse_word(word, crc16)
+        return header
 
     # Last, because from here on the name is no type.
     @property
