@@ -1,4 +1,9 @@
-"""``m100link demo``: a whole mission with the virtual aircraft over a real pseudo-terminal."""
+"""``m100link demo``: a whole mission with the virtual aircraft over a real pseudo-terminal.
+
+At ``--speed max`` the line is in memory and the clock virtual: the same mission, as fast as the
+machine computes, and equal for equal seeds. A pseudo-terminal takes real time, of which a virtual
+clock knows nothing.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter, validators
 from rich.console import Group
@@ -26,7 +31,7 @@ from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import M100Error, NotObserved
 from m100link.flight.control import Control
 from m100link.geodesy import LocalFrame
-from m100link.link import LinkStatistics
+from m100link.link import Link, LinkStatistics
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim import Driver, PtyPort, VirtualAircraft, loop_factory
@@ -34,6 +39,9 @@ from m100link.sim import Driver, PtyPort, VirtualAircraft, loop_factory
 __all__ = ["demo"]
 
 _STAGES = ("connect", "activate", "obtain control", "take off", "square", "land", "release")
+
+_FASTEST = 50.0
+"""Beyond it time-outs are shorter than what a machine needs to wake up."""
 
 _ARRIVED_M = 0.25
 _SETTLED_M_S = 0.3
@@ -93,9 +101,14 @@ class _Flight:
         return sum(math.hypot(n1 - n0, e1 - e0) for (n0, e0), (n1, e1) in legs)
 
 
+def _is_speed(_: object, speed: float | str) -> None:
+    if not isinstance(speed, str) and not 0.0 < speed <= _FASTEST:
+        raise ValueError(f"must be above 0 and at most {_FASTEST:g}, or max")
+
+
 def demo(
     *,
-    speed: Annotated[float, Parameter(validator=validators.Number(gt=0, lte=50))] = 1.0,
+    speed: Annotated[float | Literal["max"], Parameter(validator=_is_speed)] = 1.0,
     side: Annotated[float, Parameter(validator=validators.Number(gte=1, lte=200))] = 8.0,
     firmware: str = "1.0",
     seed: int = 1,
@@ -107,7 +120,7 @@ def demo(
     within a metre.
 
     Args:
-        speed: Times faster than real.
+        speed: Times faster than real; max takes no time for waiting, over a line in memory.
         side: Side of the square in metres.
         firmware: Firmware of the virtual aircraft: 1.0, 2.3 or 3.1.
         seed: Of everything random.
@@ -116,9 +129,10 @@ def demo(
     flight = _Flight()
     began_at = time.monotonic()
     failure: M100Error | None = None
-    with asyncio.Runner(loop_factory=loop_factory(speed)) as runner:
+    factor = math.inf if speed == "max" else float(speed)
+    with asyncio.Runner(loop_factory=loop_factory(factor)) as runner:
         try:
-            runner.run(_fly(flight, side, firmware, seed, speed, shows=not json))
+            runner.run(_fly(flight, side, firmware, seed, factor, shows=not json))
         except M100Error as error:
             failure = error
         except KeyboardInterrupt:
@@ -139,12 +153,14 @@ async def _fly(
 ) -> None:
     virtual = VirtualAircraft(seed=seed, firmware=firmware)
     driver = Driver(virtual)
-    port = PtyPort(driver)
-    flight.port = port.name
-    display = asyncio.create_task(_display(flight, speed)) if shows else None
+    is_in_memory = math.isinf(speed)
+    flight.port = "a line in memory" if is_in_memory else PtyPort(driver).name
+    shows_live = shows and not is_in_memory
+    display = asyncio.create_task(_display(flight, speed)) if shows_live else None
     try:
         with flight.during("connect"):
-            connection = connect(f"serial://{port.name}:230400")
+            line = await _in_memory(driver) if is_in_memory else f"serial://{flight.port}:230400"
+            connection = connect(line)
             aircraft = await connection.__aenter__()
         try:
             await _mission(aircraft, flight, virtual, side)
@@ -156,6 +172,13 @@ async def _fly(
         if display is not None:
             display.cancel()
             await asyncio.wait([display])
+
+
+async def _in_memory(driver: Driver) -> Link:
+    link = Link()
+    driver.connect(link)
+    await link.wait_connected()
+    return link
 
 
 async def _mission(
@@ -275,7 +298,7 @@ def _progress(flight: _Flight) -> Group:
 
 
 def _summary(
-    flight: _Flight, speed: float, seed: int, real_seconds: float, failure: M100Error | None
+    flight: _Flight, speed: float | str, seed: int, real_seconds: float, failure: M100Error | None
 ) -> dict[str, Any]:
     heights = [height for _, height in flight.heights]
     flown = failure is None and flight.landed and flight.returned_within_m <= _RETURN_TOLERANCE_M

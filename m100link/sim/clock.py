@@ -3,7 +3,7 @@
 The virtual aircraft takes its time from the event loop, so a faster loop is a faster aircraft::
 
     with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
-        runner.run(minutes_of_flight())            # takes milliseconds
+        runner.run(minutes_of_flight())            # half a second for each of them
 
 The **virtual** clock never waits: when nothing is ready to run, time jumps to the next timer. It is
 exact and repeatable, for everything that stays inside the process. Threads and other processes do

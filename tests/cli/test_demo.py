@@ -1,4 +1,4 @@
-"""``m100link demo`` as a user starts it. Real time."""
+"""``m100link demo``: the mission on the virtual clock, the rest as a user starts it."""
 
 from __future__ import annotations
 
@@ -9,39 +9,23 @@ import re
 import signal
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
-from tests.cli.conftest import ROOT, Outcome, process
+from tests.cli.conftest import ROOT, CommandLine, process
 from tests.waiting import PATIENCE
 
-pytestmark = [pytest.mark.pty]
 
-
-def demo(*arguments: str) -> Outcome:
-    """Run it as fast as this machine can keep its time-outs, which shrink with the speed."""
-    for speed in ("20", "5", "2"):
-        outcome = process("demo", "--speed", speed, *arguments)
-        if outcome.status == 0:
-            break
-        print(f"at speed {speed}: {outcome}")  # noqa: T201 (pytest shows it when the test fails)
-    return outcome
-
-
-@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
-def test_demo_flies_and_comes_back_within_a_metre(firmware: str) -> None:
-    outcome = demo("--json", "--firmware", firmware)
-    assert outcome.status == 0, outcome.err
-    [summary] = outcome.objects
+def check(summary: dict[str, Any], firmware: str) -> None:
+    """A square with sides of 8 m, up to 3 m high; a loop that runs late overshoots its corners."""
     assert summary["flown"] is True
     assert summary["error"] is None
     assert summary["returned_within_m"] <= 1.0
     assert summary["firmware"] == firmware
-    assert summary["port"].startswith("/dev/pts/")
     assert list(summary["stages"]) == [
         *("connect", "activate", "obtain control", "take off", "square", "land", "release")
     ]
-    # A square with sides of 8 m, up to 3 m high; a loop that runs late overshoots its corners.
     assert 30 <= summary["path_length_m"] <= 40
     assert 2.5 <= summary["max_height_m"] <= 3.5
     norths = [north for north, _ in summary["track"]]
@@ -49,12 +33,46 @@ def test_demo_flies_and_comes_back_within_a_metre(firmware: str) -> None:
     assert max(norths) == pytest.approx(8.0, abs=1.5)
     assert max(easts) == pytest.approx(8.0, abs=1.5)
     assert min(norths + easts) > -1.5
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+def test_demo_flies_and_comes_back_within_a_metre(cli: CommandLine, firmware: str) -> None:
+    outcome = cli("demo", "--speed", "max", "--json", "--firmware", firmware)
+    assert outcome.status == 0, outcome.err
+    [summary] = outcome.objects
+    check(summary, firmware)
+    assert summary["speed"] == "max"
+    assert summary["returned_within_m"] < 0.3
+    assert summary["line"]["discarded_bytes"] == summary["line"]["repeats"] == 0
+    # Sent at 50 Hz: one every 20 ms of its own time, whatever the machine does meanwhile.
+    assert summary["setpoints_sent"] == pytest.approx(50 * summary["stages"]["square"], rel=0.02)
+
+
+def test_on_the_virtual_clock_equal_seeds_are_equal_flights(cli: CommandLine) -> None:
+    command = ("demo", "--speed", "max", "--json", "--side", "3", "--seed")
+    one, again = (cli(*command, "5").objects[0] for _ in range(2))
+    for summary in (one, again):
+        assert summary.pop("real_seconds") > 0.0
+    assert one == again
+
+
+@pytest.mark.pty
+def test_demo_flies_over_a_pseudo_terminal() -> None:
+    for speed in ("20", "5", "2"):  # as fast as this machine keeps time-outs that shrink with it
+        outcome = process("demo", "--speed", speed, "--json")
+        if outcome.status == 0:
+            break
+        print(f"at speed {speed}: {outcome}")  # noqa: T201 (pytest shows it when the test fails)
+    assert outcome.status == 0, outcome.err
+    [summary] = outcome.objects
+    check(summary, "1.0")
+    assert summary["port"].startswith("/dev/pts/")
     assert summary["line"]["discarded_bytes"] <= 200  # opened in the middle of a frame
     assert summary["setpoints_sent"] > 100  # some 550 on an idle machine
 
 
-def test_demo_shows_a_summary_and_pictures_to_people() -> None:
-    outcome = demo("--side", "4")
+def test_demo_shows_a_summary_and_pictures_to_people(cli: CommandLine) -> None:
+    outcome = cli("demo", "--side", "4", "--speed", "max")
     assert outcome.status == 0
     assert "mission flown" in outcome.out
     assert "back within" in outcome.out
@@ -62,6 +80,7 @@ def test_demo_shows_a_summary_and_pictures_to_people() -> None:
     assert "north up" in outcome.out
 
 
+@pytest.mark.pty
 def test_demo_that_is_interrupted_ends_with_130() -> None:
     master, slave = pty.openpty()
     running = subprocess.Popen(
@@ -93,6 +112,7 @@ def _plain(shown: bytes) -> bytes:
     return re.sub(rb"\x1b\[[0-9;?]*[A-Za-z]", b"", shown)
 
 
+@pytest.mark.pty
 def test_demo_on_a_terminal_shows_live_progress() -> None:
     master, slave = pty.openpty()
     running = subprocess.Popen(
