@@ -57,6 +57,18 @@ VERBS = {
         "flight:release",
         "Give control authority back; the aircraft hovers and the pilot flies on.",
     ),
+    "gimbal": (
+        "payload:gimbal",
+        "Point the gimbal, and show where it looks; without an angle it only shows that.",
+    ),
+    "camera": (
+        "payload:camera",
+        "Take a photograph, start or stop video. It is sent; nobody confirms it.",
+    ),
+    "rates": (
+        "payload:rates",
+        "Set telemetry rates (firmware 3.1), and show how items arrive; without any only that.",
+    ),
     "decode": (
         "decode:decode",
         "Decode frames from hex: one stream per argument, or per line of standard input.",

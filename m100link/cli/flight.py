@@ -21,7 +21,7 @@ from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.tasks import TaskProgress, describe_situation
 from m100link.protocol.commands.activation import Credentials
 
-__all__ = ["fly", "home", "land", "release", "takeoff"]
+__all__ = ["activate_app", "fly", "home", "land", "release", "takeoff"]
 
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
 
@@ -169,7 +169,7 @@ def release(
 
     async def run() -> None:
         async with connect(place.url, **place.arguments()) as aircraft:
-            await _activate(aircraft, place.credentials())
+            await activate_app(aircraft, place.credentials())
             if not await aircraft.release_authority():
                 raise NotObserved(
                     "the aircraft did not say that it has control authority back",
@@ -189,14 +189,16 @@ async def _fly(
     async with connect(place.url, **place.arguments()) as aircraft:
         if not yes and not place.is_virtual:
             await _confirm(aircraft, what)
-        await _activate(aircraft, credentials)
+        await activate_app(aircraft, credentials)
         async with aircraft.control(guards=guards) as control:
             await flight(control)
         out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
     return 0
 
 
-async def _activate(aircraft: Aircraft, credentials: Credentials) -> None:
+async def activate_app(aircraft: Aircraft, credentials: Credentials) -> None:
+    """Activate, and tell the terminal why that takes its time."""
+
     def tell(progress: ActivationProgress) -> None:
         if progress.next_attempt_in is not None:
             err.print(f"activation: {progress.code.meaning}; again in a moment")
