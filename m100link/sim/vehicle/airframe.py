@@ -21,6 +21,8 @@ class Airframe:
     """Limit of commanded tilt (document 3.2)."""
     cruise_tilt_deg: float = 25.0
     """Tilt that velocity and position control allow themselves."""
+    steepest_tilt_deg: float = 35.0
+    """Tilt that missions may take, as in the tight circles of a hotpoint (DJI's data sheet)."""
     drag: float = 0.30
     """Horizontal deceleration per m/s of airspeed, 1/s."""
     vertical_drag: float = 0.35

@@ -87,9 +87,21 @@ class Guidance:
         yaw_mode: Kind of ``yaw``.
         yaw: Yaw angle or rate.
         smooth: Change speed gently (stable mode).
+        steep: Tilt as far as the airframe can, and not only as in cruise.
     """
 
-    __slots__ = ("a", "b", "body", "horizontal", "smooth", "up", "vertical", "yaw", "yaw_mode")
+    __slots__ = (
+        "a",
+        "b",
+        "body",
+        "horizontal",
+        "smooth",
+        "steep",
+        "up",
+        "vertical",
+        "yaw",
+        "yaw_mode",
+    )
 
     def __init__(
         self,
@@ -103,6 +115,7 @@ class Guidance:
         yaw_mode: ModelYaw = ModelYaw.RATE,
         yaw: float = 0.0,
         smooth: bool = False,
+        steep: bool = False,
     ) -> None:
         self.horizontal = horizontal
         self.a = a
@@ -113,6 +126,7 @@ class Guidance:
         self.yaw_mode = yaw_mode
         self.yaw = yaw
         self.smooth = smooth
+        self.steep = steep
 
     def __repr__(self) -> str:
         return (
@@ -145,6 +159,7 @@ class Dynamics:
         "_hold_north",
         "_pitch_rate",
         "_roll_rate",
+        "_steepest_pull",
         "_tilt_damping",
         "_tilt_decay",
         "_tilt_pull",
@@ -199,6 +214,7 @@ class Dynamics:
         self._vertical_gain = (1.0 - exp(-STEP_S / lag)) / STEP_S
         self._yaw_settle = exp(-STEP_S / self.airframe.yaw_time_constant)
         self._cruise_pull = GRAVITY * tan(self.airframe.cruise_tilt_deg * (pi / 180.0))
+        self._steepest_pull = GRAVITY * tan(self.airframe.steepest_tilt_deg * (pi / 180.0))
 
     def _settle(self) -> None:
         """At rest and level where it is."""
@@ -316,7 +332,7 @@ class Dynamics:
         if guidance.smooth:
             north, east = _at_most(airframe.smooth_braking, north, east)
         north, east = _at_most(
-            self._cruise_pull,
+            self._steepest_pull if guidance.steep else self._cruise_pull,
             north + drag * (self.velocity_north - self.wind_north),
             east + drag * (self.velocity_east - self.wind_east),
         )

@@ -14,7 +14,7 @@ from math import radians
 from m100link.protocol import setpoint as wire
 from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
 from m100link.protocol.commands.control import Task
-from m100link.protocol.records import Device, FlightPhase, RcMode
+from m100link.protocol.records import Device, FlightPhase
 from m100link.sim.vehicle.dynamics import (
     STEP_S,
     Dynamics,
@@ -23,7 +23,8 @@ from m100link.sim.vehicle.dynamics import (
     ModelVertical,
     ModelYaw,
 )
-from m100link.sim.vehicle.remote import PilotRemote, Sticks
+from m100link.sim.vehicle.piloting import by_sticks
+from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.vehicle.tasks import TaskMachine
 
@@ -36,7 +37,6 @@ _SPIN_UP_S = 1.0
 _FINISHING_S = 2.0  # flight status 5 lasts two seconds, say DJI's later documents
 _GROUND_IDLE_S = 1.0
 _GO_HOME_SPEED = 8.0
-_PILOT_SPEED = 10.0
 _STILL = 0.01  # m/s: a velocity below it asks to stop
 
 
@@ -50,6 +50,7 @@ class Maneuver(Enum):
     FLY_HOME = "flies home"
     DESCEND = "descends to land"
     FINISH = "stops the motors"
+    MISSION = "flies a mission"
 
 
 class FlightController:
@@ -65,6 +66,8 @@ class FlightController:
         home: Metres north and east of the origin, None while not recorded.
         setpoint: The last movement command that was accepted.
         timeouts: How often movement commands stopped coming in the air.
+        interruptions: How often :meth:`interrupt` ended what it did; a mission that sees another
+            number than at its start is over.
     """
 
     __slots__ = (
@@ -74,12 +77,14 @@ class FlightController:
         "_idle_since",
         "_level",
         "_maneuver_until",
+        "_mission_guidance",
         "_setpoint_until",
         "_settings",
         "battery_percent",
         "dynamics",
         "gps_health",
         "home",
+        "interruptions",
         "maneuver",
         "now",
         "phase",
@@ -98,10 +103,10 @@ class FlightController:
         self.battery_percent = 100.0
         self.home: tuple[float, float] | None = None
         self.setpoint: wire.Setpoint | None = None
-        self.timeouts = 0
+        self.timeouts = self.interruptions = 0
         self.now = 0.0
         # What the last setpoint asks for, and until when it counts.
-        self._guidance = self._hover = Guidance()
+        self._guidance = self._hover = self._mission_guidance = Guidance()
         self._setpoint_until = -math.inf
         # Without GPS it cannot hold a place: level, it drifts with the wind.
         self._level = Guidance(ModelHorizontal.TILT)
@@ -185,7 +190,7 @@ class FlightController:
         return self.tasks.query(task_sequence)
 
     def _can(self, task: Task | None) -> bool:
-        if self.maneuver is not Maneuver.NONE:
+        if self.maneuver not in (Maneuver.NONE, Maneuver.MISSION):
             return False
         if task is Task.TAKE_OFF:
             enough = self.battery_percent > self._settings.critical_battery_percent
@@ -278,8 +283,17 @@ class FlightController:
         """Whether it lands because the battery is nearly empty."""
         return self._forced
 
+    def fly_mission(self, guidance: Guidance) -> None:
+        """Follow a mission, which says each step where to; setpoints wait meanwhile."""
+        self._mission_guidance = guidance
+        if self.maneuver is not Maneuver.MISSION:
+            self._setpoint_until = -math.inf
+            self.setpoint = None
+            self._begin(Maneuver.MISSION)
+
     def interrupt(self) -> None:
         """End what it does by itself and hover: control passed to somebody else."""
+        self.interruptions += 1
         self.tasks.end(succeeded=False)
         self._setpoint_until = -math.inf
         self.setpoint = None
@@ -367,34 +381,13 @@ class FlightController:
         elif device is Device.RC:
             sticks = remote.sticks()
             if sticks.are_moved:
-                return self._by_sticks(sticks)
+                return by_sticks(sticks, self._settings.airframe, self.gps_health >= GOOD_GPS)
         return self._hover if self.gps_health >= GOOD_GPS else self._level
-
-    def _by_sticks(self, sticks: Sticks) -> Guidance:
-        airframe = self._settings.airframe
-        up = sticks.throttle * airframe.vertical_speed
-        yaw = sticks.yaw * radians(airframe.yaw_rate_deg)
-        if sticks.mode is RcMode.A or self.gps_health < GOOD_GPS:
-            tilt = radians(airframe.maximum_tilt_deg)
-            return Guidance(
-                ModelHorizontal.TILT,
-                sticks.roll * tilt,
-                -sticks.pitch * tilt,
-                body=True,
-                up=up,
-                yaw=yaw,
-            )
-        return Guidance(
-            ModelHorizontal.VELOCITY,
-            sticks.pitch * _PILOT_SPEED,
-            sticks.roll * _PILOT_SPEED,
-            body=True,
-            up=up,
-            yaw=yaw,
-        )
 
     def _own_guidance(self) -> Guidance:
         maneuver = self.maneuver
+        if maneuver is Maneuver.MISSION:
+            return self._mission_guidance
         if maneuver is Maneuver.TAKE_OFF:
             return self._climb_to_take_off_height()
         if maneuver is Maneuver.CLIMB_HOME or maneuver is Maneuver.FLY_HOME:

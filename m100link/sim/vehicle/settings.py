@@ -14,6 +14,7 @@ from enum import Enum
 from m100link.protocol.commands.activation import RATES_HZ
 from m100link.protocol.items import BY_NAME, ITEMS
 from m100link.sim.vehicle.airframe import Airframe
+from m100link.sim.vehicle.missions.settings import MissionSettings
 
 __all__ = ["DEFAULT_RATES_HZ", "AircraftSettings", "AssistantSettings", "Undecodable"]
 
@@ -62,6 +63,7 @@ class AircraftSettings:
 
     Attributes:
         airframe: Numbers of the flight model.
+        missions: How it takes waypoint, hotpoint and follow missions.
         latitude_deg: Where the aircraft stands when it is switched on, degrees north.
         longitude_deg: The same, degrees east.
         ground_altitude: Altitude of that place as the barometer has it, metres. DJI's flight sample
@@ -108,6 +110,7 @@ class AircraftSettings:
     """
 
     airframe: Airframe = field(default_factory=Airframe)
+    missions: MissionSettings = field(default_factory=MissionSettings)
     latitude_deg: float = 22.5431
     longitude_deg: float = 113.9589
     ground_altitude: float = 0.0

@@ -24,6 +24,8 @@ from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import STEP_S
 from m100link.sim.vehicle.flight import FlightController
 from m100link.sim.vehicle.gimbal import Camera, GimbalMount
+from m100link.sim.vehicle.missions.actions import Payload
+from m100link.sim.vehicle.missions.computer import MissionComputer
 from m100link.sim.vehicle.mobile import ActivationServer, MobileApp
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.sensors import Sensors
@@ -68,6 +70,7 @@ class Vehicle:
         authority: Who may fly.
         activation: Which app is active, and which ones are known.
         gimbal, camera: What hangs below.
+        missions: What it flies by itself.
         sensors: What it measures.
         time: Seconds since power-on; a restart does not set it back.
         events: Last 200 things that happened.
@@ -107,6 +110,10 @@ class Vehicle:
         self.authority = ControlArbiter(
             profile, self.settings, self.assistant, self.remote, self.app
         )
+        payload = Payload(self.gimbal, self.camera, self.flight, self.log)
+        self.missions = MissionComputer(
+            self.flight, self.settings, self.authority, self.remote, payload, self.log
+        )
         self.sensors = Sensors(
             profile,
             self.settings,
@@ -128,6 +135,8 @@ class Vehicle:
         self._silent_until = -math.inf
         # When the remote control was last heard, as long as it is not; the failsafe counts from it.
         self._rc_lost_since: float | None = None
+        # A mission goes on without the remote control; the failsafe acts when it has ended.
+        self._failsafe_waits = False
         # When GPS reception becomes good after a cold start; None once it was set by hand.
         self._gps_good_at: float | None = None
 
@@ -139,6 +148,8 @@ class Vehicle:
         self.sensors.ticks += 1
         self.time = now = self._steps * STEP_S
         self.remote.now = now
+        if self.missions.running is not None:
+            self.missions.advance()
         self.flight.step(now, self.authority.device, self.remote)
         yaw = self.flight.dynamics.yaw
         if yaw != self.gimbal.heading:
@@ -176,21 +187,26 @@ class Vehicle:
 
     def _watch_remote(self, now: float) -> None:
         authority = self.authority
+        flies_on = self.missions.flies_without_rc
         if self.remote.is_connected:
             if authority.device is Device.RC and self.remote.makes_gesture():
                 self.flight.toggle_motors()
             self._rc_lost_since = None
             if authority.failsafe:
                 authority.failsafe = False
-                self.flight.interrupt()
+                self.refresh()
+                if not (flies_on and authority.device is Device.ONBOARD):
+                    self.flight.interrupt()
                 self.log("remote control is back")
             return
         if self._rc_lost_since is None:
             self._rc_lost_since = now
             self.log("remote control lost")
         elif not authority.failsafe and now - self._rc_lost_since > self.settings.rc_lost_after:
-            authority.failsafe = True
+            authority.failsafe = self._failsafe_waits = True
             self.refresh()
+        if authority.failsafe and self._failsafe_waits and not flies_on:
+            self._failsafe_waits = False
             self.flight.interrupt()
             if not self.flight.dynamics.on_ground:
                 self.log("failsafe: going home")
@@ -204,7 +220,8 @@ class Vehicle:
             self.log(f"control: {before.name} to {self.authority.device.name}")
         if lost:
             self.authority_losses += 1
-            self.flight.interrupt()
+            if not (self.authority.failsafe and self.missions.flies_without_rc):
+                self.flight.interrupt()
 
     # --- what the onboard device asks for ---------------------------------------------------
 
@@ -266,6 +283,7 @@ class Vehicle:
         self.authority.is_requested = self.authority.is_pending = False
         self.authority.device = Device.RC
         self.flight.interrupt()
+        self.missions.power_off()
         self.activation.power_off()
         self.remote.moved_since_power_on = False
         self.remote.virtual.reset()

@@ -1,0 +1,473 @@
+"""The part of the flight controller that holds a mission, judges orders about it and flies it.
+
+::
+
+    upload, add                     a waypoint mission and its points
+    start, stop, pause, resume      waypoints; the same for hotpoint and follow
+    advance()                       once per step of the dynamics, before it
+    news(now)                       what the onboard device is told, oldest first
+
+A mission lives here and not with who ordered it: it goes on when the program ends or the line
+breaks (facts M9). It ends when the flight controller does something else, whoever wanted that
+(M10): :meth:`MissionComputer.advance` notices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeAlias
+
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.command import Notification
+from m100link.protocol.commands.missions import (
+    IdleStatus,
+    MissionStatus,
+    Reached,
+    Uploaded,
+    WaypointEvent,
+)
+from m100link.sim.vehicle.dynamics import Guidance, ModelVertical
+from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
+from m100link.sim.vehicle.missions.actions import Payload
+from m100link.sim.vehicle.missions.conditions import Conditions
+from m100link.sim.vehicle.missions.follow import FollowFlight, follow_code
+from m100link.sim.vehicle.missions.hotpoint import (
+    LARGEST_RADIUS,
+    HotpointFlight,
+    hotpoint_code,
+)
+from m100link.sim.vehicle.missions.plan import (
+    FinishAction,
+    WaypointPlan,
+    mission_code,
+    point_code,
+)
+from m100link.sim.vehicle.missions.route import Place, distance
+from m100link.sim.vehicle.missions.site import Site
+from m100link.sim.vehicle.missions.stages import (
+    CIRCLE_REFUSALS,
+    WAYPOINT_REFUSALS,
+    Order,
+    Stage,
+)
+from m100link.sim.vehicle.missions.waypoints import BEFORE_ACTIONS, WaypointFlight
+
+if TYPE_CHECKING:
+    from m100link.protocol.commands.follow import FollowStart
+    from m100link.protocol.commands.hotpoint import HotpointStart
+    from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+    from m100link.sim.vehicle.authority import ControlArbiter
+    from m100link.sim.vehicle.remote import PilotRemote
+    from m100link.sim.vehicle.settings import AircraftSettings
+
+__all__ = ["Flown", "MissionComputer"]
+
+Flown: TypeAlias = WaypointFlight | HotpointFlight | FollowFlight
+
+_OK = MissionCode.SUCCESS
+_TAKES_OFF = (Maneuver.SPIN_UP, Maneuver.TAKE_OFF)
+_BROKEN_OFF = 1
+_NAMES = {0: "none", 1: "waypoint", 2: "hotpoint", 3: "follow"}
+
+
+class MissionComputer:
+    """Missions of one aircraft.
+
+    Args:
+        flight: What flies, and is told where to.
+        settings: The aircraft and its site.
+        authority: Who may give orders.
+        remote: The pilot's sticks.
+        payload: What hangs below.
+        log: Notes what happens, for people.
+
+    Attributes:
+        running: The mission under way, paused or not.
+        is_paused: Whether it is paused.
+        is_active: Whether there is anything to do each step: a mission was uploaded or started
+            since power-on. Until then nothing here costs time.
+        arrivals: Waypoints reached since power-on, oldest first.
+    """
+
+    def __init__(
+        self,
+        flight: FlightController,
+        settings: AircraftSettings,
+        authority: ControlArbiter,
+        remote: PilotRemote,
+        payload: Payload,
+        log: Callable[[str], None],
+    ) -> None:
+        self._flight = flight
+        self._settings = settings
+        self._missions = settings.missions
+        self._remote = remote
+        self._payload = payload
+        self._authority = authority
+        self._log = log
+        self._site = Site(
+            settings.latitude_deg, settings.longitude_deg, settings.height_limit, settings.missions
+        )
+        self._conditions = Conditions(flight, settings, authority, self._site)
+        self.arrivals: list[int] = []
+        self.power_off()
+
+    def power_off(self) -> None:
+        """Forget everything, as at power-on."""
+        self.running: Flown | None = None
+        self.is_paused = False
+        self.is_active = self._missions.status_when_idle
+        # What was uploaded: 0x03/0x10, the points so far, and the whole when it has passed.
+        self._mission: WaypointMission | None = None
+        self._points: dict[int, WaypointPoint] = {}
+        self._plan: WaypointPlan | None = None
+        self._events: list[WaypointEvent] = []
+        self._next_status = 0.0
+        self._idle = IdleStatus()
+        self._hover = Guidance()
+        # The flight controller takes off for the mission.
+        self._is_taking_off = False
+        # Its count when the mission started: one more, and somebody else has taken over.
+        self._interruptions = 0
+
+    # --- waypoints --------------------------------------------------------------------------
+
+    @property
+    def stage(self) -> Stage:
+        """How far a waypoint mission is."""
+        if isinstance(self.running, WaypointFlight):
+            return Stage.PAUSED if self.is_paused else Stage.FLYING
+        if self._plan is not None:
+            return Stage.READY
+        return Stage.EMPTY if self._mission is None else Stage.PLANNED
+
+    def upload(self, mission: WaypointMission) -> MissionCode:
+        """Take 0x03/0x10; a former mission is gone, whether this one is legal or not."""
+        code = self._conditions.control() or self._refusal(Order.UPLOAD)
+        if code:
+            return code
+        self._forget_plan()
+        code = mission_code(mission)
+        if not code:
+            self._mission = mission
+            self.is_active = True
+        return code
+
+    def add(self, point: WaypointPoint) -> MissionCode:
+        """Take 0x03/0x11; the last one that was missing brings the check of the whole."""
+        code = self._refusal(Order.ADD)
+        if code:
+            return code
+        assert self._mission is not None
+        if point.index >= self._mission.count:
+            return MissionCode.INDEX_TOO_LARGE
+        code = point_code(point)
+        if code:
+            return code
+        self._points[point.index] = point
+        if len(self._points) < self._mission.count:
+            return _OK
+        return self._check_plan(self._mission)
+
+    def _check_plan(self, mission: WaypointMission) -> MissionCode:
+        points = tuple(self._points[index] for index in range(mission.count))
+        places = tuple(self._site.place(p.latitude, p.longitude, p.altitude) for p in points)
+        plan = WaypointPlan(mission, points, places)
+        code = plan.check(self._missions, self._home, self._site)
+        if code:
+            self._points.clear()  # all of them have to come again
+            self._plan = None
+            self._events.append(WaypointEvent(Uploaded(valid=0)))
+        else:
+            self._plan = plan
+            seconds = min(0xFFFF, round(plan.estimate()))
+            self._events.append(WaypointEvent(Uploaded(valid=1, estimated_time=seconds)))
+        return code
+
+    def start(self) -> MissionCode:
+        """Fly the mission that was uploaded; on the ground, take off for it."""
+        code = self._refusal(Order.START)
+        if code:
+            return code
+        assert self._plan is not None
+        if self.running is not None:
+            return MissionCode.OTHER_RUNNING
+        code = self._conditions.waypoints(self._plan)
+        if code:
+            return code
+        flight = WaypointFlight(
+            self._plan,
+            self._flight.dynamics,
+            self._settings.airframe,
+            self._payload,
+            self._missions,
+        )
+        return self._begin(flight)
+
+    def set_idle_speed(self, speed: float) -> MissionCode:
+        """Change the speed without the stick, on the way as well."""
+        code = self._refusal(Order.SPEED)
+        if code:
+            return code
+        assert self._mission is not None
+        if not -self._mission.max_speed <= speed <= self._mission.max_speed:
+            return MissionCode.BAD_SPEED
+        self._mission = replace(self._mission, idle_speed=speed)
+        if isinstance(self.running, WaypointFlight):
+            self.running.idle_speed = speed
+        return _OK
+
+    @property
+    def idle_speed(self) -> float:
+        """The speed without the stick; 0 without a mission."""
+        return 0.0 if self._mission is None else self._mission.idle_speed
+
+    @property
+    def mission(self) -> WaypointMission | None:
+        """The waypoint mission that is there, flown or not."""
+        return self._mission
+
+    def point(self, index: int) -> WaypointPoint | None:
+        """One of its points."""
+        return self._points.get(index)
+
+    def _refusal(self, order: Order) -> MissionCode:
+        return WAYPOINT_REFUSALS.get((order, self.stage), _OK)
+
+    def _forget_plan(self) -> None:
+        self._mission = self._plan = None
+        self._points = {}
+
+    # --- hotpoint and follow ----------------------------------------------------------------
+
+    def start_hotpoint(self, command: HotpointStart) -> MissionCode:
+        """Circle a point."""
+        here = self._conditions.here
+        code = (
+            self._circle_refusal(HotpointFlight, Order.START)
+            or self._conditions.in_the_air()
+            or hotpoint_code(command, self._site, here, self._conditions.home)
+        )
+        if code:
+            return code
+        centre = self._site.place(command.latitude, command.longitude, command.altitude)
+        motion, airframe = self._flight.dynamics, self._settings.airframe
+        return self._begin(HotpointFlight(command, centre, motion, airframe, self._missions))
+
+    def largest_radius(self, command: HotpointStart) -> float:
+        """How large a circle around that point may be."""
+        home = self._conditions.home
+        centre = self._site.place(command.latitude, command.longitude, 0.0)
+        left = self._site.radius_limit - distance(home, centre)
+        return max(0.0, min(LARGEST_RADIUS, left))
+
+    def start_follow(self, command: FollowStart) -> MissionCode:
+        """Follow a target."""
+        here, home = self._conditions.here, self._conditions.home
+        code = (
+            self._circle_refusal(FollowFlight, Order.START)
+            or self._conditions.in_the_air()
+            or follow_code(command, self._site, here, home)
+        )
+        if code:
+            return code
+        motion, airframe = self._flight.dynamics, self._settings.airframe
+        return self._begin(FollowFlight(command, motion, airframe, self._missions, self._site))
+
+    def _circle_stage(self, kind: type[Flown]) -> Stage:
+        if self.running is None:
+            return Stage.EMPTY
+        if not isinstance(self.running, kind):
+            return Stage.OTHER
+        return Stage.PAUSED if self.is_paused else Stage.FLYING
+
+    def _circle_refusal(self, kind: type[Flown], order: Order) -> MissionCode:
+        return CIRCLE_REFUSALS.get((order, self._circle_stage(kind)), _OK)
+
+    # --- any mission ------------------------------------------------------------------------
+
+    def refusal(self, kind: type[Flown], order: Order) -> MissionCode:
+        """Whether a mission of that kind is at a stage which refuses an order."""
+        if kind is WaypointFlight:
+            return self._refusal(order)
+        return self._circle_refusal(kind, order)
+
+    def stop(self, kind: type[Flown]) -> MissionCode:
+        """End a mission of that kind and hover."""
+        code = self.refusal(kind, Order.STOP)
+        if not code:
+            self._flight.interrupt()
+            self._end()
+        return code
+
+    def pause(self, kind: type[Flown]) -> MissionCode:
+        """Hover where it is until the mission is resumed."""
+        code = self.refusal(kind, Order.PAUSE)
+        if not code:
+            self.is_paused = True
+            self._hover_here()
+            self._log(f"{self.name} mission paused")
+        return code
+
+    def _hover_here(self) -> None:
+        height = self._flight.dynamics.height
+        self._hover = Guidance(vertical=ModelVertical.HEIGHT, up=height)
+
+    def resume(self, kind: type[Flown]) -> MissionCode:
+        """Go on."""
+        code = self.refusal(kind, Order.RESUME)
+        running = self.running
+        if code or running is None:
+            return code
+        if isinstance(running, HotpointFlight) and running.is_out_of_reach:
+            return MissionCode.TOO_FAR_FROM_CIRCLE
+        self.is_paused = False
+        running.resume()
+        self._log(f"{self.name} mission resumed")
+        return _OK
+
+    @property
+    def name(self) -> str:
+        """The mission under way in a word."""
+        return "no" if self.running is None else _NAMES[self.running.KIND]
+
+    @property
+    def flies_without_rc(self) -> bool:
+        """Whether a mission runs that goes on when the remote control is lost."""
+        return self.running is not None and self.running.flies_without_rc
+
+    def _begin(self, flight: Flown) -> MissionCode:
+        self.running = flight
+        self.is_paused = False
+        self.is_active = True
+        self._hover = Guidance()
+        self._interruptions = self._flight.interruptions
+        self._is_taking_off = self._flight.dynamics.on_ground
+        self._log(f"{self.name} mission begins")
+        if self._is_taking_off:
+            self._flight.take_off()
+        else:
+            self._flight.fly_mission(self._hover)
+        return _OK
+
+    def _end(self, reason: MissionCode | None = None) -> None:
+        """The mission is over; with a reason, it was broken off."""
+        assert self.running is not None
+        broken_off = 0 if reason is None else _BROKEN_OFF
+        self._idle = IdleStatus(self.running.KIND, broken_off, int(reason or 0))
+        because = "ends" if reason is None else f"broken off: {reason.meaning}"
+        self._log(f"{self.name} mission {because}")
+        if isinstance(self.running, WaypointFlight):
+            self._forget_plan()
+        self.running = None
+        self.is_paused = False
+
+    # --- each step --------------------------------------------------------------------------
+
+    def advance(self) -> None:
+        """Notice an end that others made, or tell the aircraft what to do next."""
+        running, flight = self.running, self._flight
+        if running is None:
+            return
+        if self._is_taking_off and flight.maneuver in _TAKES_OFF:
+            if flight.interruptions != self._interruptions:
+                self._end(self._why())
+            return
+        expected = Maneuver.NONE if self._is_taking_off else Maneuver.MISSION
+        if flight.maneuver is not expected or flight.interruptions != self._interruptions:
+            self._end(self._why())
+            return
+        if self._is_taking_off:
+            self._is_taking_off = False
+            self._hover_here()  # where a pause that came meanwhile takes place
+        reason = self._unable(running)
+        if reason is not None:
+            self._end(reason)
+            flight.interrupt()
+            if reason is MissionCode.BATTERY_LOW:
+                flight.go_home()
+            return
+        if not self.is_paused:
+            self._hover = running.guide(self._remote.sticks())
+        flight.fly_mission(self._hover)
+        if running.events:
+            self._take_events(running)
+        if running.is_over:
+            self._finish(running)
+
+    def _take_events(self, running: Flown) -> None:
+        for told in running.events:
+            self._events.append(told)
+            if isinstance(told.event, Reached) and told.event.status == BEFORE_ACTIONS:
+                self.arrivals.append(told.event.index)
+                self._log(f"waypoint {told.event.index} reached")
+        running.events.clear()
+
+    def _finish(self, running: Flown) -> None:
+        then, flight = running.then, self._flight
+        self._end()
+        flight.interrupt()
+        if then == FinishAction.GO_HOME:
+            flight.go_home()
+        elif then == FinishAction.LAND:
+            flight.land()
+
+    def _unable(self, running: Flown) -> MissionCode | None:
+        """Why the aircraft cannot go on by itself."""
+        flight, settings = self._flight, self._settings
+        if flight.gps_health < GOOD_GPS:
+            return MissionCode.GPS_TOO_WEAK
+        low = settings.low_battery_percent if self._missions.low_battery_returns else 0.0
+        if flight.battery_percent <= low:
+            return MissionCode.BATTERY_LOW
+        if flight.dynamics.on_ground and flight.maneuver is Maneuver.MISSION:
+            return MissionCode.TOO_LOW  # it was led to the ground, or into it
+        if isinstance(running, HotpointFlight) and running.is_out_of_reach:
+            return MissionCode.TOO_FAR_FROM_CIRCLE
+        if isinstance(running, FollowFlight) and running.is_lost:
+            return MissionCode.TARGET_LOST
+        return None
+
+    def _why(self) -> MissionCode:
+        """What has broken the mission off: whatever the flight controller does instead."""
+        flight = self._flight
+        if self._authority.failsafe:
+            return _OK
+        if flight.is_forced:
+            return MissionCode.BATTERY_LOW
+        if flight.maneuver in (Maneuver.DESCEND, Maneuver.FINISH):
+            return MissionCode.LANDING
+        if flight.maneuver in (Maneuver.CLIMB_HOME, Maneuver.FLY_HOME):
+            return MissionCode.GOING_HOME
+        return self._conditions.control() or MissionCode.UNKNOWN
+
+    def news(self, now: float) -> list[Notification]:
+        """What the onboard device is told, once per step."""
+        rate = self._missions.status_hz
+        if rate <= 0.0:
+            self._events.clear()
+            return []
+        told: list[Notification] = []
+        if self._events:
+            told += self._events
+            self._events.clear()
+        if now >= self._next_status - 1e-9:
+            self._next_status = max(self._next_status, now - 1.0 / rate) + 1.0 / rate
+            told.append(self.status())
+        return told
+
+    def status(self) -> MissionStatus:
+        """What the status push shows now."""
+        running = self.running
+        return MissionStatus(self._idle if running is None else running.status(self.is_paused))
+
+    @property
+    def last(self) -> IdleStatus:
+        """How the last mission ended."""
+        return self._idle
+
+    @property
+    def _home(self) -> Place | None:
+        home = self._flight.home
+        return None if home is None else Place(*home, 0.0)

@@ -1,0 +1,295 @@
+"""Circling a point: to the circle at its height, then round and round until it is stopped."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.commands.missions import HotpointStatus, WaypointEvent
+from m100link.sim.vehicle.dynamics import STEP_S, Guidance, ModelHorizontal, ModelVertical, ModelYaw
+from m100link.sim.vehicle.missions.plan import FinishAction
+from m100link.sim.vehicle.missions.route import Leg, Place
+from m100link.sim.vehicle.missions.steering import Nose, Steering, slowed
+
+if TYPE_CHECKING:
+    from m100link.protocol.commands.hotpoint import HotpointStart
+    from m100link.sim.vehicle.airframe import Airframe
+    from m100link.sim.vehicle.dynamics import Dynamics
+    from m100link.sim.vehicle.missions.settings import MissionSettings
+    from m100link.sim.vehicle.missions.site import Site
+    from m100link.sim.vehicle.remote import Sticks
+
+__all__ = [
+    "LARGEST_RADIUS",
+    "LOWEST",
+    "SMALLEST_RADIUS",
+    "CircleYaw",
+    "HotpointFlight",
+    "hotpoint_code",
+    "largest_rate",
+]
+
+SMALLEST_RADIUS, LARGEST_RADIUS, LOWEST = 5.0, 500.0, 5.0
+_FASTEST_DEG, _TANGENTIAL = 30.0, 573.0  # °/s, and ° m/s: 10 m/s along the circle
+_APPROACH_SPEED = 8.0
+_INWARDS = 0.8  # m/s per metre beside the circle
+_FASTEST_INWARDS = 4.0
+_LEAD_S = 0.2
+
+
+class CircleYaw:
+    """Where the nose points on a circle."""
+
+    ALONG, CENTRE, OUTWARDS, BY_RC, AS_AT_START = range(5)
+
+
+_START_BEARINGS = (0.0, math.pi, -math.pi / 2.0, math.pi / 2.0)  # north, south, west, east
+
+
+def largest_rate(radius: float) -> float:
+    """Degrees per second that a circle allows: 30, and 10 m/s along it."""
+    return min(_FASTEST_DEG, _TANGENTIAL / radius)
+
+
+def hotpoint_code(command: HotpointStart, site: Site, here: Place, home: Place) -> MissionCode:
+    """What is wrong with 0x03/0x20 by itself and where the aircraft is."""
+    numbers = command.latitude, command.longitude, command.altitude, command.radius
+    if not all(map(math.isfinite, (*numbers, command.angular_rate))):
+        return MissionCode.BAD_NUMBER
+    is_null = command.latitude == 0.0 and command.longitude == 0.0
+    if is_null or abs(command.latitude) > math.pi / 2.0 or abs(command.longitude) > math.pi:
+        return MissionCode.BAD_POSITION
+    centre = site.place(command.latitude, command.longitude, command.altitude)
+    reach = math.hypot(centre.north - home.north, centre.east - home.east) + command.radius
+    checks = (
+        (command.clockwise > 1, MissionCode.BAD_DIRECTION),
+        (command.start_point > 4, MissionCode.BAD_START_POINT),
+        (command.yaw_mode > 4, MissionCode.BAD_YAW_MODE),
+        (not SMALLEST_RADIUS <= command.radius <= LARGEST_RADIUS, MissionCode.BAD_RADIUS),
+        (command.altitude < LOWEST, MissionCode.TOO_LOW),
+        (command.altitude > site.height_limit, MissionCode.TOO_HIGH),
+        (
+            not 0.0 <= command.angular_rate <= largest_rate(max(command.radius, 1.0)) + 0.01,
+            MissionCode.RATE_TOO_HIGH,
+        ),
+        (reach > site.radius_limit, MissionCode.TOO_FAR_FROM_HOME),
+        (
+            math.hypot(centre.north - here.north, centre.east - here.east) > site.farthest_start,
+            MissionCode.TOO_FAR_AWAY,
+        ),
+        (site.is_forbidden(centre, centre), MissionCode.CROSSES_NO_FLY_ZONE),
+    )
+    return next((code for is_wrong, code in checks if is_wrong), MissionCode.SUCCESS)
+
+
+class _Phase(Enum):
+    """What the aircraft does; the value is the status that the push shows."""
+
+    CLIMB = "climbs", 0
+    APPROACH = "flies to the circle", 0
+    CIRCLE = "circles", 1
+
+
+class HotpointFlight:
+    """One hotpoint under way; :meth:`guide` once per step of the dynamics.
+
+    Args:
+        command: As it came.
+        centre: The centre, at the height to circle at.
+        motion: The aircraft.
+        airframe: Its numbers.
+        settings: Of missions.
+
+    Attributes:
+        KIND: First byte of its status push.
+        command: As given, for those who ask.
+        events: Always empty.
+        then: What comes after: nothing.
+        is_over: Never by itself.
+        flies_without_rc: Never.
+    """
+
+    KIND = 2
+
+    def __init__(
+        self,
+        command: HotpointStart,
+        centre: Place,
+        motion: Dynamics,
+        airframe: Airframe,
+        settings: MissionSettings,
+    ) -> None:
+        self.command = command
+        self.events: list[WaypointEvent] = []
+        self.then = FinishAction.NONE
+        self.is_over = self.flies_without_rc = False
+        self._centre = centre
+        self._motion = motion
+        self._airframe = airframe
+        self._settings = settings
+        self._steering = Steering(motion, airframe)
+        self._nose = Nose(motion.yaw, settings.turn_rate_deg)
+        self._locked = motion.yaw
+        # Where the pilot's stick has turned the nose from what the yaw mode says, radians.
+        self._nose_offset = 0.0
+        self._phase = _Phase.CLIMB
+        self._from = self._steering.here
+        self._way: Leg | None = None
+        self._s = 0.0
+        self._height = centre.up
+        # Wanted radius, and the one flown now, which follows it; wanted rate in °/s, clockwise.
+        self._radius = self._flown_radius = command.radius
+        sign = 1.0 if command.clockwise == 1 else -1.0
+        self._rate_deg = sign * command.angular_rate
+
+    # --- what others see and do -------------------------------------------------------------
+
+    def status(self, is_paused: bool) -> HotpointStatus:
+        """What the push shows."""
+        state = 2 if is_paused else self._phase.value[1]
+        motion, rate = self._motion, 0.0
+        if self._phase is _Phase.CIRCLE and not is_paused and self.distance > 0.1:
+            north, east = self._outwards()
+            across = motion.velocity_east * north - motion.velocity_north * east
+            rate = math.degrees(abs(across) / self.distance)
+        return HotpointStatus(
+            status=state,
+            radius_cm=min(65_500, round(100.0 * self.distance)),
+            reason=0,
+            rate=min(255, round(10.0 * rate)),
+        )
+
+    @property
+    def distance(self) -> float:
+        """Metres from the centre."""
+        motion, centre = self._motion, self._centre
+        return math.hypot(motion.north - centre.north, motion.east - centre.east)
+
+    @property
+    def is_out_of_reach(self) -> bool:
+        """Whether the aircraft is too far outside the circle to fly it."""
+        is_circling = self._phase is _Phase.CIRCLE
+        return is_circling and self.distance > self._radius + self._settings.hotpoint_reach
+
+    def set_rate(self, clockwise: int, rate_deg: float) -> None:
+        """New direction and rate; too fast becomes as fast as the circle allows."""
+        if clockwise > 1 or not math.isfinite(rate_deg):
+            return
+        rate = min(abs(rate_deg), largest_rate(self._radius))
+        self._rate_deg = rate if clockwise == 1 else -rate
+
+    def set_radius(self, radius: float) -> None:
+        """New radius; one that no circle may have is ignored."""
+        if SMALLEST_RADIUS <= radius <= LARGEST_RADIUS:
+            self._radius = radius
+            self.set_rate(1 if self._rate_deg >= 0.0 else 0, self._rate_deg)
+
+    def reset_yaw(self) -> None:
+        """The nose goes back to where the yaw mode wants it."""
+        self._nose_offset = 0.0
+
+    # --- each step --------------------------------------------------------------------------
+
+    def resume(self) -> None:
+        """Go on after a pause."""
+        if self._phase is _Phase.APPROACH:
+            self._approach_from_here()
+        self._flown_radius = self.distance if self._phase is _Phase.CIRCLE else self._flown_radius
+
+    def guide(self, sticks: Sticks) -> Guidance:
+        """What the aircraft is to do now."""
+        if self._phase is _Phase.CLIMB:
+            if self._motion.height < self._height - 0.3:
+                above = self._from._replace(up=self._height)
+                return self._steering.hold(above, ModelYaw.ANGLE, self._nose.step())
+            self._phase = _Phase.APPROACH
+            self._approach_from_here()
+        if self._phase is _Phase.APPROACH:
+            assert self._way is not None
+            if self._steering.is_at(self._way.at(self._way.length).place, within=0.5):
+                self._phase = _Phase.CIRCLE
+            else:
+                return self._approach(self._way)
+        return self._circle(sticks)
+
+    def _approach_from_here(self) -> None:
+        start = self.command.start_point
+        bearing = _START_BEARINGS[start] if start < 4 else math.atan2(*reversed(self._outwards()))
+        end = Place(
+            self._centre.north + self._radius * math.cos(bearing),
+            self._centre.east + self._radius * math.sin(bearing),
+            self._height,
+        )
+        self._way = Leg.straight(self._steering.here, end, 0, 0)
+        self._s = 0.0
+        self._flown_radius = self._radius
+
+    def _approach(self, way: Leg) -> Guidance:
+        steering = self._steering
+        self._s = way.nearest(steering.here, self._s)
+        on = way.at(self._s)
+        speed = min(_APPROACH_SPEED, steering.steepest(on.tangent))
+        speed, gain = slowed(speed, way.length - self._s)
+        if math.hypot(on.tangent.north, on.tangent.east) > 0.1:
+            self._nose.turn_to(math.atan2(on.tangent.east, on.tangent.north))
+        return steering.along(on, on, speed, gain, ModelYaw.ANGLE, self._nose.step())
+
+    def _outwards(self) -> tuple[float, float]:
+        """Unit vector from the centre to the aircraft; north when it is right above."""
+        away, motion = self.distance, self._motion
+        if away < 0.1:
+            return 1.0, 0.0
+        return (motion.north - self._centre.north) / away, (motion.east - self._centre.east) / away
+
+    def _circle(self, sticks: Sticks) -> Guidance:
+        self._obey(sticks)
+        radius, away = self._flown_radius, max(self.distance, 0.5)
+        north, east = self._outwards()
+        rate = math.radians(self._rate_deg)
+        around = rate * radius
+        drift = max(-_FASTEST_INWARDS, min(_FASTEST_INWARDS, _INWARDS * (radius - away)))
+        # The pull to the centre, of the place where it will be when its attitude has followed.
+        pull = rate * rate * radius / self._airframe.velocity_gain
+        turn = math.atan2(east, north) + rate * _LEAD_S
+        return Guidance(
+            ModelHorizontal.VELOCITY,
+            around * -east + drift * north - pull * math.cos(turn),
+            around * north + drift * east - pull * math.sin(turn),
+            vertical=ModelVertical.HEIGHT,
+            up=self._height,
+            yaw_mode=ModelYaw.ANGLE,
+            yaw=self._heading(),
+            steep=True,
+        )
+
+    def _obey(self, sticks: Sticks) -> None:
+        """The pilot's sticks change height, radius and heading."""
+        if abs(sticks.throttle) > 0.05:
+            height = self._height + sticks.throttle * self._airframe.vertical_speed * STEP_S
+            self._height = max(LOWEST, height)
+        step = self._settings.radial_speed * STEP_S
+        if abs(sticks.pitch) > 0.05:
+            radius = self._radius - sticks.pitch * step  # forward is inwards
+            self.set_radius(max(SMALLEST_RADIUS, min(LARGEST_RADIUS, radius)))
+        if abs(sticks.yaw) > 0.05:
+            turn = sticks.yaw * math.radians(self._airframe.yaw_rate_deg) * STEP_S
+            self._nose_offset += turn
+        self._flown_radius += max(-step, min(step, self._radius - self._flown_radius))
+
+    def _heading(self) -> float:
+        mode, (north, east) = self.command.yaw_mode, self._outwards()
+        if mode == CircleYaw.ALONG:
+            sign = 1.0 if self._rate_deg >= 0.0 else -1.0
+            heading = math.atan2(sign * north, sign * -east)
+        elif mode == CircleYaw.CENTRE:
+            heading = math.atan2(-east, -north)
+        elif mode == CircleYaw.OUTWARDS:
+            heading = math.atan2(east, north)
+        else:
+            heading = self._locked
+        # The aircraft turns towards an angle with a lag: ask for the one of a moment later.
+        moves = mode < CircleYaw.BY_RC
+        lag = 1.0 / self._airframe.yaw_gain + self._airframe.yaw_time_constant
+        return heading + self._nose_offset + (math.radians(self._rate_deg) * lag if moves else 0.0)
