@@ -201,7 +201,24 @@ TESTED_ELSEWHERE = {
     "sim/orders/ctl.py": ("cli/test_sim.py", "a socket between two processes"),
     "sim/orders/scenario.py": ("sim/orders/test_actions.py", "a scenario is a list of actions"),
     "sim/vehicle/airframe.py": ("sim/vehicle/test_dynamics.py", "numbers that the dynamics uses"),
+    "sim/vehicle/missions/actions.py": (
+        "sim/vehicle/missions/test_waypoints.py",
+        "actions are what a flight does at its points",
+    ),
+    "sim/vehicle/missions/conditions.py": (
+        "sim/vehicle/missions/test_computer.py",
+        "each is the answer to a start",
+    ),
+    "sim/vehicle/missions/settings.py": (
+        "sim/vehicle/missions/test_plan.py",
+        "numbers that the others use",
+    ),
+    "sim/vehicle/missions/steering.py": (
+        "sim/vehicle/missions/test_waypoints.py",
+        "seen in the track of a flight",
+    ),
     "sim/vehicle/mobile.py": ("sim/vehicle/test_activation.py", "the app is where activation is"),
+    "sim/vehicle/piloting.py": ("sim/vehicle/test_authority.py", "what sticks do to the aircraft"),
     "sim/vehicle/settings.py": ("sim/test_telemetry.py", "numbers that the others use"),
     "sim/virtual.py": ("sim/test_autopilot.py", "it hands on to vehicle, autopilot and line"),
     "station/console/app.py": ("browser/test_console.py", "a page is seen in a browser"),

@@ -214,6 +214,9 @@ class Autopilot:
             message = self._from_mobile.popleft()
             self._mobile_free_at = vehicle.time + len(message) / _MOBILE_BYTES_PER_S
             self.notify(FromMobile(message))
+        if vehicle.missions.is_active:
+            for told in vehicle.missions.news(vehicle.time):
+                self.notify(told)
         frame = self._telemetry.frame(self._sequence)
         if frame is not None:
             self._next_sequence()

@@ -23,7 +23,7 @@ from m100link.protocol.codes import (
     TaskStartCode,
     VersionCode,
 )
-from m100link.protocol.command import Address, Command, Request, encode_code
+from m100link.protocol.command import Acknowledged, Address, Command, Request, encode_code
 from m100link.protocol.commands import missions
 from m100link.protocol.commands.activation import (
     Activate,
@@ -40,6 +40,7 @@ from m100link.protocol.commands.sync import Sync
 from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
+from m100link.sim.missions import UNCONFIRMED, MissionCommands
 from m100link.wire.frame import Frame
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ class Commands:
         self._profile = autopilot.profile
         # A program repeats a setpoint fifty times a second: read it once.
         self._last_move: tuple[bytes, Move, Setpoint | None] | None = None
-        self._handlers: dict[type[Command], Callable[[Any], AckCode | Version | None]] = {
+        self._handlers: dict[type[Command], Callable[[Any], Any]] = {
             GetVersion: self._version,
             Activate: autopilot.activate,
             SetTelemetryRates: self._rates,
@@ -158,6 +159,7 @@ class Commands:
             Sync: self._synchronise,
             VirtualRcSettings: self._switch_virtual_rc,
             VirtualRcData: self._feed_virtual_rc,
+            **MissionCommands(self._vehicle).handlers,
         }
         kinds: tuple[type[Command], ...] = (Move, *self._handlers)
         self._kinds: dict[tuple[int, int], type[Command]] = {
@@ -183,21 +185,25 @@ class Commands:
             self._note(frame, None, reply)
             return reply
         command, answer = self._execute(kind, frame)
-        if issubclass(kind, Request) and answer is not None:
-            reply = Reply(kind.encode_ack(answer), kind.ACK_IS_PLAIN, kind is GetVersion)
+        if answer is not None and issubclass(kind, Acknowledged) and self._answers(kind):
+            begins_anew = issubclass(kind, GetVersion)
+            reply = Reply(kind.encode_ack(answer), kind.ACK_IS_PLAIN, begins_anew)
         self._note(frame, command, reply)
         return reply
 
-    def _execute(
-        self, kind: type[Command], frame: Frame
-    ) -> tuple[Command | None, AckCode | Version | None]:
+    def _answers(self, kind: type[Command]) -> bool:
+        """Whether a command has an ack: requests, and where chosen some that a real one lacks."""
+        is_chosen = kind in UNCONFIRMED and self._vehicle.settings.missions.hotpoint_acks
+        return issubclass(kind, Request) or is_chosen
+
+    def _execute(self, kind: type[Command], frame: Frame) -> tuple[Command | None, Any]:
         refusal = self._refusal(kind, frame)
         if refusal is not None:
             return None, refusal
         try:
             command = kind.parse(frame.data[2:], self._profile)
         except ValueError:
-            return None, kind.unreadable(self._profile) if issubclass(kind, Request) else None
+            return None, kind.unreadable(self._profile) if issubclass(kind, Acknowledged) else None
         return command, self._handlers[kind](command)
 
     def _refusal(self, kind: type[Command], frame: Frame) -> AckCode | None:
@@ -218,7 +224,8 @@ class Commands:
 
     def _note(self, frame: Frame, command: Command | None, reply: Reply | None) -> None:
         address = address_of(frame.data)
-        code_size = 1 if frame.data[:1] == _MISSIONS else 2
+        has_short_code = frame.data[:1] == _MISSIONS and not _is_system_code(reply)
+        code_size = 1 if has_short_code else 2
         code = int.from_bytes(reply.payload[:code_size], "little") if reply else None
         self._autopilot.received_commands.append(
             LastCommand(self._vehicle.time, address, frame.session, frame.encrypted, command, code)
@@ -319,6 +326,11 @@ class Commands:
     def _feed_virtual_rc(self, command: VirtualRcData) -> None:
         self._vehicle.remote.virtual.feed(command, self._vehicle.time)
         self._vehicle.refresh()
+
+
+def _is_system_code(reply: Reply | None) -> bool:
+    """Whether an ack of set 0x03 is the two bytes 0xFF01 or 0xFF02: no waypoint is number 255."""
+    return reply is not None and len(reply.payload) == 2 and reply.payload[1] == 0xFF
 
 
 def _unknown(data: bytes) -> Reply | None:

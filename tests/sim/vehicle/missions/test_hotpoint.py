@@ -1,0 +1,251 @@
+"""Circles flown on virtual time, and the codes of a start."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from m100link.protocol.codes import MissionCode as Code
+from m100link.protocol.commands.hotpoint import (
+    HotpointPauseResume,
+    HotpointResetYaw,
+    HotpointSetRadius,
+    HotpointSetRate,
+    HotpointStart,
+)
+from m100link.protocol.commands.missions import HotpointStatus
+from m100link.sim.vehicle.missions.hotpoint import largest_rate
+from tests.sim.host import Host
+from tests.sim.vehicle.missions.flights import OK, host, hotpoint
+
+
+def flying(north: float = 0.0, east: float = 0.0, height: float = 15.0, **missions: Any) -> Host:
+    program = host(**missions)
+    program.take_off()
+    program.motion.place(north, east, height)
+    return program
+
+
+def circling(program: Host, **fields: Any) -> Host:
+    assert program.ask(hotpoint(**fields)).code == OK
+    for _ in range(600):
+        if status(program).status == 1:
+            break
+        program.wait(0.1)
+    program.wait(5.0)
+    return program
+
+
+def status(program: Host) -> HotpointStatus:
+    told = program.vehicle.missions.status().status
+    assert isinstance(told, HotpointStatus)
+    return told
+
+
+def radius(program: Host) -> float:
+    return math.hypot(program.motion.north, program.motion.east)
+
+
+def bearing(program: Host) -> float:
+    return math.degrees(math.atan2(program.motion.east, program.motion.north))
+
+
+def raw(program: Host, **fields: Any) -> Code:
+    """The code of a start that no encoder of ours would send."""
+    command = hotpoint()
+    changed = {**command.raw(), **fields}
+    ack = program.ask_raw(b"\x03\x20" + HotpointStart.LAYOUT.write(HotpointStart(**changed)))
+    assert ack is not None
+    assert len(ack.data) == 5
+    return Code(ack.data[0])
+
+
+# --- codes ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "fields"),
+    [
+        (Code.BAD_NUMBER, {"latitude": math.nan, "clockwise": 7}),
+        (Code.BAD_NUMBER, {"radius": math.inf}),
+        (Code.BAD_NUMBER, {"angular_rate": math.nan}),
+        (Code.BAD_POSITION, {"latitude": 0.0, "longitude": 0.0, "clockwise": 7}),
+        (Code.BAD_POSITION, {"latitude": 1.6}),
+        (Code.BAD_POSITION, {"longitude": -3.2}),
+        (Code.BAD_DIRECTION, {"clockwise": 2, "start_point": 9}),
+        (Code.BAD_START_POINT, {"start_point": 5, "yaw_mode": 9}),
+        (Code.BAD_YAW_MODE, {"yaw_mode": 5, "radius": 1.0}),
+        (Code.BAD_RADIUS, {"radius": 4.9, "altitude": 1.0}),
+        (Code.BAD_RADIUS, {"radius": 500.5}),
+        (Code.TOO_LOW, {"altitude": 4.9, "angular_rate": 99.0}),
+        (Code.TOO_HIGH, {"altitude": 120.5, "angular_rate": 99.0}),
+        (Code.RATE_TOO_HIGH, {"angular_rate": 30.1}),
+        (Code.RATE_TOO_HIGH, {"radius": 100.0, "angular_rate": 5.8}),
+        (Code.SUCCESS, {"radius": 100.0, "angular_rate": 5.73}),
+        (Code.RATE_TOO_HIGH, {"angular_rate": -1.0}),
+    ],
+)
+def test_what_is_wrong_with_a_start(code: Code, fields: dict[str, Any]) -> None:
+    assert raw(flying(), **fields) == code
+
+
+def test_where_a_circle_may_be() -> None:
+    assert flying().ask(hotpoint(2001.0)).code == Code.TOO_FAR_AWAY
+    assert flying().ask(hotpoint(1999.0)).code == OK
+    near = flying(radius_limit=100.0)
+    answer = near.ask(hotpoint(60.0, radius=41.0, angular_rate=5.0))
+    assert answer.code == Code.TOO_FAR_FROM_HOME
+    assert answer.largest_radius == pytest.approx(40.0, abs=0.01)
+    assert near.ask(hotpoint(60.0, radius=39.0, angular_rate=5.0)).code == OK
+
+
+def test_on_the_ground_it_does_not_start() -> None:
+    assert host().ask(hotpoint()).code == Code.NOT_IN_THE_AIR
+
+
+@pytest.mark.parametrize(
+    ("metres", "rate"), [(5.0, 30.0), (19.1, 30.0), (50.0, 11.46), (100.0, 5.73), (500.0, 1.146)]
+)
+def test_the_largest_rate_is_10_metres_per_second_along_the_circle(
+    metres: float, rate: float
+) -> None:
+    assert largest_rate(metres) == pytest.approx(rate, abs=0.01)
+
+
+# --- the circle -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wind", [0.0, 5.0])
+@pytest.mark.parametrize(
+    ("metres", "rate", "clockwise"),
+    [(5.0, 30.0, 1), (10.0, 15.0, 0), (19.1, 30.0, 1), (50.0, 11.4, 0), (100.0, 2.0, 1)],
+)
+def test_the_circle_has_its_radius_rate_and_height(
+    metres: float, rate: float, clockwise: int, wind: float
+) -> None:
+    program = flying(30.0, 0.0)
+    program.aircraft.set_wind(wind, 0.0)
+    circling(program, radius=metres, angular_rate=rate, clockwise=clockwise)
+    turned, before = 0.0, bearing(program)
+    for _ in range(100):
+        program.wait(0.1)
+        turned += math.remainder(bearing(program) - before, 360.0)
+        before = bearing(program)
+        assert radius(program) == pytest.approx(metres, abs=0.5)
+        assert program.motion.height == pytest.approx(20.0, abs=0.2)
+    assert turned == pytest.approx((1 if clockwise else -1) * 10.0 * rate, rel=0.05)
+    told = status(program)
+    assert told.radius_cm == pytest.approx(100.0 * metres, abs=60)
+    assert told.rate == pytest.approx(min(255, 10.0 * rate), abs=5)
+
+
+@pytest.mark.parametrize(
+    ("start", "direction"), [(0, 0.0), (1, 180.0), (2, -90.0), (3, 90.0), (4, 45.0)]
+)
+def test_the_start_point(start: int, direction: float) -> None:
+    program = flying(40.0, 40.0)
+    assert program.ask(hotpoint(start_point=start, angular_rate=3.0)).code == OK
+    assert status(program).status == 0
+    while status(program).status == 0:
+        program.wait(0.05)
+    assert math.remainder(bearing(program) - direction, 360.0) == pytest.approx(0.0, abs=6.0)
+
+
+@pytest.mark.parametrize("clockwise", [0, 1])
+@pytest.mark.parametrize(("mode", "off"), [(0, 90.0), (1, 180.0), (2, 0.0)])
+def test_the_nose_along_the_path_to_the_centre_or_outwards(
+    mode: int, off: float, clockwise: int
+) -> None:
+    program = circling(flying(), yaw_mode=mode, clockwise=clockwise)
+    wanted = off if clockwise or mode else -off
+    for _ in range(50):
+        program.wait(0.2)
+        beside = math.remainder(program.vehicle.heading_deg - bearing(program) - wanted, 360.0)
+        assert abs(beside) < 6.0
+
+
+@pytest.mark.parametrize("mode", [3, 4])
+def test_the_nose_as_it_was_or_by_the_stick(mode: int) -> None:
+    program = circling(flying(), yaw_mode=mode)
+    assert program.vehicle.heading_deg == pytest.approx(0.0, abs=1.0)
+    program.aircraft.move_stick(yaw=0.3)
+    program.wait(1.0)
+    program.aircraft.release_sticks()
+    program.wait(3.0)
+    assert program.vehicle.heading_deg == pytest.approx(30.0, abs=3.0)
+    program.ask(HotpointResetYaw())
+    program.wait(4.0)
+    assert program.vehicle.heading_deg == pytest.approx(0.0, abs=1.0)
+
+
+# --- changes on the way ---------------------------------------------------------------------
+
+
+def test_a_new_rate_and_direction_and_one_that_is_too_fast() -> None:
+    program = circling(flying())
+    program.ask(HotpointSetRate(0, 5.0))
+    program.wait(8.0)
+    assert status(program).rate == pytest.approx(50, abs=3)
+    before = bearing(program)
+    program.wait(2.0)
+    assert math.remainder(bearing(program) - before, 360.0) == pytest.approx(-10.0, abs=1.5)
+    program.send(b"\x03\x23\x01" + bytes.fromhex("0000c842"), session=0)  # 100 °/s
+    program.wait(10.0)
+    assert status(program).rate == 255
+    assert radius(program) == pytest.approx(10.0, abs=0.5)
+
+
+def test_a_new_radius_comes_at_3_metres_per_second_and_slows_the_rate() -> None:
+    program = circling(flying(), angular_rate=30.0)
+    program.ask(HotpointSetRadius(70.0))
+    program.wait(10.0)
+    assert radius(program) == pytest.approx(40.0, abs=5.0)
+    program.wait(16.0)
+    assert radius(program) == pytest.approx(70.0, abs=0.7)
+    assert status(program).rate == pytest.approx(10.0 * largest_rate(70.0), abs=3)
+    for silly in ("0000803f", "00007a45", "0000c07f"):  # 1 m, 4000 m, NaN
+        program.send(b"\x03\x24" + bytes.fromhex(silly), session=0)
+    program.wait(3.0)
+    assert radius(program) == pytest.approx(70.0, abs=0.7)
+
+
+def test_sticks_change_height_and_radius() -> None:
+    program = circling(flying())
+    program.aircraft.move_stick(throttle=0.5, pitch=-1.0)
+    program.wait(4.0)
+    program.aircraft.release_sticks()
+    program.wait(4.0)
+    assert program.motion.height == pytest.approx(28.0, abs=0.5)
+    assert radius(program) == pytest.approx(22.0, abs=0.7)
+
+
+def test_changes_while_nothing_runs_are_ignored() -> None:
+    program = flying()
+    for command in (HotpointSetRadius(50.0), HotpointSetRate(0, 5.0), HotpointResetYaw()):
+        assert program.ask(command) is None
+    assert program.vehicle.missions.running is None
+
+
+def test_a_pause_hovers_and_a_resume_far_outside_is_refused() -> None:
+    program = circling(flying())
+    assert program.ask(HotpointPauseResume(0)) == OK
+    program.wait(4.0)
+    assert status(program).status == 2
+    assert program.motion.speed < 0.05
+    assert program.ask(HotpointPauseResume(1)) == OK
+    program.wait(6.0)
+    assert status(program).status == 1
+    assert status(program).rate == pytest.approx(150, abs=6)
+    program.ask(HotpointPauseResume(0))
+    program.motion.place(111.0, 0.0, 20.0)
+    assert program.ask(HotpointPauseResume(1)) == Code.TOO_FAR_FROM_CIRCLE
+
+
+def test_an_aircraft_pulled_away_breaks_the_circle_off() -> None:
+    program = circling(flying())
+    program.motion.place(125.0, 0.0, 20.0)
+    program.wait(0.1)
+    last = program.vehicle.missions.last
+    assert (last.last_mission, last.flags, last.reason) == (2, 1, Code.TOO_FAR_FROM_CIRCLE)

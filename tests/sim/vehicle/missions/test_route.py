@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import itertools
+import math
+from random import Random
+
+import pytest
+
+from m100link.sim.vehicle.missions.route import Leg, Place, distance, legs_between
+
+CORNER = [Place(0.0, 0.0, 10.0), Place(40.0, 0.0, 10.0), Place(40.0, 30.0, 10.0)]
+
+
+def test_without_dampings_each_leg_is_a_line() -> None:
+    legs = legs_between(CORNER, None)
+    assert [(leg.first, leg.last, leg.length) for leg in legs] == [(0, 1, 40.0), (1, 2, 30.0)]
+    assert legs[1].at(10.0).place == Place(40.0, 10.0, 10.0)
+    assert legs[1].at(10.0).tangent == Place(0.0, 1.0, 0.0)
+    assert all(leg.curves == [] for leg in legs)
+
+
+def test_a_rounded_corner_of_90_degrees_has_its_damping_as_radius() -> None:
+    (leg,) = legs_between(CORNER, [0.0, 5.0, 0.0])
+    assert leg.length == pytest.approx(35.0 + 5.0 * math.pi / 2.0 + 25.0)
+    ((start, end, radius),) = leg.curves
+    assert [start, radius] == pytest.approx([35.0, 5.0])
+    middle = leg.at((start + end) / 2.0)
+    centre = Place(35.0, 5.0, 10.0)
+    assert distance(middle.place, centre) == pytest.approx(5.0)
+    assert distance(middle.place, CORNER[1]) == pytest.approx(5.0 * (math.sqrt(2.0) - 1.0))
+    # The curvature points from there to the centre.
+    assert middle.place.plus(middle.bend, 25.0) == pytest.approx(centre)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_curved_leg_is_smooth_and_measures_itself(seed: int) -> None:
+    random = Random(seed)
+    places = [
+        Place(random.uniform(-50, 50), random.uniform(-50, 50), random.uniform(5, 40))
+        for _ in range(8)
+    ]
+    lengths = [distance(a, b) for a, b in itertools.pairwise(places)]
+    dampings = [0.45 * min(a, b) for a, b in zip([1e9, *lengths], [*lengths, 1e9], strict=True)]
+    for leg in legs_between(places, dampings):
+        s, step = 0.0, leg.length / 2000.0
+        before = leg.at(0.0)
+        while s < leg.length - step:
+            s += step
+            here = leg.at(s)
+            assert distance(before.place, here.place) == pytest.approx(step, rel=0.02)
+            assert math.hypot(*here.tangent) == pytest.approx(1.0)
+            turn = math.acos(max(-1.0, min(1.0, before.tangent.dot(here.tangent))))
+            assert turn <= step / min([math.inf, *(curve[2] for curve in leg.curves)]) + 1e-4
+            before = here
+
+
+@pytest.mark.parametrize("angle", [100, 135, 170, 179])
+def test_the_curves_of_neighbours_never_overlap(angle: int) -> None:
+    turned = math.radians(angle)
+    places = [Place(0, 0, 0), Place(20, 0, 0)]
+    for number in (1, 2):
+        way = Place(20 * math.cos(number * turned), 20 * math.sin(number * turned), 0.0)
+        places.append(places[-1].plus(way))
+    legs = legs_between(places, [0.0, 10.0, 10.0, 0.0])
+    assert sum(leg.length for leg in legs) <= 60.0
+    for leg in legs:
+        for start, end, _ in leg.curves:
+            assert -1e-9 <= start <= end <= leg.length + 1e-9
+
+
+def test_a_corner_without_a_curve_ends_a_leg_and_a_straight_point_does_not() -> None:
+    places = [Place(0, 0, 0), Place(10, 0, 0), Place(20, 0, 0), Place(20, 10, 0)]
+    legs = legs_between(places, [0.0] * 4)
+    assert [(leg.first, leg.last) for leg in legs] == [(0, 2), (2, 3)]
+    assert legs[0].marks == [(0.0, 0), (10.0, 1), (20.0, 2)]
+
+
+def test_nearest_finds_a_place_beside_the_leg() -> None:
+    (leg,) = legs_between(CORNER, [0.0, 5.0, 0.0])
+    for s in (3.0, 36.0, 40.0, 60.0):
+        on = leg.at(s)
+        beside = on.place.plus(Place(0.0, 0.0, 1.0))
+        assert leg.nearest(beside, s - 1.0) == pytest.approx(s, abs=0.05)
+    assert leg.nearest(Place(-9, 0, 10), 0.0) == 0.0
+    assert leg.nearest(Place(40, 99, 10), leg.length) == leg.length
+
+
+def test_between_tells_the_neighbours_and_the_share() -> None:
+    (leg,) = legs_between(CORNER, [0.0, 5.0, 0.0])
+    middle = leg.marks[1][0]
+    assert leg.between(0.0) == (0, 1, 0.0)
+    assert list(leg.between(middle / 2.0)) == pytest.approx([0, 1, 0.5])
+    assert leg.between(middle) == (1, 2, 0.0)
+    assert leg.between(leg.length) == (1, 2, 1.0)
+
+
+def test_a_way_of_no_length_is_a_place() -> None:
+    here = Place(1.0, 2.0, 3.0)
+    leg = Leg.straight(here, here, 0, 0)
+    assert (leg.length, leg.at(0.0).place) == (0.0, here)
+    assert leg.nearest(Place(5.0, 5.0, 5.0), 0.0) == 0.0
+    assert leg.between(0.0) == (0, 0, 1.0)

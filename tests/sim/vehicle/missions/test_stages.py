@@ -1,0 +1,173 @@
+"""Every order at every stage: the code that the aircraft answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from m100link.protocol.codes import MissionCode as Code
+from m100link.protocol.commands.follow import FollowPauseResume, FollowStart, FollowStop
+from m100link.protocol.commands.hotpoint import (
+    HotpointDownload,
+    HotpointPauseResume,
+    HotpointStop,
+)
+from m100link.protocol.commands.waypoint import (
+    WaypointDownloadMission,
+    WaypointDownloadPoint,
+    WaypointGetIdleSpeed,
+    WaypointMission,
+    WaypointPauseResume,
+    WaypointSetIdleSpeed,
+    WaypointStartStop,
+)
+from m100link.sim.vehicle.missions.stages import CIRCLE_REFUSALS, WAYPOINT_REFUSALS, Order, Stage
+from tests.sim.host import Host
+from tests.sim.vehicle.missions.flights import OK, SQUARE, host, hotpoint, point, upload
+
+POINTS = [point(index, *place) for index, place in enumerate(SQUARE)]
+HERE = hotpoint()
+
+
+def flying() -> Host:
+    program = host()
+    program.take_off()
+    program.motion.place(0.0, 0.0, 15.0)
+    return program
+
+
+def at_stage(stage: Stage) -> Host:
+    program = flying()
+    if stage is not Stage.EMPTY:
+        program.ask(WaypointMission(len(POINTS), 10.0, 5.0))
+    if stage is Stage.PLANNED:
+        program.ask(POINTS[0])
+    elif stage is not Stage.EMPTY:
+        upload(program, POINTS)
+    if stage in (Stage.FLYING, Stage.PAUSED):
+        assert program.ask(WaypointStartStop(0)) == OK
+    if stage is Stage.PAUSED:
+        assert program.ask(WaypointPauseResume(0)) == OK
+    if stage is Stage.OTHER:
+        assert program.ask(HERE).code == OK
+    program.wait(0.05)
+    return program
+
+
+E, P, R, F, S = Stage.EMPTY, Stage.PLANNED, Stage.READY, Stage.FLYING, Stage.PAUSED
+ON_GROUND = (E, P, R)
+ORDERS: dict[Order, Any] = {
+    Order.UPLOAD: WaypointMission(4, 10.0, 5.0),
+    Order.ADD: POINTS[1],
+    Order.START: WaypointStartStop(0),
+    Order.STOP: WaypointStartStop(1),
+    Order.PAUSE: WaypointPauseResume(0),
+    Order.RESUME: WaypointPauseResume(1),
+    Order.DOWNLOAD: WaypointDownloadMission(),
+    Order.DOWNLOAD_POINT: WaypointDownloadPoint(0),
+    Order.SPEED: WaypointSetIdleSpeed(4.0),
+}
+# From the facts, not from the table: one row per order, EMPTY, PLANNED, READY, FLYING, PAUSED.
+WAYPOINTS: dict[Order, tuple[Code, Code, Code, Code, Code]] = {
+    Order.UPLOAD: (OK, OK, OK, Code.RUNNING, Code.RUNNING),
+    Order.ADD: (Code.NO_MISSION, OK, OK, Code.RUNNING, Code.RUNNING),
+    Order.START: (Code.NO_POINTS, Code.NO_POINTS, OK, Code.ALREADY_SO, Code.ALREADY_SO),
+    Order.STOP: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, OK, OK),
+    Order.PAUSE: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, OK, Code.ALREADY_SO),
+    Order.RESUME: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, Code.ALREADY_SO, OK),
+    Order.DOWNLOAD: (Code.NO_MISSION, OK, OK, OK, OK),
+    Order.DOWNLOAD_POINT: (Code.NO_POINTS, OK, OK, OK, OK),
+    Order.SPEED: (Code.NO_MISSION, OK, OK, OK, OK),
+}
+AFTERWARDS: dict[tuple[Order, Stage], Stage] = {
+    (Order.UPLOAD, E): P,
+    (Order.UPLOAD, R): P,
+    (Order.START, R): F,
+    (Order.STOP, F): E,
+    (Order.STOP, S): E,
+    (Order.PAUSE, F): S,
+    (Order.RESUME, S): F,
+}
+
+
+def code_of(answer: Any) -> Code:
+    return answer if isinstance(answer, Code) else answer.code
+
+
+@pytest.mark.parametrize("order", Order)
+@pytest.mark.parametrize("number", range(5))
+def test_waypoints(order: Order, number: int) -> None:
+    stage = (E, P, R, F, S)[number]
+    program = at_stage(stage)
+    assert program.vehicle.missions.stage is stage
+    expected = WAYPOINTS[order][number]
+    assert code_of(program.ask(ORDERS[order])) == expected
+    assert WAYPOINT_REFUSALS.get((order, stage), OK) == expected
+    assert program.vehicle.missions.stage is AFTERWARDS.get((order, stage), stage)
+
+
+def test_asking_for_the_speed_is_refused_where_setting_it_is() -> None:
+    for stage in (E, P, R, F, S):
+        asked = at_stage(stage).ask(WaypointGetIdleSpeed()).code
+        assert asked == WAYPOINTS[Order.SPEED][(E, P, R, F, S).index(stage)]
+
+
+CIRCLES: dict[Order, tuple[Code, Code, Code, Code]] = {  # EMPTY, OTHER, FLYING, PAUSED
+    Order.START: (OK, Code.OTHER_RUNNING, Code.RUNNING, Code.RUNNING),
+    Order.STOP: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, OK),
+    Order.PAUSE: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, Code.ALREADY_PAUSED),
+    Order.RESUME: (Code.NOT_RUNNING, Code.NOT_RUNNING, Code.NOT_PAUSED, OK),
+    Order.DOWNLOAD: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, OK),
+}
+HOTPOINT: dict[Order, Any] = {
+    Order.START: HERE,
+    Order.STOP: HotpointStop(),
+    Order.PAUSE: HotpointPauseResume(0),
+    Order.RESUME: HotpointPauseResume(1),
+    Order.DOWNLOAD: HotpointDownload(),
+}
+FOLLOW: dict[Order, Any] = {
+    Order.START: FollowStart(HERE.latitude, HERE.longitude),
+    Order.STOP: FollowStop(),
+    Order.PAUSE: FollowPauseResume(0),
+    Order.RESUME: FollowPauseResume(1),
+}
+
+
+def _waypoints(program: Host) -> None:
+    upload(program, POINTS)
+    assert program.ask(WaypointStartStop(0)) == OK
+
+
+@pytest.mark.parametrize("orders", [HOTPOINT, FOLLOW], ids=["hotpoint", "follow"])
+@pytest.mark.parametrize("number", range(4))
+def test_hotpoint_and_follow(orders: dict[Order, Any], number: int) -> None:
+    stage = (E, Stage.OTHER, F, S)[number]
+    for order, command in orders.items():
+        program = flying()
+        if stage in (F, S):
+            assert code_of(program.ask(orders[Order.START])) == OK
+        if stage is S:
+            assert program.ask(orders[Order.PAUSE]) == OK
+        if stage is Stage.OTHER:
+            _waypoints(program)
+        expected = CIRCLES[order][number]
+        assert code_of(program.ask(command)) == expected, order
+        assert CIRCLE_REFUSALS.get((order, stage), OK) == expected, order
+
+
+@pytest.mark.parametrize(
+    "begin_other",
+    [lambda program: program.ask(HERE), lambda program: program.ask(FOLLOW[Order.START])],
+    ids=["hotpoint", "follow"],
+)
+def test_waypoints_wait_for_a_mission_of_another_kind(
+    begin_other: Callable[[Host], Any],
+) -> None:
+    program = flying()
+    assert code_of(begin_other(program)) == OK
+    assert upload(program, POINTS) == (OK, [OK] * 4)
+    assert program.ask(WaypointStartStop(0)) == Code.OTHER_RUNNING
+    assert program.ask(WaypointStartStop(1)) == Code.NOT_STARTED
