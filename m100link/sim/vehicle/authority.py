@@ -37,13 +37,13 @@ class ControlArbiter:
         is_requested: The onboard device has obtained control and not given it back. Leaving F keeps
             this, so that coming back to F needs no new request.
         is_pending: A first request of two was answered "in progress".
+        remote: The remote control.
         failsafe: The flight controller has taken over for want of a remote control.
     """
 
     __slots__ = (
         "_app",
         "_profile",
-        "_remote",
         "_settings",
         "assistant",
         "device",
@@ -51,6 +51,7 @@ class ControlArbiter:
         "is_pending",
         "is_releasing",
         "is_requested",
+        "remote",
     )
 
     def __init__(
@@ -63,7 +64,7 @@ class ControlArbiter:
     ) -> None:
         self._profile = profile
         self._settings = settings
-        self._remote = remote
+        self.remote = remote
         self._app = app
         self.assistant = assistant
         self.device = Device.RC
@@ -73,11 +74,11 @@ class ControlArbiter:
         """What keeps the API out, or None; the app is not looked at."""
         if not self.assistant.api_control_enabled:
             return Obstacle.API_DISABLED
-        if self.failsafe or not self._remote.is_connected:
+        if self.failsafe or not self.remote.is_connected:
             return Obstacle.RC_LOST
-        if self._remote.sticks().mode is not RcMode.F:
+        if self.remote.sticks().mode is not RcMode.F:
             return Obstacle.NOT_IN_F
-        if self._profile.needs_f_toggle and not self._remote.moved_since_power_on:
+        if self._profile.needs_f_toggle and not self.remote.moved_since_power_on:
             return Obstacle.F_NOT_TOGGLED
         if self._profile.ioc_must_be_off and self.assistant.ioc_on:
             return Obstacle.IOC_ON

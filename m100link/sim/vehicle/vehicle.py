@@ -110,10 +110,8 @@ class Vehicle:
         self.authority = ControlArbiter(
             profile, self.settings, self.assistant, self.remote, self.app
         )
-        payload = Payload(self.gimbal, self.camera, self.flight, self.log)
-        self.missions = MissionComputer(
-            self.flight, self.settings, self.authority, self.remote, payload, self.log
-        )
+        below = Payload(self.gimbal, self.camera, self.flight, self.log)
+        self.missions = MissionComputer(self.flight, self.settings, self.authority, below, self.log)
         self.sensors = Sensors(
             profile,
             self.settings,

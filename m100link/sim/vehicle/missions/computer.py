@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from m100link.protocol.commands.hotpoint import HotpointStart
     from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
     from m100link.sim.vehicle.authority import ControlArbiter
-    from m100link.sim.vehicle.remote import PilotRemote
     from m100link.sim.vehicle.settings import AircraftSettings
 
 __all__ = ["Flown", "MissionComputer"]
@@ -77,8 +76,7 @@ class MissionComputer:
     Args:
         flight: What flies, and is told where to.
         settings: The aircraft and its site.
-        authority: Who may give orders.
-        remote: The pilot's sticks.
+        authority: Who may give orders, and where the pilot's sticks are.
         payload: What hangs below.
         log: Notes what happens, for people.
 
@@ -95,14 +93,12 @@ class MissionComputer:
         flight: FlightController,
         settings: AircraftSettings,
         authority: ControlArbiter,
-        remote: PilotRemote,
         payload: Payload,
         log: Callable[[str], None],
     ) -> None:
         self._flight = flight
         self._settings = settings
         self._missions = settings.missions
-        self._remote = remote
         self._payload = payload
         self._authority = authority
         self._log = log
@@ -389,7 +385,7 @@ class MissionComputer:
                 flight.go_home()
             return
         if not self.is_paused:
-            self._hover = running.guide(self._remote.sticks())
+            self._hover = running.guide(self._authority.remote.sticks())
         flight.fly_mission(self._hover)
         if running.events:
             self._take_events(running)
