@@ -209,6 +209,11 @@ BY_HAND = {
             )
         )
     """,
+    "waypoint_mission": """
+        return WaypointFlight(
+            self._portal, lambda caller: self._control.waypoint_mission(ARGUMENTS)
+        )
+    """,
     "obtain": """
         if self._handles_signals:
             SIGNALS.join(self)
@@ -387,6 +392,7 @@ FIXED_IMPORTS = {
     "typing": "Any, Self, TypeVar",
     "m100link.errors": "M100Error",
     "m100link.flight.pacing": "Tick",
+    "m100link.sync.missions": "WaypointFlight",
     "m100link.sync.portal": "Portal",
     "m100link.sync.signals": "SIGNALS",
     "m100link.sync.steering": "GimbalRates, Hold, Ticks, asked",

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from m100link.activation import ActivationProgress, activate
 from m100link.aircraft.camera import AircraftCamera
+from m100link.aircraft.events import AuthorityEvent, ConnectionEvent
 from m100link.aircraft.gimbal import AircraftGimbal
 from m100link.aircraft.rates import set_telemetry_rates
 from m100link.errors import (
     CommandRefused,
     LinkError,
-    LossReason,
     UsageError,
 )
 from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
@@ -21,6 +21,7 @@ from m100link.flight.control import Control, PauseAction
 from m100link.flight.guards import Guards
 from m100link.flight.handover import release_authority
 from m100link.flight.lifecycle import BlockClaim
+from m100link.flight.mission_state import MissionState, MissionWatch
 from m100link.flight.sticks import SettingsPace
 from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, task_sequences
@@ -33,6 +34,7 @@ from m100link.protocol.commands.activation import (
     SendToMobile,
     Version,
 )
+from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.requests import Requests
@@ -45,37 +47,11 @@ from m100link.telemetry.subscription import Hub, Latest, Lossless, Newest, Polic
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
-__all__ = ["Aircraft", "AuthorityEvent", "ConnectionEvent"]
+__all__ = ["Aircraft"]
 
 _logger = logging.getLogger("m100link.aircraft")
 
 A = TypeVar("A")
-
-
-class ConnectionEvent(NamedTuple):
-    """Something happened to the connection.
-
-    Attributes:
-        is_connected: Whether the line is open now.
-        error: Why it is not; None while it is.
-    """
-
-    is_connected: bool
-    error: LinkError | None
-
-
-class AuthorityEvent(NamedTuple):
-    """Control authority passed from one state to another.
-
-    Attributes:
-        before: State before.
-        after: State now.
-        reason: Why it was lost or paused.
-    """
-
-    before: AuthorityState
-    after: AuthorityState
-    reason: LossReason
 
 
 class Aircraft:
@@ -103,11 +79,14 @@ class Aircraft:
         self.camera = AircraftCamera(self._requests)
         self.link = link
         self.authority.subscribe(self._on_authority)
+        self._missions = MissionWatch(link.loop.time)
         parts = link, self._requests, self.authority, self.state
-        self._commander = Commander(*parts, task_sequences())
+        self._commander = Commander(*parts, self._missions, task_sequences())
         notifications = Notifications(link, self._requests, self._on_telemetry)
         notifications.subscribe(AuthorityChanged, self._on_authority_changed)
         notifications.subscribe(FromMobile, self._on_from_mobile)
+        notifications.subscribe(MissionStatus, self._missions.on_status)
+        notifications.subscribe(WaypointEvent, self._missions.on_event)
         link.on_lost = self._on_lost
 
     def __repr__(self) -> str:
@@ -368,6 +347,15 @@ class Aircraft:
             NotObserved: Accepted, but the items arrive at other rates.
         """
         return await set_telemetry_rates(self._requests, self.state, rates_hz)
+
+    @property
+    def mission(self) -> MissionState:
+        """What the aircraft flies by itself, whoever started it: a phone, a program that is gone.
+
+        As its pushes tell, firmware 3.1; the box "Ground Station Status" must be ticked in the PC
+        assistant.
+        """
+        return self._missions.state
 
     # -- telemetry and mobile data ---------------------------------------------------------------
 

@@ -30,12 +30,15 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── LevelTooLow            system code 0xFF02
     │   ├── CommandNotSupported    system code 0xFF00
     │   ├── AuthorityRefused
+    │   ├── MissionRefused         a mission, or an order to the one that flies
     │   └── TaskError              take-off, landing or go-home did not happen
     │       ├── TaskRefused        it was not begun
     │       └── TaskFailed         it was begun and the aircraft reports failure
+    ├── MissionAborted             it was flying, and the aircraft broke it off
     ├── NotObserved                begun, but telemetry never showed the result (TimeoutError)
     ├── AuthorityError
     │   ├── NoAuthority            movement was asked for without authority
+    │   │   └── MissionRunning     or while a mission flies: the aircraft would ignore it
     │   └── AuthorityLost          the pilot, the app or the link took it away
     ├── GuardRefused               a safety guard said no; it names itself and the measured value
     └── TelemetryError
@@ -60,6 +63,9 @@ from m100link.errors.aircraft import (
     LayoutMismatch,
     LevelTooLow,
     LossReason,
+    MissionAborted,
+    MissionRefused,
+    MissionRunning,
     NoAuthority,
     NotActivated,
     NotObserved,
@@ -117,6 +123,9 @@ __all__ = [
     "LinkLost",
     "LossReason",
     "M100Error",
+    "MissionAborted",
+    "MissionRefused",
+    "MissionRunning",
     "NoAircraft",
     "NoAnswer",
     "NoAuthority",

@@ -20,6 +20,9 @@ __all__ = [
     "LayoutMismatch",
     "LevelTooLow",
     "LossReason",
+    "MissionAborted",
+    "MissionRefused",
+    "MissionRunning",
     "NoAuthority",
     "NotActivated",
     "NotObserved",
@@ -191,12 +194,65 @@ class NotObserved(M100Error, TimeoutError):
         self.situation = situation or {}
 
 
+class MissionRefused(CommandRefused):
+    """A mission, or an order to the one that flies, was refused (firmware 3.1, set 0x03).
+
+    Attributes:
+        point: Index of the waypoint that was refused, counted from 0; None when it is the whole.
+    """
+
+    def __init__(
+        self,
+        seen: str,
+        *,
+        command: str = "",
+        code: int = -1,
+        point: int | None = None,
+        cause: str = "",
+        remedy: str = "",
+    ) -> None:
+        super().__init__(seen, command=command, code=code, cause=cause, remedy=remedy)
+        self.point = point
+
+
+class MissionAborted(M100Error):
+    """A mission was flying and the aircraft broke it off.
+
+    Attributes:
+        mission: Which kind, in words.
+        code: The reason that the aircraft gave, as an ack code of missions; None when it gave none.
+        index: The waypoint that it was flying to, counted from 0; None when nobody knows.
+    """
+
+    def __init__(
+        self,
+        seen: str,
+        *,
+        mission: str = "",
+        code: int | None = None,
+        index: int | None = None,
+        cause: str = "",
+        remedy: str = "",
+    ) -> None:
+        super().__init__(seen, cause=cause, remedy=remedy)
+        self.mission = mission
+        self.code = code
+        self.index = index
+
+
 class AuthorityError(M100Error):
     """Something about who controls the aircraft."""
 
 
 class NoAuthority(AuthorityError):
     """Movement or a task was asked for without control authority; nothing was sent."""
+
+
+class MissionRunning(NoAuthority):
+    """Movement or a task was asked for while a mission flies the aircraft; nothing was sent.
+
+    The aircraft would ignore it, without a word.
+    """
 
 
 class LossReason(StrEnum):

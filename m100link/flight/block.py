@@ -22,6 +22,7 @@ from m100link.flight.cancellation import Errand, ProgramTask
 from m100link.flight.guards import GuardKeeper
 from m100link.flight.handover import authority_lost, obtain_authority
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
+from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.setpoints import SetpointLoop
 from m100link.flight.signals import SIGNALS
 from m100link.flight.stop_path import StopAction, StopPath
@@ -43,6 +44,7 @@ class ControlBlock:
         commander: The aircraft.
         claim: Kept while the block lives: one at a time.
         setpoints: What the block sends.
+        missions: What the block lets the aircraft fly by itself.
         guards: Their clock starts when authority was obtained.
         stop: What the stop path does after the neutral setpoint.
         on_pause: What happens when the pilot takes the aircraft.
@@ -54,6 +56,7 @@ class ControlBlock:
         commander: Commander,
         claim: BlockClaim,
         setpoints: SetpointLoop,
+        missions: MissionKeeper,
         guards: GuardKeeper,
         *,
         stop: StopAction,
@@ -73,7 +76,7 @@ class ControlBlock:
         self._programs: list[ProgramTask] = []
         self._is_by_hand = False
         self._is_told = False  # by hand: the program was told what ended the block
-        self._stop_path = StopPath(commander, self._life, setpoints, stop)
+        self._stop_path = StopPath(commander, self._life, setpoints, missions, stop)
         self.taking_off = self._stop_path.taking_off
         self.armed = self._stop_path.armed
         self._stopping = Errand(self._stop_path.run, self._on_stopped)
@@ -91,6 +94,11 @@ class ControlBlock:
     def state(self) -> BlockState:
         """Where it is in its life."""
         return self._life.state
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the program is in it, and nothing has ended it."""
+        return self._life.is_open
 
     @property
     def is_flying(self) -> bool:

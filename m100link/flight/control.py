@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Iterator
-from contextlib import asynccontextmanager, contextmanager, nullcontext
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager, nullcontext
 from functools import partial, update_wrapper
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from m100link.errors import (
-    GuardRefused,
-    LinkError,
-    M100Error,
-    NoAuthority,
     TaskRefused,
     UsageError,
 )
@@ -23,9 +19,13 @@ from m100link.flight.guards import GuardKeeper, Guards
 from m100link.flight.guidance import Guidance
 from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
 from m100link.flight.loops import ClosedLoops
+from m100link.flight.missions.deck import Deck
+from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.missions import Missions
 from m100link.flight.motors import Motors
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
-from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold, SetpointLoop, check_lifetime
+from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold
+from m100link.flight.steering import Steering
 from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, TaskListener, run_task, task_name
 from m100link.geodesy import LocalFrame
@@ -52,7 +52,17 @@ def _of_part(
 
     async def call(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> R:
         self._block.require_flying(method.__name__)  # what ended the block comes first
+        self._keeper.require_none(method.__name__)
         return await method(getattr(self, part), *args, **kwargs)
+
+    return update_wrapper(call, method)
+
+
+def _mission(method: Callable[Concatenate[Missions, P], R]) -> Callable[Concatenate[Control, P], R]:
+    """What a program can do with missions, as a method of Control."""
+
+    def call(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        return method(self._missions, *args, **kwargs)
 
     return update_wrapper(call, method)
 
@@ -87,23 +97,31 @@ class Control:
         self._requests = commander.requests
         self._authority = commander.authority
         self._guards = GuardKeeper(guards or Guards(), commander.state)
-        self._running_task: Task | None = None  # flown by the autopilot: it ignores setpoints
-        self._refused: GuardRefused | None = None  # why the newest setpoint was ended
-        self._setpoints = SetpointLoop(
-            self._transmit, self._admits, self._on_send_failed, commander.link.loop
-        )
-        self._block = ControlBlock(
+        keeper = MissionKeeper(commander)
+        self._steering = Steering(commander, self._guards, keeper)
+        self._setpoints = self._steering.setpoints
+        self._block = self._steering.block = ControlBlock(
             commander,
             claim,
             self._setpoints,
+            keeper,
             self._guards,
             stop=stop,
             on_pause=on_pause,
             handle_signals=handle_signals,
         )
-        self._guidance = Guidance(commander.state, steer=self._steer, halt=self._setpoints.halt)
+        self._guidance = Guidance(
+            commander.state, steer=self._steering.steer, halt=self._setpoints.halt
+        )
         self._loops = ClosedLoops(commander.state, self._guards, self._guidance)
         self._motors = Motors(commander, self._guards, self._make_way, self._block.armed)
+        self._keeper = keeper
+        self._missions = Missions(
+            Deck(commander, self._guards, self._block),
+            keeper,
+            make_way=self._make_way_for_mission,
+            take_off=self.take_off,
+        )
 
     # -- the block -------------------------------------------------------------------------------
 
@@ -233,29 +251,7 @@ class Control:
         if self._guidance.flying:
             self._block.require_flying("a setpoint")  # what ended the block comes first
             self._guidance.require_idle("a setpoint")
-        self._steer(setpoint, lifetime, rate_hz, is_long_allowed=allow_long_lifetime)
-
-    def _steer(
-        self,
-        setpoint: Setpoint,
-        lifetime: float = SETPOINT_LIFETIME,
-        rate_hz: float = MAX_RATE_HZ,
-        *,
-        is_long_allowed: bool = False,
-    ) -> None:
-        """Send a setpoint for whoever may steer: the program, or the closed loop that flies."""
-        self._block.require_flying("a setpoint")
-        if self._running_task is not None:
-            raise NoAuthority(
-                f"a setpoint was sent during {task_name(self._running_task)}; nothing was sent",
-                cause="the aircraft ignores movement during take-off, landing and go-home",
-                remedy="await the task first",
-            )
-        check_lifetime(lifetime, is_long_allowed=is_long_allowed)
-        setpoint.control_flag(self._requests.firmware)  # refused here, not in the sending task
-        self._guards.check(setpoint)
-        self._refused = None
-        self._setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
+        self._steering.steer(setpoint, lifetime, rate_hz, is_long_allowed=allow_long_lifetime)
 
     def send_raw_move_as_expert(self, move: Move) -> bool:
         """Send one raw movement command, unchecked and unrepeated. For experts.
@@ -271,45 +267,8 @@ class Control:
         """
         self._block.require_flying("a raw movement command")
         self._guidance.require_idle("a raw movement command")
+        self._keeper.require_none("a raw movement command")
         return self._requests.push(move)
-
-    def _transmit(self, setpoint: Setpoint) -> bool:
-        try:
-            return self._requests.push(setpoint)
-        except LinkError as error:
-            self._block.end(StopCause.LINK_LOST, error.again())
-            return False
-
-    def _on_send_failed(self, error: Exception) -> None:
-        """The task that repeats setpoints has ended, and not because of the line."""
-        _logger.error("setpoints cannot be sent", exc_info=error)
-        failure = M100Error(
-            f"setpoints cannot be sent: {error!r}",
-            cause="an error that nobody expected: a bug, of m100link or of what it stands on",
-            remedy="report it with the traceback in the log",
-        )
-        failure.__cause__ = error
-        self._block.end(StopCause.SENDING_FAILED, failure)
-
-    def _admits(self, setpoint: Setpoint) -> bool:
-        """The gate in front of the wire, for each frame that :meth:`send` did not check itself."""
-        if self._authority.state is not AuthorityState.HELD:
-            return False
-        if self._block.state is BlockState.STOPPING:
-            return True  # the neutral
-        return self._block.admits() and self._guards_admit(setpoint)
-
-    def _guards_admit(self, setpoint: Setpoint) -> bool:
-        """Ask again: a setpoint may live longer than what it was checked against."""
-        try:
-            self._guards.check(setpoint)
-        except GuardRefused as error:
-            if setpoint != setpoint.neutral():  # standing still is never refused
-                _logger.warning("sending neutral: %s", error.seen)
-                self._refused = error
-                self._setpoints.neutralise()
-                return False
-        return True
 
     def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
         """Ticks for a control loop in the caller's own task.
@@ -345,19 +304,8 @@ class Control:
         send = partial(self.send, lifetime=lifetime, rate_hz=rate_hz)
         hold = Hold(partial(send, allow_long_lifetime=allow_long_lifetime))
         hold.set(setpoint)
-        with self._ends_neutral():
+        with self._steering.ends_neutral():
             yield hold
-
-    @contextmanager
-    def _ends_neutral(self) -> Iterator[None]:
-        """Neutral on the way out, and the refusal if a guard ended what was sent last."""
-        self._refused = None
-        try:
-            yield
-        finally:
-            self._setpoints.neutralise()
-        if self._refused is not None:
-            raise self._refused.again()
 
     async def follow(
         self,
@@ -383,7 +331,7 @@ class Control:
         if lifetime is None:
             lifetime = max(SETPOINT_LIFETIME, 2 * period_of(rate_hz))
         send = partial(self.send, lifetime=lifetime, allow_long_lifetime=allow_long_lifetime)
-        with self._ends_neutral():
+        with self._steering.ends_neutral():
             if isinstance(source, AsyncIterable):
                 async for setpoint in source:
                     send(setpoint)
@@ -437,6 +385,20 @@ class Control:
     turn_to = _of_part("_loops", ClosedLoops.turn_to)
     orbit = _of_part("_loops", ClosedLoops.orbit)
 
+    # -- missions: the aircraft flies by itself --------------------------------------------------
+
+    waypoint_mission = _mission(Missions.waypoint_mission)
+    stop_mission = _mission(Missions.stop_mission)
+    pause_mission = _mission(Missions.pause_mission)
+    resume_mission = _mission(Missions.resume_mission)
+    detach_mission = _mission(Missions.detach_mission)
+
+    async def _make_way_for_mission(self, what: str) -> None:
+        """Nothing else steers any more: a mission is about to start."""
+        self._guidance.require_idle(what)
+        await self._setpoints.halt()
+        self._make_way(what)
+
     # -- motors and tasks ------------------------------------------------------------------------
 
     arm = _of_part("_motors", Motors.arm)
@@ -462,6 +424,7 @@ class Control:
             AckTimeout: Nobody knows whether it began.
         """
         self._block.require_flying(task_name(Task.TAKE_OFF))
+        self._keeper.require_none(task_name(Task.TAKE_OFF))
         await self._guards.admit_take_off()
         await self._run(Task.TAKE_OFF, timeout, progress)
 
@@ -480,19 +443,20 @@ class Control:
     async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
         self._block.require_flying(task_name(task))
         self._make_way(task_name(task))
-        self._running_task = task
+        self._steering.running_task = task
         watch = self._block.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
             with watch, self._block.waiting(task_name(task)):
                 await run_task(self._commander, task, timeout=timeout, progress=progress)
         finally:
-            self._running_task = None
+            self._steering.running_task = None
 
     def _make_way(self, what: str) -> None:
         """Setpoints end, for what the autopilot does by itself; one thing at a time."""
-        if self._running_task is not None:
+        self._keeper.require_none(what)
+        if (running := self._steering.running_task) is not None:
             raise TaskRefused(
-                f"{what} was asked for during {task_name(self._running_task)}",
+                f"{what} was asked for during {task_name(running)}",
                 remedy="await one task before the next",
             )
         self._setpoints.silence()

@@ -41,6 +41,9 @@ _OFF = {
 
 _TAKE_OFF_POLL_S = 0.02
 
+MISSION_MARGIN_M = 5.0
+"""Metres beyond the envelope at which a mission is ended: along the edge it overshoots."""
+
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
@@ -109,6 +112,49 @@ class GuardKeeper:
         Raises:
             GuardRefused: Battery below its floor; battery or position unknown.
         """
+        await self._admit("take-off")
+
+    async def admit_mission(self, what: str) -> None:
+        """The same for a mission, which besides needs GPS.
+
+        Raises:
+            GuardRefused: Battery below its floor, GPS too weak; battery or position unknown.
+        """
+        await self._admit(what)
+        if self.guards.gps:
+            self._check_gps(what, known(self._state, Position))
+
+    def check_mission(self, what: str) -> None:
+        """Whether a mission that flies may fly on: battery, and the envelope with 5 m to spare.
+
+        Raises:
+            GuardRefused: With the guard's name, the measured value and the limit.
+        """
+        self._check_battery(what)
+        envelope = self.guards.envelope
+        if envelope is None:
+            return
+        position = known(self._state, Position)
+        if position is None:
+            raise self._unknown(what, Position, guard="envelope", limit=None)
+        place = self._from_start(position)
+        far = None if place is None else math.hypot(*place)
+        for measured, limit, which in (
+            (position.height_m, envelope.max_height_m, "above the take-off point"),
+            (far, envelope.max_radius_m, "from the start"),
+        ):
+            if measured is not None and measured > limit + MISSION_MARGIN_M:
+                raise GuardRefused(
+                    f"{what} is ended: the aircraft is {measured:.0f} m {which}, the envelope ends "
+                    f"at {limit:g} m",
+                    guard="envelope",
+                    measured=measured,
+                    limit=limit,
+                    cause="the pilot's stick, wind, or a curve; what was planned lies inside",
+                    remedy="fly back by hand, or widen the envelope",
+                )
+
+    async def _admit(self, what: str) -> None:
         needed: list[type[Any]] = []
         if self.guards.battery_floor_percent is not None:
             needed.append(Battery)
@@ -123,10 +169,10 @@ class GuardKeeper:
 
         while is_waiting():  # noqa: ASYNC110 (75 times at most)
             await asyncio.sleep(_TAKE_OFF_POLL_S)
-        self._check_battery("take-off", on_ground=True)
+        self._check_battery(what, on_ground=True)
         if Position in needed and known(self._state, Position) is None:
             guard = "gps" if self.guards.gps else "envelope"
-            raise self._unknown("take-off", Position, guard=guard, limit=None)
+            raise self._unknown(what, Position, guard=guard, limit=None)
 
     def check(self, setpoint: Setpoint) -> None:
         """Whether a setpoint may be sent now.
@@ -138,7 +184,8 @@ class GuardKeeper:
         position = known(self._state, Position)
         needs_gps = setpoint.mode.horizontal is not Horizontal.TILT
         if needs_gps and self.guards.gps:
-            self._check_gps(setpoint, position)
+            mode = setpoint.mode.horizontal.name.lower().replace("_", " ")
+            self._check_gps(f"a {mode} setpoint", position)
         envelope = self.guards.envelope
         if envelope is not None:
             self._check_height(setpoint, envelope, position)
@@ -284,14 +331,12 @@ class GuardKeeper:
                 else "land; landing and going home are never refused",
             )
 
-    def _check_gps(self, setpoint: Setpoint, position: Position | None) -> None:
+    def _check_gps(self, what: str, position: Position | None) -> None:
         health = None if position is None else position.gps_health
         if health is None or health < GPS_HEALTH_NEEDED:
-            mode = setpoint.mode.horizontal.name.lower().replace("_", " ")
             seen = "unknown" if health is None else str(health)
             raise GuardRefused(
-                f"a {mode} setpoint was refused: GPS health is {seen}, "
-                f"{GPS_HEALTH_NEEDED} is needed",
+                f"{what} was refused: GPS health is {seen}, {GPS_HEALTH_NEEDED} is needed",
                 guard="gps",
                 measured=health,
                 limit=GPS_HEALTH_NEEDED,

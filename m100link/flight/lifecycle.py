@@ -55,6 +55,7 @@ class StopCause(Enum):
     CLOSED = "the connection is being closed, by whatever task"
     AUTHORITY_LOST = "the pilot or the app took the aircraft"
     TELEMETRY_STALLED = "no telemetry came for too long"
+    GUARD_REFUSED = "a guard refused the mission that flies, or nobody could watch it"
     SENDING_FAILED = "a setpoint could not be sent, and not because of the line"
     LINK_LOST = "the line is gone"
 
@@ -63,6 +64,8 @@ class StopPlan(NamedTuple):
     """What the stop path does.
 
     Attributes:
+        mission: Stop the mission that the block started, before anything else: while one flies,
+            the aircraft ignores setpoints, and it would fly on behind the block.
         explain: Wait for a moment, in silence, for the items that say who took the aircraft.
         neutral: Replace a setpoint that is being sent by its neutral for 0.3 s; otherwise nothing
             more is sent.
@@ -70,6 +73,7 @@ class StopPlan(NamedTuple):
         release: Give authority back.
     """
 
+    mission: bool
     explain: bool
     neutral: bool
     land: bool
@@ -78,20 +82,28 @@ class StopPlan(NamedTuple):
 
 _C = StopCause
 
+_OURS = StopPlan(mission=True, explain=False, neutral=True, land=True, release=True)
+"""The aircraft is ours, and hears us as far as anybody knows."""
+
 STOP_PLANS: dict[StopCause, StopPlan] = {
-    _C.LEFT: StopPlan(explain=False, neutral=True, land=True, release=True),
+    _C.LEFT: _OURS,
     # Nothing was sent. The ack may be lost and authority ours all the same.
-    _C.NOT_ENTERED: StopPlan(explain=False, neutral=False, land=False, release=True),
-    _C.SIGNALLED: StopPlan(explain=False, neutral=True, land=True, release=True),
-    _C.CLOSED: StopPlan(explain=False, neutral=True, land=True, release=True),
+    _C.NOT_ENTERED: StopPlan(mission=False, explain=False, neutral=False, land=False, release=True),
+    _C.SIGNALLED: _OURS,
+    _C.CLOSED: _OURS,
     # Whoever took the aircraft flies it; the release makes sure that it does not come back to us.
-    _C.AUTHORITY_LOST: StopPlan(explain=True, neutral=False, land=False, release=True),
+    # A mission is broken off by that, as far as anybody knows: the stop makes sure of it, and is
+    # refused (D1) where it was.
+    _C.AUTHORITY_LOST: StopPlan(
+        mission=True, explain=True, neutral=False, land=False, release=True
+    ),
     # The aircraft may hear us although we do not hear it.
-    _C.TELEMETRY_STALLED: StopPlan(explain=False, neutral=True, land=True, release=True),
+    _C.TELEMETRY_STALLED: _OURS,
+    _C.GUARD_REFUSED: _OURS,
     # The neutral and the release are other commands: they may still be sent.
-    _C.SENDING_FAILED: StopPlan(explain=False, neutral=True, land=True, release=True),
+    _C.SENDING_FAILED: _OURS,
     # There is nobody to talk to.
-    _C.LINK_LOST: StopPlan(explain=False, neutral=False, land=False, release=False),
+    _C.LINK_LOST: StopPlan(mission=False, explain=False, neutral=False, land=False, release=False),
 }
 """What the stop path does for each cause. Every step still asks whether authority is held."""
 

@@ -13,6 +13,7 @@ from m100link.flight.authority import AuthorityState
 from m100link.flight.handover import explained_loss, release_authority
 from m100link.flight.known import known
 from m100link.flight.lifecycle import Lifecycle
+from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.motors import is_on_ground, switch_motors
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
 from m100link.flight.tasks import Commander, run_task
@@ -33,21 +34,28 @@ _LEAVES_THE_GROUND_S = 1.0  # after a take-off was commanded, if it does at all
 
 
 class StopPath:
-    """Neutral, hover or land, release, as far as the cause of the stop leaves it possible.
+    """Stop of a mission, neutral, hover or land, release, as far as the cause leaves it possible.
 
     Args:
         commander: The aircraft.
         life: Of the control block; its plan says what is to be done.
         setpoints: What the block sends.
+        missions: What the block lets the aircraft fly by itself.
         action: What the program asked for.
     """
 
     def __init__(
-        self, commander: Commander, life: Lifecycle, setpoints: SetpointLoop, action: StopAction
+        self,
+        commander: Commander,
+        life: Lifecycle,
+        setpoints: SetpointLoop,
+        missions: MissionKeeper,
+        action: StopAction,
     ) -> None:
         self._commander = commander
         self._life = life
         self._setpoints = setpoints
+        self._missions = missions
         self._action: StopAction = action
         self._clock = commander.link.loop.time
         self._take_off_at: float | None = None  # the last one of this block that was not refused
@@ -88,7 +96,14 @@ class StopPath:
         again.
         """
         failed: Exception | None = None
-        steps = self._explain, self._end_setpoints, self._land, self._disarm, self._release
+        steps = (
+            self._stop_mission,
+            self._explain,
+            self._end_setpoints,
+            self._land,
+            self._disarm,
+            self._release,
+        )
         for step in steps:
             try:
                 await step()
@@ -100,6 +115,24 @@ class StopPath:
     @property
     def _has_authority(self) -> bool:
         return self._commander.authority.state is AuthorityState.HELD
+
+    async def _stop_mission(self) -> None:
+        """Whether authority is held is for the aircraft to say: the stop is sent in any case.
+
+        One that is not answered does not keep the other steps from their turn; the landing and the
+        release break a mission off as well.
+        """
+        life = self._life
+        if life.plan.mission:
+            failure = await self._missions.stop()
+            life.failure = life.failure or failure
+        if not life.plan.mission:  # perhaps only since the line was lost meanwhile
+            name = self._missions.give_up(life.failure)
+            if name and life.failure is not None:
+                life.failure.remedy = (
+                    f"the {name} flies on by itself: take the aircraft by the mode switch, or "
+                    "connect again and stop it"
+                )
 
     async def _explain(self) -> None:
         failure = self._life.failure
@@ -122,7 +155,7 @@ class StopPath:
         A landing that was under way already ends here too. Releasing authority in the middle of
         either would leave the aircraft in the air.
         """
-        if self._action != "land":
+        if self._action != "land" or self._missions.is_detached:
             return
         deadline = self._clock() + _LANDING_DEADLINE_S
         while self._life.plan.land and self._has_authority and self._may_be_airborne():
@@ -171,5 +204,9 @@ class StopPath:
             _logger.error("the stop path could not stop the motors: %s", error)
 
     async def _release(self) -> None:
-        if self._life.plan.release:
-            await release_authority(self._commander)
+        if not self._life.plan.release:
+            return
+        if self._missions.is_detached and self._has_authority:
+            _logger.warning("authority is kept: the mission that was detached would end without it")
+            return
+        await release_authority(self._commander)

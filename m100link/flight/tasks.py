@@ -24,6 +24,7 @@ from m100link.protocol.records import FlightPhase, FlightStatus, Position
 
 if TYPE_CHECKING:
     from m100link.flight.authority import Authority
+    from m100link.flight.mission_state import MissionWatch
     from m100link.link import Link
     from m100link.requests import Requests
     from m100link.telemetry.state import AircraftState
@@ -52,6 +53,7 @@ class Commander:
         requests: The road by which commands are sent.
         authority: Who controls the aircraft.
         state: Newest telemetry.
+        missions: Which mission flies it, as the aircraft tells.
         task_sequences: A number for each task: see :func:`task_sequences`.
     """
 
@@ -59,6 +61,7 @@ class Commander:
     requests: Requests
     authority: Authority
     state: AircraftState
+    missions: MissionWatch
     task_sequences: Iterator[int]
 
 

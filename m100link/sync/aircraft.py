@@ -12,11 +12,12 @@ from typing import Any, Self, TypeVar
 
 from m100link import aircraft as aio
 from m100link.activation import ActivationProgress
-from m100link.aircraft.aircraft import AuthorityEvent, ConnectionEvent
+from m100link.aircraft.events import AuthorityEvent, ConnectionEvent
 from m100link.errors import CommandRefused, LinkError
 from m100link.flight.authority import Authority
 from m100link.flight.block import PauseAction
 from m100link.flight.guards import Guards
+from m100link.flight.mission_state import MissionState
 from m100link.flight.stop_path import StopAction
 from m100link.link.link import Link
 from m100link.link.statistics import LinkStatistics
@@ -262,6 +263,15 @@ class Aircraft:
             NotObserved: Accepted, but the items arrive at other rates.
         """
         return self._portal.wait(lambda _: self._aircraft.set_telemetry_rates(**rates_hz))
+
+    @property
+    def mission(self) -> MissionState:
+        """What the aircraft flies by itself, whoever started it: a phone, a program that is gone.
+
+        As its pushes tell, firmware 3.1; the box "Ground Station Status" must be ticked in the PC
+        assistant.
+        """
+        return self._aircraft.mission
 
     def telemetry(
         self,

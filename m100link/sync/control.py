@@ -12,11 +12,15 @@ from typing import Self
 from m100link.errors import M100Error
 from m100link.flight import control as aio
 from m100link.flight.guidance import Arrival, Progress
+from m100link.flight.mission_state import MissionKind
+from m100link.flight.missions.waypoint import UploadListener
 from m100link.flight.pacing import MAX_RATE_HZ, Tick
 from m100link.flight.setpoints import SETPOINT_LIFETIME
 from m100link.flight.tasks import TaskListener
 from m100link.geodesy import LocalFrame
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
+from m100link.sync.missions import WaypointFlight
 from m100link.sync.portal import Portal
 from m100link.sync.signals import SIGNALS
 from m100link.sync.steering import Hold, Ticks, asked
@@ -476,6 +480,86 @@ class Control:
                 progress=caller.callback(progress),
             )
         )
+
+    def waypoint_mission(
+        self,
+        plan: WaypointPlan,
+        *,
+        take_off: bool = False,
+        allow_far: bool = False,
+        progress: UploadListener | None = None,
+    ) -> WaypointFlight:
+        """Let the aircraft fly a plan of waypoints by itself, for the time of a block.
+
+        ::
+
+            with control.waypoint_mission(plan) as mission:
+                for event in mission:
+                    print(event)
+
+        Entering asks the guards about the whole plan, uploads it and starts it. While it flies,
+        everything else that moves the aircraft raises :class:`MissionRunning`. Leaving stops it if
+        it still flies, and the aircraft hovers. **It flies on when this program is killed, loses
+        its power or its cable**: only the pilot, its own end or a stop ends it.
+
+        Args:
+            plan: The waypoints.
+            take_off: Take off first when the aircraft stands on the ground, once the plan is
+                uploaded. Without it a mission on the ground is refused.
+            allow_far: Let the first waypoint be more than 500 m away.
+            progress: Called for each waypoint that the aircraft has taken.
+
+        Raises:
+            GuardRefused: The plan leaves the envelope, begins too far away, or battery or GPS do
+                not allow it: nothing was sent. Or a guard ended it, and the control block, in
+                flight.
+            CommandNotSupported: Firmware before 3.1; nothing was sent.
+            MissionRefused: The aircraft's reason, with the waypoint; nothing flies.
+            MissionRunning, NoAuthority, UsageError, TelemetryStalled: Another mission flies; no
+                authority; on the ground; the flight status is unknown.
+            AckTimeout, LinkError: See each class. A start that may have been heard is stopped.
+            MissionAborted: While it flew the aircraft broke it off, with its reason.
+        """
+        return WaypointFlight(
+            self._portal,
+            lambda caller: self._control.waypoint_mission(
+                plan, take_off=take_off, allow_far=allow_far, progress=caller.callback(progress)
+            ),
+        )
+
+    def stop_mission(self) -> MissionKind:
+        """Stop whatever mission flies, whoever started it: the aircraft hovers.
+
+        A mission of a phone, or of a program that is gone, is found as
+        :attr:`m100link.Aircraft.mission`. Where nothing is pushed, every kind is told to stop.
+
+        Returns:
+            The kind that was stopped; :attr:`MissionKind.NONE` when the aircraft knows of none.
+
+        Raises:
+            MissionRefused: With the aircraft's reason.
+            NoAuthority, AckTimeout, LinkError: See each class.
+        """
+        return self._portal.wait(lambda _: self._control.stop_mission())
+
+    def pause_mission(self) -> MissionKind:
+        """Pause whatever mission flies, whoever started it. Raises as :meth:`stop_mission`."""
+        return self._portal.wait(lambda _: self._control.pause_mission())
+
+    def resume_mission(self) -> MissionKind:
+        """Let it go on. Raises as :meth:`stop_mission`."""
+        return self._portal.wait(lambda _: self._control.resume_mission())
+
+    def detach_mission(self) -> MissionKind:
+        """Leave whatever mission flies in flight when this control block ends.
+
+        Authority is not given back then: that would break it off. See
+        :meth:`WaypointFlight.detach`.
+
+        Raises:
+            UsageError: No mission flies, as far as the aircraft tells.
+        """
+        return self._portal.call(self._control.detach_mission)
 
     def arm(self) -> None:
         """Start the motors on the ground; they idle, and the aircraft stays where it is.

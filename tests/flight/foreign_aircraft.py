@@ -1,15 +1,17 @@
 """An aircraft that shares no line with the library or its simulator: they may agree on mistakes.
 
 Frames by the rules of the golden vectors' README and of DJI's code of 2015, with checksums of its
-own; a pseudo-terminal and a thread, real time. It stands in the air, answers version, activation,
-authority and tasks, streams telemetry, and notes each movement with its time and whether a Matrice
-would have obeyed it.
+own; behind a pseudo-terminal with a thread, in real time, or a cable in memory, by the clock of the
+event loop. It stands in the air, answers version, activation, authority, tasks and missions,
+streams telemetry, and notes each movement with its time and whether a Matrice would have obeyed it.
 """
 
 from __future__ import annotations
 
+import asyncio
 import math
 import os
+import random
 import select
 import struct
 import threading
@@ -17,9 +19,17 @@ import time
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
+
+from tests.flight.foreign_missions import (
+    COS_LATITUDE,
+    EARTH_M,
+    LATITUDE_DEG,
+    LONGITUDE_DEG,
+    ForeignMissions,
+)
 
 APP_ID, KEY = 77, bytes(range(32, 64))
 PERIOD_S = 0.02
@@ -62,10 +72,10 @@ class Movement(NamedTuple):
     is_obeyed: bool  # the aircraft was under onboard control
 
 
-class ForeignAircraft:
-    """What stands at the other end of the port :attr:`name`.
+class ForeignMatrice:
+    """An aircraft that gets bytes and gives some; what carries them is for others.
 
-    The attributes below may be set at any time; the thread looks at them fifty times a second.
+    The attributes below may be set at any time; it looks at them fifty times a second.
 
     Attributes:
         mode: Mode switch of the remote controller, ``MODE_F`` or ``MODE_P``.
@@ -76,74 +86,69 @@ class ForeignAircraft:
         while_obtaining: What the pilot does when the request for authority is granted: nothing, or
             leaves F while its ack is lost (``"lost ack"``) or travels in one piece with the
             notification (``"one chunk"``).
+        battery: Charge, percent.
         movements: Every movement command, oldest first.
         releases: Requests to release that arrived.
         tasks: Flight mode commands that arrived: 4 take-off, 6 land, 1 go home.
+        missions: What it flies by itself.
     """
 
     def __init__(self, firmware: str = "1.0") -> None:
         self.firmware = firmware
         self.mode, self.device, self.status = MODE_F, RC, IN_AIR
         self.items = {"time", "position", "rc", "status", "battery"}
-        self.latitude_deg = 47.0
+        self.latitude_deg = LATITUDE_DEG
+        self.battery = 80
         self.while_obtaining = ""
         self.movements: list[Movement] = []
         self.releases = 0
         self.tasks: list[int] = []
+        self.missions = ForeignMissions()
         self._asked = 0  # firmware from 2.3 on answers the first request "in progress"
         self._key: bytes | None = None
         self._stored: dict[int, tuple[int, bytes]] = {}
         self._buffer = b""
-        self._landed_at = math.inf
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        self.name = os.ttyname(self._slave)
-        self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="foreign aircraft", daemon=True)
-        self._thread.start()
+        self._lands_at = self._took_off_at = math.inf
+        self._next_at = -math.inf
 
-    def close(self) -> None:
-        """Unplug it."""
-        self._is_over.set()
-        self._thread.join()
-        os.close(self._master)
-        os.close(self._slave)
+    def now(self) -> float:
+        """Seconds by the clock that it lives by."""
+        raise NotImplementedError
+
+    def _write(self, data: bytes) -> None:
+        raise NotImplementedError
 
     def leave_f(self) -> None:
         """The pilot takes over."""
         self.mode = MODE_P
         if self.device == ONBOARD:
             self.device = RC
+            self.missions.break_off(0xD0)
             self._write(frame(b"\x02\x01\x04"))
 
-    def wait_for(self, what: str, count: int, timeout: float = 10.0) -> None:
-        """Wait until the list or counter of that name has so many."""
-        deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            value = getattr(self, what)
-            if (value if isinstance(value, int) else len(value)) >= count:
-                return
-            time.sleep(0.005)
-        raise TimeoutError(f"{count} {what} did not come, {getattr(self, what)!r} did")
+    def take_by_app(self) -> None:
+        """The app takes over."""
+        self.device = APP
+        self.missions.break_off(0xD1)
+        self._write(frame(b"\x02\x01\x04"))
 
-    def _run(self) -> None:
-        next_at = time.monotonic()
-        while not self._is_over.is_set():
-            now = time.monotonic()
-            if now >= next_at:
-                next_at = max(next_at + PERIOD_S, now)
-                self._write(frame(b"\x02\x00" + self._telemetry(now)))
-                if now >= self._landed_at:
-                    self.status, self._landed_at = STANDBY, math.inf
-            if select.select([self._master], [], [], max(0.0, next_at - time.monotonic()))[0]:
-                self._buffer += os.read(self._master, 4096)
-                self._decode()
+    def step(self) -> None:
+        """A fiftieth of a second has passed: fly, and tell."""
+        now = self.now()
+        self._next_at = max(self._next_at + PERIOD_S, now)
+        if now >= self._lands_at:
+            self.status, self._lands_at, self.missions.height = STANDBY, math.inf, 0.0
+        if now >= self._took_off_at:
+            self.status, self._took_off_at, self.missions.height = IN_AIR, math.inf, 1.2
+        if self.missions.advance(PERIOD_S) == "land":
+            self.status, self._lands_at = LANDING, now + 0.5
+        self._write(frame(b"\x02\x00" + self._telemetry(now)))
+        for push in self.missions.pushes():
+            self._write(frame(push))
 
-    def _write(self, data: bytes) -> None:
-        if select.select([], [self._master], [], 0.0)[1]:  # a reader that hangs loses bytes
-            os.write(self._master, data)
-
-    def _decode(self) -> None:
+    def receive(self, data: bytes) -> None:
+        """Bytes came."""
+        self._buffer += data
         while (start := self._buffer.find(b"\xaa")) >= 0:
             self._buffer = self._buffer[start:]
             if len(self._buffer) < 12:
@@ -189,18 +194,26 @@ class ForeignAircraft:
             return b"\0\0"
         if (group, number) == (1, 3):
             flag_and_values = struct.unpack("<B4f", value)
-            now, is_obeyed = time.monotonic(), self.device == ONBOARD
+            now = self.now()
+            is_obeyed = self.device == ONBOARD and not self.missions.flying
             self.movements.append(Movement(now, flag_and_values[1:], is_obeyed))
             return None
         if (group, number) == (1, 0):
             return struct.pack("<H", self._authority(is_wanted=value == b"\1"))
         if (group, number) == (1, 1):
             self.tasks.append(value[1])
-            if value[1] == 6:
-                self.status, self._landed_at = LANDING, time.monotonic() + 0.5
+            if value[1] == 4:
+                self._took_off_at = self.now() + 0.5
+            elif value[1] == 6:
+                self.missions.break_off(0xF1)
+                self.status, self._lands_at = LANDING, self.now() + 0.5
             return b"\2\0"
         if (group, number) == (1, 2):
-            return b"\5\0" if self._landed_at == math.inf else b"\3\0"
+            is_over = self._lands_at == self._took_off_at == math.inf
+            return b"\5\0" if is_over else b"\3\0"
+        if group == 3 and self.firmware == "3.1":
+            is_ours = self.device == ONBOARD
+            return self.missions.execute(number, value, is_ours=is_ours, status=self.status)
         return b"\0\xff"
 
     def _authority(self, *, is_wanted: bool) -> int:
@@ -211,6 +224,8 @@ class ForeignAircraft:
         if self.firmware != "1.0" and self._asked % 2:
             return 3 if is_wanted else 4
         self.device = ONBOARD if is_wanted else RC
+        if not is_wanted:
+            self.missions.break_off(0xD1)
         return 2 if is_wanted else 1
 
     def _version(self) -> bytes:
@@ -227,14 +242,17 @@ class ForeignAircraft:
     def _telemetry(self, now: float) -> bytes:
         rate = 400 if self.firmware == "3.1" else 600
         tick = struct.pack("<I", int(now * rate) & 0xFFFFFFFF)
-        place = math.radians(self.latitude_deg), math.radians(8.0), 400.0, 5.0, 5
+        missions = self.missions
+        latitude = self.latitude_deg + math.degrees(missions.north / EARTH_M)
+        longitude = LONGITUDE_DEG + math.degrees(missions.east / EARTH_M) / COS_LATITUDE
+        place = math.radians(latitude), math.radians(longitude), 400.0, missions.height, 5
         device = self.device | (self.device == ONBOARD) << 3
         values = {
             "time": tick + (bytes(5) if self.firmware == "3.1" else b""),
             "position": struct.pack("<ddffB", *place),
             "rc": struct.pack("<6h", 0, 0, 0, 0, self.mode, -10000),
             "status": bytes([self.status]),
-            "battery": b"\x50",
+            "battery": bytes([self.battery]),
             "device": {"1.0": bytes([self.device]), "2.3": bytes([device])}.get(
                 self.firmware, bytes([0, device])
             ),
@@ -242,6 +260,102 @@ class ForeignAircraft:
         items = [name for name in ITEMS if name in self.items]
         flags = sum(1 << ITEMS[name] for name in items)
         return struct.pack("<H", flags) + b"".join(values[name] for name in items)
+
+
+class ForeignAircraft(ForeignMatrice):
+    """One at the other end of the port :attr:`name`, in a thread, in real time."""
+
+    def __init__(self, firmware: str = "1.0") -> None:
+        super().__init__(firmware)
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.name = os.ttyname(self._slave)
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="foreign aircraft", daemon=True)
+        self._thread.start()
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Unplug it."""
+        self._is_over.set()
+        self._thread.join()
+        os.close(self._master)
+        os.close(self._slave)
+
+    def wait_for(self, what: str, count: int, timeout: float = 10.0) -> None:
+        """Wait until the list or counter of that name has so many."""
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            value = getattr(self, what)
+            if (value if isinstance(value, int) else len(value)) >= count:
+                return
+            time.sleep(0.005)
+        raise TimeoutError(f"{count} {what} did not come, {getattr(self, what)!r} did")
+
+    def _run(self) -> None:
+        while not self._is_over.is_set():
+            if self.now() >= self._next_at:
+                self.step()
+            if select.select([self._master], [], [], max(0.0, self._next_at - self.now()))[0]:
+                self.receive(os.read(self._master, 4096))
+
+    def _write(self, data: bytes) -> None:
+        if select.select([], [self._master], [], 0.0)[1]:  # a reader that hangs loses bytes
+            os.write(self._master, data)
+
+
+class ForeignInMemory(ForeignMatrice, asyncio.Protocol):
+    """One at the other end of a cable in memory, on the time of the event loop.
+
+    Args:
+        loss: Which part of the frames is lost, in either direction.
+        seed: Of the losses.
+    """
+
+    def __init__(self, firmware: str = "3.1", *, loss: float = 0.0, seed: int = 1) -> None:
+        super().__init__(firmware)
+        self._loop = asyncio.get_running_loop()
+        self._transport: asyncio.WriteTransport | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._chance = random.Random(seed)
+        self.loss = loss
+        self.is_deaf = self.is_mute = False  # a wire is broken
+
+    def now(self) -> float:
+        return self._loop.time()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.WriteTransport", transport)
+        self._tick()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._transport = None
+
+    def data_received(self, data: bytes) -> None:
+        if not self.is_deaf and self._chance.random() >= self.loss:
+            self.receive(data)
+
+    def _tick(self) -> None:
+        """It flies on when the cable is gone."""
+        self.step()
+        self._timer = self._loop.call_later(PERIOD_S, self._tick)
+
+    def _write(self, data: bytes) -> None:
+        is_lost = self.is_mute or self._chance.random() < self.loss
+        if self._transport is not None and not is_lost:
+            self._transport.write(data)
+
+    def unplug(self) -> None:
+        """The cable is pulled."""
+        if self._transport is not None:
+            self._transport.close()
+
+    def close(self) -> None:
+        """Its time stands still."""
+        if self._timer is not None:
+            self._timer.cancel()
 
 
 @contextmanager

@@ -42,6 +42,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.NEW, C.CLOSED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.AUTHORITY_LOST): (S.NEW, NOT_ENTERED),
     (S.NEW, C.TELEMETRY_STALLED): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.GUARD_REFUSED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.SENDING_FAILED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.LINK_LOST): (S.NEW, NOT_ENTERED),
     (S.ENTERING, I.ENTER): (S.ENTERING, ONCE),
@@ -55,6 +56,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.ENTERING, C.CLOSED): (S.STOPPING, ENDS),
     (S.ENTERING, C.AUTHORITY_LOST): (S.STOPPING, ENDS),
     (S.ENTERING, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.ENTERING, C.GUARD_REFUSED): (S.STOPPING, ENDS),
     (S.ENTERING, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.ENTERING, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.FLYING, I.ENTER): (S.FLYING, ONCE),
@@ -68,6 +70,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.FLYING, C.CLOSED): (S.STOPPING, ENDS),
     (S.FLYING, C.AUTHORITY_LOST): (S.STOPPING, ENDS),
     (S.FLYING, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.FLYING, C.GUARD_REFUSED): (S.STOPPING, ENDS),
     (S.FLYING, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.FLYING, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.PAUSED, I.ENTER): (S.PAUSED, ONCE),
@@ -81,6 +84,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.PAUSED, C.CLOSED): (S.STOPPING, ENDS),
     (S.PAUSED, C.AUTHORITY_LOST): (S.STOPPING, "the app takes it from the pilot, too"),
     (S.PAUSED, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
+    (S.PAUSED, C.GUARD_REFUSED): (S.STOPPING, ENDS),
     (S.PAUSED, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.PAUSED, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.STOPPING, I.ENTER): (S.STOPPING, ONCE),
@@ -94,6 +98,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.STOPPING, C.CLOSED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.AUTHORITY_LOST): (S.STOPPING, UNDER_WAY),
     (S.STOPPING, C.TELEMETRY_STALLED): (S.STOPPING, FIRST_CAUSE),
+    (S.STOPPING, C.GUARD_REFUSED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.SENDING_FAILED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.LINK_LOST): (S.STOPPING, NO_LINE),
     (S.OVER, I.ENTER): (S.OVER, ONCE),
@@ -107,6 +112,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.OVER, C.CLOSED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.AUTHORITY_LOST): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.TELEMETRY_STALLED): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.GUARD_REFUSED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.SENDING_FAILED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.LINK_LOST): (S.OVER, NEVER_AGAIN),
 }
@@ -172,16 +178,23 @@ def test_a_line_lost_during_the_stop_path_is_told_when_nothing_else_is() -> None
     assert life.failure is lost
 
 
-# Explain, neutral, land, release; why. Written from what each cause leaves possible.
-PLANS: dict[StopCause, tuple[tuple[bool, bool, bool, bool], str]] = {
-    C.LEFT: ((False, True, True, True), "all is well: everything that was asked for"),
-    C.NOT_ENTERED: ((False, False, False, True), "nothing flew; the ack alone may be lost"),
-    C.SIGNALLED: ((False, True, True, True), "the program goes, the aircraft does not"),
-    C.CLOSED: ((False, True, True, True), "as long as the line is there, it is used"),
-    C.AUTHORITY_LOST: ((True, False, False, True), "whoever took it flies it; say who it was"),
-    C.TELEMETRY_STALLED: ((False, True, True, True), "it may hear us although we hear nothing"),
-    C.SENDING_FAILED: ((False, True, True, True), "other commands may still be sent"),
-    C.LINK_LOST: ((False, False, False, False), "nobody is there"),
+# Mission, explain, neutral, land, release; why. Written from what each cause leaves possible.
+PLANS: dict[StopCause, tuple[tuple[bool, bool, bool, bool, bool], str]] = {
+    C.LEFT: ((True, False, True, True, True), "all is well: everything that was asked for"),
+    C.NOT_ENTERED: ((False, False, False, False, True), "nothing flew; the ack alone may be lost"),
+    C.SIGNALLED: ((True, False, True, True, True), "the program goes, the aircraft does not"),
+    C.CLOSED: ((True, False, True, True, True), "as long as the line is there, it is used"),
+    C.AUTHORITY_LOST: (
+        (True, True, False, False, True),
+        "whoever took it flies it; say who",
+    ),
+    C.TELEMETRY_STALLED: (
+        (True, False, True, True, True),
+        "it may hear us though we hear nothing",
+    ),
+    C.GUARD_REFUSED: ((True, False, True, True, True), "a mission that may not fly is stopped"),
+    C.SENDING_FAILED: ((True, False, True, True, True), "other commands may still be sent"),
+    C.LINK_LOST: ((False, False, False, False, False), "nobody is there"),
 }
 
 

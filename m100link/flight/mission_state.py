@@ -1,0 +1,142 @@
+"""Which mission flies the aircraft, as its pushes tell: whoever started it.
+
+Missions live in the flight controller. One that a phone started, or a program that is gone, is
+told of by the same pushes as one of ours (facts M9, M15).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from m100link.protocol.commands.missions import (
+    FollowStatus,
+    HotpointStatus,
+    IdleStatus,
+    IocStatus,
+    MissionStatus,
+    WaypointEvent,
+    WaypointStatus,
+)
+
+__all__ = ["MissionKind", "MissionState", "MissionWatch"]
+
+BELIEVED_S = 3.0
+"""Seconds for which a push that names a mission is believed; they come at about 10 Hz (facts K23,
+inferred)."""
+
+_ECHO_S = 1.0
+"""Seconds after the end of a mission in which pushes may still tell of it: they were under way."""
+
+
+class MissionKind(Enum):
+    """What the aircraft flies by itself."""
+
+    UNKNOWN = "unknown"  # nothing was pushed: the box in the PC assistant is not ticked
+    NONE = "no mission"
+    WAYPOINT = "waypoint mission"
+    HOTPOINT = "hotpoint"
+    FOLLOW = "follow mission"
+    IOC = "IOC"  # flown by the pilot's sticks: no mission that could be stopped
+
+    @property
+    def is_mission(self) -> bool:
+        """Whether setpoints are ignored while it flies (facts M8)."""
+        return self in (MissionKind.WAYPOINT, MissionKind.HOTPOINT, MissionKind.FOLLOW)
+
+
+@dataclass(frozen=True, slots=True)
+class MissionState:
+    """What the newest push told.
+
+    Attributes:
+        kind: What flies the aircraft.
+        index: Waypoint that it flies to, counted from 0; None for other missions.
+        status: Status value of a waypoint mission (0 on the way to the first point, 1 flying, 2
+            turning, 3 to 5 action, 6 reached; facts W20, inferred) or of a hotpoint (0 on the way,
+            1 circling, 2 paused); None for others.
+        since: When this kind was told of first, on the event loop's clock; None before any push.
+        is_running: Whether it flies the aircraft now: told of within the last 3 s.
+    """
+
+    kind: MissionKind = MissionKind.UNKNOWN
+    index: int | None = None
+    status: int | None = None
+    since: float | None = None
+    is_running: bool = False
+
+
+_KINDS: dict[type[object], MissionKind] = {
+    WaypointStatus: MissionKind.WAYPOINT,
+    HotpointStatus: MissionKind.HOTPOINT,
+    FollowStatus: MissionKind.FOLLOW,
+    IdleStatus: MissionKind.NONE,
+    IocStatus: MissionKind.IOC,
+}
+
+Listener = Callable[[MissionStatus | WaypointEvent], None]
+
+
+class MissionWatch:
+    """Remembers the newest push, and hands each one to the mission that this program flies.
+
+    Args:
+        clock: Of the event loop.
+
+    Attributes:
+        listener: Gets every push as it comes; None while this program flies no mission.
+        received_at: When the newest status push came; minus infinity before the first.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self.listener: Listener | None = None
+        self.received_at = -math.inf
+        self._kind = MissionKind.UNKNOWN
+        self._status: MissionStatus | None = None
+        self._since: float | None = None
+        # Until when pushes that name a mission which has ended are taken for late ones.
+        self._echo: tuple[MissionKind, float] | None = None
+
+    @property
+    def state(self) -> MissionState:
+        """The newest push, read."""
+        told = None if self._status is None else self._status.status
+        is_fresh = self._clock() - self.received_at <= BELIEVED_S
+        return MissionState(
+            kind=self._kind,
+            index=told.index if isinstance(told, WaypointStatus) else None,
+            status=told.status if isinstance(told, WaypointStatus | HotpointStatus) else None,
+            since=self._since,
+            is_running=self._kind.is_mission and is_fresh,
+        )
+
+    def on_status(self, push: MissionStatus, now: float) -> None:
+        """A status push came (0x02/0x03)."""
+        kind = _KINDS.get(type(push.status))
+        if kind is None:
+            return
+        if self._echo is not None:
+            ended, until = self._echo
+            if kind is ended and now < until:
+                return
+            self._echo = None
+        self.received_at, self._status = now, push
+        if kind is not self._kind:
+            self._kind, self._since = kind, now
+        if self.listener is not None:
+            self.listener(push)
+
+    def on_event(self, push: WaypointEvent, now: float) -> None:
+        """A waypoint event came (0x02/0x04)."""
+        if self.listener is not None:
+            self.listener(push)
+
+    def ended(self, kind: MissionKind) -> None:
+        """A mission of ours ended; pushes of the moment before may still be under way."""
+        now = self._clock()
+        self._echo = kind, now + _ECHO_S
+        if self._kind is kind:
+            self._kind, self._status, self._since = MissionKind.NONE, None, now

@@ -1,0 +1,209 @@
+"""Which mission a control block answers for: at most one, and what that means for the others."""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import TYPE_CHECKING
+
+from m100link.errors import M100Error, MissionRefused, MissionRunning, UsageError
+from m100link.flight.mission_state import MissionKind
+from m100link.flight.missions.life import RunState
+from m100link.flight.missions.orders import ORDERS, PAUSED_CODES, RESUMED_CODES, STOPPED_CODES
+from m100link.flight.missions.refusal import mission_refused
+from m100link.flight.missions.run import MissionRun
+from m100link.protocol.codes import MissionCode
+
+if TYPE_CHECKING:
+    from m100link.flight.tasks import Commander
+
+__all__ = ["MissionKeeper"]
+
+_logger = logging.getLogger("m100link.flight")
+
+_TOLD_BY_S = 1.0  # after its start, by when the pushes tell of a mission
+
+
+class MissionKeeper:
+    """Knows the mission of one control block, and the one of somebody else that the pushes tell of.
+
+    Args:
+        commander: The aircraft.
+    """
+
+    def __init__(self, commander: Commander) -> None:
+        self._commander = commander
+        self._watch = commander.missions
+        self._run: MissionRun | None = None  # the newest that this block entered
+        self._detached: MissionKind | None = None  # somebody else's, left in flight by name
+
+    # -- one at a time ---------------------------------------------------------------------------
+
+    def claim(self, run: MissionRun) -> None:
+        """A mission is about to be uploaded or started.
+
+        Raises:
+            MissionRunning: Another one flies.
+        """
+        self.require_none(f"a {run.name}")
+        if self._run is not None and self._run.state is RunState.READY:
+            raise UsageError(
+                f"a {run.name} was asked for while another mission is being prepared",
+                remedy="leave the block of that one first",
+            )
+        self._run = run
+
+    def give_back(self, run: MissionRun) -> None:
+        """It could not be begun; one that may be flying all the same stays ours."""
+        if self._run is run and not run.is_in_the_air:
+            self._run = None
+
+    @property
+    def flying(self) -> str:
+        """The name of the mission that flies the aircraft, ours or another's; empty: none does."""
+        run = self._run
+        if run is not None and run.is_in_the_air:
+            return run.name
+        state = self._watch.state
+        return state.kind.value if state.is_running else ""
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether the mission that flies is one that this block answers for."""
+        return self._run is not None and self._run.is_in_the_air
+
+    def require_none(self, what: str) -> None:
+        """Raise while a mission flies: the aircraft would ignore what is asked for (facts M8).
+
+        Raises:
+            MissionRunning: With what to do about it.
+        """
+        name = self.flying
+        if not name:
+            return
+        if self.is_ours:
+            raise MissionRunning(
+                f"{what} was asked for while a {name} flies the aircraft; nothing was sent",
+                cause="the aircraft ignores everything else until the mission is over or stopped",
+                remedy="await mission.stop(), or leave the block of the mission, first",
+            )
+        raise MissionRunning(
+            f"{what} was asked for while a {name} flies the aircraft, which this block did not "
+            "start; nothing was sent",
+            cause="it was started from a phone, by another program, or by one that is gone",
+            remedy="let it end, or stop it first: await control.stop_mission()",
+        )
+
+    # -- orders to what flies, whoever started it ------------------------------------------------
+
+    async def stop_any(self) -> MissionKind:
+        """Stop what flies. See :meth:`m100link.Control.stop_mission`."""
+        if self._run is not None and self._run.is_in_the_air:
+            kind = self._run.kind
+            await self._run.stop()
+            return kind
+        state = self._watch.state
+        kinds = [state.kind] if state.is_running else list(ORDERS)
+        stopped = MissionKind.NONE
+        for kind in kinds:
+            code = await self._commander.requests.execute(
+                ORDERS[kind].stop, timeout=0.5, tries=3, refusal=MissionRefused
+            )
+            if code is MissionCode.SUCCESS:
+                _logger.info("%s stopped, which this block did not start", kind.value)
+                stopped = kind
+                self._watch.ended(kind)
+            elif code not in STOPPED_CODES:
+                raise mission_refused(f"the stop of the {kind.value}", code)
+        self._detached = None
+        return stopped
+
+    async def order_any(self, what: str) -> MissionKind:
+        """Pause or resume what flies, which the pushes have to tell.
+
+        Raises:
+            UsageError: Nothing flies, as far as anybody knows.
+            MissionRefused: See each class.
+        """
+        run, state = self._run, self._watch.state
+        if run is not None and run.is_in_the_air:
+            await (run.pause() if what == "pause" else run.resume())
+            return run.kind
+        if not state.is_running:
+            raise UsageError(
+                f"a {what} was asked for, and no mission flies as far as the aircraft tells",
+                cause="none does, or the box 'Ground Station Status' is not ticked in the PC "
+                "assistant",
+            )
+        orders = ORDERS[state.kind]
+        is_pause = what == "pause"
+        request = orders.pause if is_pause else orders.resume
+        code = await self._commander.requests.execute(
+            request, timeout=0.5, tries=3, refusal=MissionRefused
+        )
+        if code not in (PAUSED_CODES if is_pause else RESUMED_CODES):
+            raise mission_refused(f"the {what} of the {state.kind.value}", code)
+        return state.kind
+
+    def detach_any(self) -> MissionKind:
+        """Leave what flies in flight when the block ends.
+
+        Raises:
+            UsageError: Nothing flies, as far as anybody knows.
+        """
+        run, state = self._run, self._watch.state
+        if run is not None and run.is_in_the_air:
+            run.detach()
+            return run.kind
+        if not state.is_running:
+            raise UsageError("there is no mission that could be detached")
+        self._detached = state.kind
+        _logger.warning("%s left in flight: authority is not given back", state.kind.value)
+        return state.kind
+
+    # -- for the stop path -----------------------------------------------------------------------
+
+    @property
+    def is_detached(self) -> bool:
+        """Whether a mission was left in flight by name, and nothing tells that it has ended.
+
+        Giving authority back, or landing, would break it off (facts M10, inferred).
+        """
+        run = self._run
+        was_ours = run is not None and run.state is RunState.DETACHED
+        if not was_ours and self._detached is None:
+            return False
+        if self._watch.state.kind is not MissionKind.NONE:
+            return True
+        # A push of before the start says nothing about what flies since.
+        began_at = run.started_at if run is not None and was_ours else -math.inf
+        return self._watch.received_at < began_at + _TOLD_BY_S
+
+    async def stop(self) -> M100Error | None:
+        """Stop what this block answers for, if it is owed a stop.
+
+        Returns:
+            Why it may be flying on, None when it does not.
+        """
+        run = self._run
+        if run is None or not run.owes_a_stop:
+            return None
+        try:
+            await run.stop()
+        except M100Error as error:
+            _logger.error("%s", error)
+            return error
+        return None
+
+    def give_up(self, failure: M100Error | None) -> str:
+        """Nothing can be sent any more.
+
+        Returns:
+            The name of the mission that flies on, empty if none does.
+        """
+        run = self._run
+        if run is None or not run.is_in_the_air:
+            return ""
+        run.give_up(failure)
+        _logger.error("the %s flies on by itself: nobody can be told to stop it", run.name)
+        return run.name

@@ -1,0 +1,446 @@
+"""One mission of this program: its start, what is heard of it, and the one way to stop it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from m100link.errors import (
+    AckTimeout,
+    CommandRefused,
+    KeyRejected,
+    M100Error,
+    MissionAborted,
+    MissionRefused,
+    UsageError,
+)
+from m100link.flight.cancellation import Errand
+from m100link.flight.known import known
+from m100link.flight.lifecycle import StopCause
+from m100link.flight.mission_state import MissionKind
+from m100link.flight.missions.deck import Deck, Over, Track
+from m100link.flight.missions.events import (
+    Aborted,
+    Events,
+    Finished,
+    MissionEvent,
+    Paused,
+    Resumed,
+    Started,
+    Stopped,
+)
+from m100link.flight.missions.life import (
+    IN_THE_AIR,
+    OWES_A_STOP,
+    TRANSITIONS,
+    RunInput,
+    RunState,
+)
+from m100link.flight.missions.orders import ORDERS, PAUSED_CODES, RESUMED_CODES, STOPPED_CODES
+from m100link.flight.missions.refusal import mission_refused
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.command import Request
+from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
+from m100link.protocol.records import FlightPhase, FlightStatus
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = ["AUTHORITY_CODES", "MissionRun"]
+
+_logger = logging.getLogger("m100link.flight")
+
+_LOOK_S = 0.2  # between two looks at guards, pushes and telemetry
+_PROGRESS_S = 1.0
+_QUIET_S = 2.0  # without a push, after which the aircraft is asked instead
+_POLL_S = 1.0
+_HANDOVER_S = 0.5  # in which the notification of a lost authority follows the push
+
+
+AUTHORITY_CODES = frozenset(
+    {MissionCode.RC_NOT_IN_F, MissionCode.AUTHORITY_NEEDED, MissionCode.IOC_ON}
+)
+"""Somebody else has the aircraft: missions are broken off by that (facts M10)."""
+
+
+class MissionRun:
+    """One mission, from before its start to its end.
+
+    Args:
+        deck: What it stands on.
+        kind: Which kind of mission.
+        track: Reads what the aircraft says of it.
+
+    Attributes:
+        kind: Which kind of mission.
+        state: Where it is in its life.
+        started_at: When the start was sent, on the event loop's clock; minus infinity before.
+        events: For the program.
+    """
+
+    def __init__(self, deck: Deck, kind: MissionKind, track: Track) -> None:
+        self._deck = deck
+        self.kind = kind
+        self._orders = ORDERS[kind]
+        self._track = track
+        self._clock = deck.commander.link.loop.time
+        self.state = RunState.READY
+        self.events = Events()
+        self._is_told = False  # the program was told why it was broken off
+        self.started_at = -math.inf
+        self._pushed_at = 0.0  # when a push told of this mission last, or it was started
+        self._is_pushed = False  # whether one ever did
+        # What the pushes said while a stop was under way, for the case that nobody answers it.
+        self._is_seen_over = False
+        self._stopping: Errand | None = None  # the newest attempt
+        self._early: list[MissionEvent | Over] = []  # what was pushed while the start was under way
+        self._watching: asyncio.Task[None] | None = None
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.kind.value
+
+    @property
+    def is_in_the_air(self) -> bool:
+        """Whether the aircraft flies by it, as far as anybody knows."""
+        return self.state in IN_THE_AIR
+
+    @property
+    def owes_a_stop(self) -> bool:
+        """Whether it must not be left behind like this."""
+        return self.state in OWES_A_STOP
+
+    def feed(self, what: RunInput) -> bool:
+        """Something happened. Returns whether it stands in the table for the present state."""
+        after = TRANSITIONS[self.state].get(what)
+        if after is None:
+            return False
+        _logger.debug("%s: %s -> %s", self.name, self.state.name, after.name)
+        self.state = after
+        return True
+
+    # -- start -----------------------------------------------------------------------------------
+
+    def listen(self) -> None:
+        """Take the pushes from here on."""
+        self._deck.watch.listener = self._on_push
+
+    async def start(self, request: Request[Any], code_of: Callable[[Any], int]) -> Any:
+        """Send what lets it fly, and return the answer.
+
+        Raises:
+            MissionRefused: The aircraft says no; nothing flies.
+            AckTimeout: Nobody knows whether it flies: a stop is owed.
+        """
+        self.listen()
+        self.feed(RunInput.START)
+        self.started_at = self._pushed_at = self._clock()
+        requests = self._deck.commander.requests
+        try:
+            answer = await requests.execute(request, timeout=0.5, tries=3, refusal=MissionRefused)
+        except (CommandRefused, KeyRejected, UsageError):  # after any other error nobody knows
+            self.feed(RunInput.REFUSED)
+            raise
+        code = MissionCode(code_of(answer))
+        if code is not MissionCode.SUCCESS:
+            self.feed(RunInput.REFUSED)
+            raise mission_refused(f"the start of the {self.name}", code)
+        self.feed(RunInput.STARTED)
+        _logger.info("%s started: the aircraft flies it by itself", self.name)
+        self.events.add(Started())
+        early, self._early = self._early, []
+        self._apply(early)
+        self._watching = asyncio.create_task(self._watch(), name=f"m100link {self.name}")
+        return answer
+
+    # -- orders ----------------------------------------------------------------------------------
+
+    async def pause(self) -> None:
+        """Hover until :meth:`resume`.
+
+        Raises:
+            MissionRefused, MissionAborted, AckTimeout, UsageError: See the public methods.
+        """
+        await self._order("pause", self._orders.pause, PAUSED_CODES)
+        if self.feed(RunInput.PAUSED):
+            self.events.add(Paused())
+
+    async def resume(self) -> None:
+        """Go on. Raises as :meth:`pause`."""
+        await self._order("resumption", self._orders.resume, RESUMED_CODES)
+        if self.feed(RunInput.RESUMED):
+            self.events.add(Resumed())
+
+    async def _order(
+        self, what: str, request: Request[MissionCode], done: frozenset[MissionCode]
+    ) -> None:
+        self.require_in_the_air(f"its {what}")
+        requests = self._deck.commander.requests
+        with self._deck.block.waiting(self.name):
+            code = await requests.execute(request, timeout=0.5, tries=3, refusal=MissionRefused)
+        if code not in done:
+            raise mission_refused(f"the {what} of the {self.name}", code)
+
+    def require_in_the_air(self, what: str) -> None:
+        """Raise unless it flies.
+
+        Raises:
+            MissionAborted: It was broken off.
+            UsageError: It has not begun, or it is over.
+            NoAuthority, M100Error: What ended the control block.
+        """
+        self._deck.block.require_flying(f"{what} ({self.name})")
+        if self.is_in_the_air:
+            return
+        if self.events.failure is not None:
+            self._is_told = True
+            raise self.events.failure.again()
+        raise UsageError(
+            f"{what} was asked for, but the {self.name} is {self.state.name.lower()}",
+            cause=self.state.value,
+            remedy="enter it by `async with`, once",
+        )
+
+    def detach(self) -> None:
+        """Look away and let it fly on.
+
+        Raises:
+            UsageError: It does not fly.
+        """
+        self.require_in_the_air("to be detached")
+        if not self.feed(RunInput.DETACH):
+            raise UsageError(f"the {self.name} cannot be detached: {self.state.value}")
+        _logger.warning(
+            "%s detached: the aircraft flies on by itself, also when this program ends; "
+            "authority is not given back, and only the pilot, its own end or a stop ends it",
+            self.name,
+        )
+        self.events.end()
+        self._let_go()
+
+    # -- the stop --------------------------------------------------------------------------------
+
+    async def stop(self) -> None:
+        """Stop it, and wait for the answer: two tries, a second in all.
+
+        What cancels the caller is remembered until then.
+
+        Raises:
+            AckTimeout, MissionRefused, LinkError: It may be flying on.
+        """
+        if self.feed(RunInput.STOP):
+            self._is_seen_over = False
+            self._stopping = Errand(self._send_stop, lambda: None)
+            self._stopping.begin()
+        if self.state is RunState.STOPPING and self._stopping is not None:
+            await self._stopping.ended()
+
+    async def _send_stop(self) -> None:
+        requests = self._deck.commander.requests
+        try:
+            code = await requests.execute(
+                self._orders.stop, timeout=0.5, tries=2, refusal=MissionRefused
+            )
+        except AckTimeout as error:
+            if self._is_seen_over:  # heard by the aircraft all the same
+                self._end(RunInput.STOPPED)
+                return
+            self.feed(RunInput.NOT_STOPPED)
+            raise self._unanswered() from error
+        except M100Error:
+            self.feed(RunInput.NOT_STOPPED)
+            raise
+        if code in AUTHORITY_CODES:
+            _logger.warning(
+                "the stop of the %s was refused, because somebody else has the aircraft: %s",
+                self.name,
+                code.meaning,
+            )
+        elif code is not MissionCode.SUCCESS and code not in STOPPED_CODES:
+            self.feed(RunInput.NOT_STOPPED)
+            raise mission_refused(f"the stop of the {self.name}", code)
+        self._end(RunInput.STOPPED)
+
+    def _unanswered(self) -> AckTimeout:
+        return AckTimeout(
+            f"the stop of the {self.name} was not answered: the aircraft may be flying it on",
+            command=self._orders.stop.NAME,
+            tries=2,
+            cause="the line is broken in one direction or in both",
+            remedy="take the aircraft by the mode switch: that ends the mission",
+        )
+
+    async def leave(self, error: BaseException | None) -> None:
+        """The program leaves the block of the mission: what still flies is stopped.
+
+        When the control block itself has ended, its stop path does that.
+
+        Raises:
+            MissionAborted: It was broken off, and nobody told the program.
+            AckTimeout, MissionRefused, LinkError: It may be flying on.
+        """
+        if self.owes_a_stop and self._deck.block.is_open:
+            try:
+                await self.stop()
+            except M100Error as failure:
+                if error is None:
+                    raise
+                _logger.error("%s", failure)  # the stop path of the control block tries again
+        if self.state is RunState.RETURNING:
+            _logger.info("the %s was left: the aircraft lands, as planned", self.name)
+        if not self.is_in_the_air:
+            self._let_go()
+        if error is None and self.events.failure is not None and not self._is_told:
+            self._is_told = True
+            raise self.events.failure.again()
+
+    # -- what the aircraft says ------------------------------------------------------------------
+
+    async def next_event(self) -> MissionEvent:
+        """The next event.
+
+        Raises:
+            StopAsyncIteration: There is none any more.
+            MissionAborted: It was broken off.
+            M100Error: What ended the control block.
+        """
+        with self._deck.block.waiting(self.name):
+            event = await self.events.take()
+            failure = self.events.failure
+            if event is None and getattr(failure, "code", None) in AUTHORITY_CODES:
+                # The push overtakes the notification of what matters more: a lost authority.
+                await asyncio.sleep(_HANDOVER_S)
+        if event is not None:
+            self._is_told = self._is_told or isinstance(event, Aborted)
+            return event
+        if failure is not None:
+            self._is_told = True
+            raise failure.again()
+        raise StopAsyncIteration
+
+    def _on_push(self, push: MissionStatus | WaypointEvent) -> None:
+        self._apply(self._track.take(push))
+        if self._deck.watch.state.kind is self.kind:
+            self._pushed_at, self._is_pushed = self._clock(), True
+
+    def _apply(self, news: Sequence[MissionEvent | Over]) -> None:
+        """What was read of a push or an answer happens to the mission."""
+        for item in news:
+            if self.state is RunState.STARTING:
+                self._early.append(item)
+            elif self.state is RunState.STOPPING:
+                self._is_seen_over = self._is_seen_over or isinstance(item, Over | Aborted)
+            elif isinstance(item, Over):
+                if self.state is not RunState.RETURNING:  # that ends on the ground
+                    self._end(RunInput.FINISHED)
+            elif isinstance(item, Aborted):
+                self._break_off(item)
+            elif self.is_in_the_air:
+                self.events.add(item)
+                if isinstance(item, Finished):
+                    self.feed(RunInput.RETURNS if self._track.ends_by_landing else RunInput.FLOWN)
+
+    def _break_off(self, event: Aborted) -> None:
+        if RunInput.BROKEN_OFF not in TRANSITIONS[self.state]:
+            return
+        where = "" if event.index is None else f" on the way to waypoint {event.index}"
+        code = None if event.code is None else MissionCode(event.code)
+        failure = MissionAborted(
+            f"the aircraft broke off the {self.name}{where}: {event.reason}",
+            mission=self.name,
+            code=event.code,
+            index=event.index,
+            cause="" if code is None else code.cause,
+            remedy="it does not go on by itself: look at the aircraft, and begin it again",
+        )
+        _logger.warning("%s", failure.seen)
+        self.events.add(event)
+        self._end(RunInput.BROKEN_OFF, failure)
+
+    def _end(self, how: RunInput, failure: M100Error | None = None) -> None:
+        """It does not fly any more."""
+        if not self.feed(how):
+            return
+        if how is RunInput.STOPPED:
+            self.events.add(Stopped())
+        self.events.end(failure)
+        self._deck.watch.ended(self.kind)
+        self._let_go()
+
+    def give_up(self, failure: M100Error | None) -> None:
+        """Nobody can be told anything any more: whoever waits for events must not wait for ever."""
+        self.events.end(failure)
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Watch it no more."""
+        if self._deck.watch.listener == self._on_push:
+            self._deck.watch.listener = None
+        if self._watching is not None and self._watching is not asyncio.current_task():
+            self._watching.cancel()
+
+    # -- the watch -------------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        """Look at guards, pushes and telemetry while it flies; a watch that fails ends all."""
+        try:
+            await self._look_again_and_again()
+        except M100Error as error:
+            self._deck.block.end(StopCause.GUARD_REFUSED, error)
+        except Exception as error:
+            _logger.error("nobody watches the %s any more", self.name, exc_info=error)
+            failure = M100Error(f"nobody watches the {self.name} any more: {error!r}")
+            failure.__cause__ = error
+            self._deck.block.end(StopCause.GUARD_REFUSED, failure)
+
+    async def _look_again_and_again(self) -> None:
+        next_progress_at = next_poll_at = self._clock()
+        is_warned = False
+        while self.is_in_the_air:
+            await asyncio.sleep(_LOOK_S)
+            now = self._clock()
+            self._look()
+            if now >= next_progress_at:
+                next_progress_at = now + _PROGRESS_S
+                state = self._deck.commander.state
+                self.events.add(self._track.progress(now - self.started_at, state))
+            if now - self._pushed_at < _QUIET_S:
+                continue
+            if not is_warned and not self._is_pushed:
+                is_warned = True
+                _logger.warning(
+                    "the aircraft pushes nothing about the %s: tick 'Ground Station Status' in the "
+                    "PC assistant; until then it is asked each second",
+                    self.name,
+                )
+            if now >= next_poll_at:
+                next_poll_at = now + _POLL_S
+                await self._poll()
+
+    def _look(self) -> None:
+        """What telemetry says: the ground at the end, and what the guards have against it.
+
+        Raises:
+            GuardRefused: A guard says no.
+        """
+        if self.state is RunState.RETURNING:
+            status = known(self._deck.commander.state, FlightStatus)
+            if status is not None and status.status == FlightPhase.STANDBY:
+                self._end(RunInput.FINISHED)
+        elif self.state in (RunState.FLYING, RunState.PAUSED, RunState.ENDING):
+            self._deck.guards.check_mission(self.name)
+
+    async def _poll(self) -> None:
+        if self._track.poll is None or self.state is RunState.RETURNING:
+            return
+        requests = self._deck.commander.requests
+        try:
+            answer = await requests.execute(self._track.poll, timeout=0.3, tries=2)
+        except AckTimeout as error:
+            _logger.debug("nobody knows how far the %s is: %s", self.name, error)
+            return
+        self._apply(self._track.polled(answer))

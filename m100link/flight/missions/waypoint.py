@@ -1,0 +1,256 @@
+"""A plan of waypoints that the aircraft flies by itself, for the time of a block."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from types import TracebackType
+from typing import Self
+
+from m100link.errors import BadAck, MissionRefused, UsageError
+from m100link.flight.mission_state import MissionKind
+from m100link.flight.missions.checks import check_plan, require_airborne
+from m100link.flight.missions.deck import Deck
+from m100link.flight.missions.events import MissionEvent, Uploaded, Uploading
+from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.life import RunState
+from m100link.flight.missions.refusal import mission_refused
+from m100link.flight.missions.run import MissionRun
+from m100link.flight.missions.waypoint_track import WaypointTrack
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.commands.waypoint import (
+    WaypointPoint,
+    WaypointSetIdleSpeed,
+    WaypointStartStop,
+)
+
+__all__ = ["UploadListener", "WaypointFlight"]
+
+_logger = logging.getLogger("m100link.flight")
+
+UploadListener = Callable[[Uploading], None]
+"""Told of each waypoint that the aircraft has taken."""
+
+_TIMEOUT_S, _TRIES = 0.5, 6  # of what may be sent again at will: nothing flies by it
+_UPLOADED_S = 0.3  # in which the event that follows the last waypoint has come, if any comes
+
+_OF_ONE_POINT = frozenset(
+    {
+        MissionCode.WRONG_INDEX,
+        MissionCode.BAD_POINT,
+        MissionCode.INDEX_TOO_LARGE,
+        MissionCode.BAD_ACTION,
+    }
+)
+"""What an aircraft says of the waypoint at hand; with the last one it may speak of the whole."""
+
+
+class WaypointFlight:
+    """A waypoint mission: ``async with control.waypoint_mission(plan) as mission``.
+
+    Entering checks, uploads and starts it. Leaving stops it if it still flies; then the aircraft
+    hovers. **It flies on when this program is killed, loses its power or its cable**: it lives in
+    the aircraft, and only the pilot, its own end or a stop ends it.
+
+    ``async for event in mission`` gives :data:`m100link.MissionEvent` until it is over.
+    """
+
+    def __init__(
+        self,
+        deck: Deck,
+        keeper: MissionKeeper,
+        plan: WaypointPlan,
+        *,
+        make_way: Callable[[str], Awaitable[None]],
+        take_off: Callable[[], Awaitable[None]] | None,
+        allow_far: bool,
+        progress: UploadListener | None,
+    ) -> None:
+        self._deck = deck
+        self._keeper = keeper
+        self._make_way = make_way
+        self._take_off = take_off
+        self._allow_far = allow_far
+        self._progress = progress
+        self._track = WaypointTrack(plan)
+        self._run = MissionRun(deck, MissionKind.WAYPOINT, self._track)
+        self.plan = plan
+
+    def __repr__(self) -> str:
+        return f"<WaypointFlight {self._run.state.name.lower()}, to waypoint {self._track.index}>"
+
+    # -- in and out ------------------------------------------------------------------------------
+
+    async def __aenter__(self) -> Self:
+        with self._deck.block.waiting(self._run.name):
+            try:
+                await self._begin()
+            except BaseException as error:
+                await self._run.leave(error)
+                self._keeper.give_back(self._run)
+                raise
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self._run.leave(exc)
+
+    async def _begin(self) -> None:
+        self._deck.block.require_flying("a waypoint mission")
+        if self._run.state is not RunState.READY:
+            raise UsageError("this mission was entered before; ask for a new one")
+        self._keeper.claim(self._run)
+        is_on_ground = await require_airborne(
+            self._deck, "the waypoint mission", may_take_off=self._take_off is not None
+        )
+        check_plan(self._deck, self.plan, allow_far=self._allow_far)
+        await self._upload()
+        if is_on_ground and self._take_off is not None:
+            await self._take_off()
+        await self._make_way(f"the {self._run.name}")
+        await self._run.start(WaypointStartStop(stop=0), int)
+
+    async def _upload(self) -> None:
+        """Send the plan: what is refused here never flew.
+
+        Raises:
+            MissionRefused, AckTimeout: See :meth:`m100link.Control.waypoint_mission`.
+        """
+        self._run.listen()
+        mission, points = self.plan.to_wire()
+        requests = self._deck.commander.requests
+        code = await requests.execute(
+            mission, timeout=_TIMEOUT_S, tries=_TRIES, refusal=MissionRefused
+        )
+        if code is not MissionCode.SUCCESS:
+            raise mission_refused("the waypoint mission", code)
+        for point in points:
+            await self._upload_point(point, len(points))
+        deadline = self._deck.commander.link.loop.time() + _UPLOADED_S
+        while self._track.estimated_time is None:
+            rest = deadline - self._deck.commander.link.loop.time()
+            if rest <= 0:
+                break
+            await asyncio.sleep(min(rest, 0.02))
+        self._run.events.add(Uploaded(len(points), self._track.estimated_time))
+        _logger.info("waypoint mission uploaded: %d waypoints", len(points))
+
+    async def _upload_point(self, point: WaypointPoint, total: int) -> None:
+        requests = self._deck.commander.requests
+        answer = await requests.execute(
+            point, timeout=_TIMEOUT_S, tries=_TRIES, refusal=MissionRefused
+        )
+        if answer.code is not MissionCode.SUCCESS:
+            is_whole = point.index == total - 1 and answer.code not in _OF_ONE_POINT
+            raise mission_refused(
+                "the waypoint mission" if is_whole else "the upload of the waypoint mission",
+                answer.code,
+                point=None if is_whole else point.index,
+            )
+        if answer.index != point.index:
+            raise BadAck(
+                f"waypoint {point.index} was acknowledged as waypoint {answer.index}",
+                command=point.NAME,
+                remedy="upload the mission again",
+            )
+        if self._progress is not None:
+            self._progress(Uploading(point.index, total))
+
+    # -- while it flies --------------------------------------------------------------------------
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> MissionEvent:
+        return await self._run.next_event()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it does not fly any more, or the program let go of it."""
+        return self._run.state in (RunState.OVER, RunState.DETACHED)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether it hovers by order of the program."""
+        return self._run.state is RunState.PAUSED
+
+    @property
+    def index(self) -> int | None:
+        """Waypoint that it flies to, counted from 0; None while nobody knows."""
+        return self._track.index
+
+    @property
+    def estimated_time(self) -> float | None:
+        """Seconds that the aircraft expects it to take; None if it did not say."""
+        return self._track.estimated_time
+
+    async def pause(self) -> None:
+        """Hover in place until :meth:`resume`; setpoints are ignored all the same.
+
+        Raises:
+            MissionRefused: With the aircraft's reason.
+            MissionAborted: It was broken off meanwhile.
+            AckTimeout: Nobody knows whether it hovers.
+            UsageError: It is over.
+        """
+        await self._run.pause()
+
+    async def resume(self) -> None:
+        """Go on to the same waypoint. Raises as :meth:`pause`."""
+        await self._run.resume()
+
+    async def stop(self) -> None:
+        """Stop it for good: the aircraft hovers and forgets the mission.
+
+        Raises:
+            AckTimeout, MissionRefused: It may be flying on; leaving the block tries again.
+        """
+        await self._run.stop()
+
+    async def set_speed(self, speed: float) -> float:
+        """Change the speed along the way, from here on.
+
+        Args:
+            speed: m/s, up to the plan's ``max_speed``; below 0 it flies the way backwards.
+
+        Returns:
+            The speed in force, as the aircraft says.
+
+        Raises:
+            UsageError: Beyond ``max_speed``.
+            GuardRefused: Beyond the envelope.
+            MissionRefused, MissionAborted, AckTimeout: As :meth:`pause`.
+        """
+        self._run.require_in_the_air("another speed")
+        if not abs(speed) <= self.plan.max_speed:
+            raise UsageError(
+                f"a speed of {speed:g} m/s is beyond the plan's max_speed",
+                remedy=f"stay within {self.plan.max_speed:g} m/s",
+            )
+        self._deck.guards.check_target("the waypoint mission", speed=abs(speed))
+        with self._deck.block.waiting(self._run.name):
+            answer = await self._deck.commander.requests.execute(
+                WaypointSetIdleSpeed(speed), timeout=0.5, tries=3, refusal=MissionRefused
+            )
+        if answer.code is not MissionCode.SUCCESS:
+            raise mission_refused("another speed of the waypoint mission", answer.code)
+        return answer.idle_speed
+
+    def detach(self) -> None:
+        """Let it fly on by itself when this block, and this program, end.
+
+        Nothing here watches it any more: no guard, no stop path. Authority is **not** given back
+        when the control block ends, because that would break the mission off. Whoever connects
+        later finds it as :attr:`m100link.Aircraft.mission`, and ends it by
+        :meth:`m100link.Control.stop_mission`. A warning is logged.
+
+        Raises:
+            UsageError: It does not fly.
+        """
+        self._run.detach()

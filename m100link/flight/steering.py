@@ -1,0 +1,131 @@
+"""Setpoints of the program: who may send one now, and the gate in front of the wire."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority
+from m100link.flight.authority import AuthorityState
+from m100link.flight.block import ControlBlock
+from m100link.flight.guards import GuardKeeper
+from m100link.flight.lifecycle import BlockState, StopCause
+from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.pacing import MAX_RATE_HZ, period_of
+from m100link.flight.setpoints import SETPOINT_LIFETIME, SetpointLoop, check_lifetime
+from m100link.flight.tasks import Commander, task_name
+from m100link.protocol.commands.control import Task
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = ["Steering"]
+
+_logger = logging.getLogger("m100link.flight")
+
+
+class Steering:
+    """Sends setpoints for whoever may steer: the program, or the closed loop that flies.
+
+    Args:
+        commander: The aircraft.
+        guards: Asked before each frame.
+        missions: While one flies, nothing else steers.
+
+    Attributes:
+        setpoints: What sends them.
+        block: The control block, to be set before the first setpoint.
+        running_task: Flown by the autopilot, which ignores setpoints meanwhile; None: none is.
+    """
+
+    block: ControlBlock
+
+    def __init__(self, commander: Commander, guards: GuardKeeper, missions: MissionKeeper) -> None:
+        self._requests = commander.requests
+        self._authority = commander.authority
+        self._guards = guards
+        self._missions = missions
+        self.running_task: Task | None = None
+        self._refused: GuardRefused | None = None  # why the newest setpoint was ended
+        self.setpoints = SetpointLoop(
+            self._transmit, self._admits, self._on_send_failed, commander.link.loop
+        )
+
+    def steer(
+        self,
+        setpoint: Setpoint,
+        lifetime: float = SETPOINT_LIFETIME,
+        rate_hz: float = MAX_RATE_HZ,
+        *,
+        is_long_allowed: bool = False,
+    ) -> None:
+        """Send it now and repeat it while it lives. Raises as :meth:`m100link.Control.send`."""
+        self.block.require_flying("a setpoint")
+        self.require_autopilot_idle("a setpoint")
+        check_lifetime(lifetime, is_long_allowed=is_long_allowed)
+        setpoint.control_flag(self._requests.firmware)  # refused here, not in the sending task
+        self._guards.check(setpoint)
+        self._refused = None
+        self.setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
+
+    def require_autopilot_idle(self, what: str) -> None:
+        """Raise while the aircraft flies by itself and would ignore movement.
+
+        Raises:
+            NoAuthority: During a task; MissionRunning during a mission.
+        """
+        if self.running_task is not None:
+            raise NoAuthority(
+                f"{what} was sent during {task_name(self.running_task)}; nothing was sent",
+                cause="the aircraft ignores movement during take-off, landing and go-home",
+                remedy="await the task first",
+            )
+        self._missions.require_none(what)
+
+    @contextmanager
+    def ends_neutral(self) -> Iterator[None]:
+        """Neutral on the way out, and the refusal if a guard ended what was sent last."""
+        self._refused = None
+        try:
+            yield
+        finally:
+            self.setpoints.neutralise()
+        if self._refused is not None:
+            raise self._refused.again()
+
+    def _transmit(self, setpoint: Setpoint) -> bool:
+        try:
+            return self._requests.push(setpoint)
+        except LinkError as error:
+            self.block.end(StopCause.LINK_LOST, error.again())
+            return False
+
+    def _on_send_failed(self, error: Exception) -> None:
+        """The task that repeats setpoints has ended, and not because of the line."""
+        _logger.error("setpoints cannot be sent", exc_info=error)
+        failure = M100Error(
+            f"setpoints cannot be sent: {error!r}",
+            cause="an error that nobody expected: a bug, of m100link or of what it stands on",
+            remedy="report it with the traceback in the log",
+        )
+        failure.__cause__ = error
+        self.block.end(StopCause.SENDING_FAILED, failure)
+
+    def _admits(self, setpoint: Setpoint) -> bool:
+        """The gate in front of the wire, for each frame that :meth:`steer` did not check itself."""
+        if self._authority.state is not AuthorityState.HELD:
+            return False
+        if self.block.state is BlockState.STOPPING:
+            return True  # the neutral
+        return self.block.admits() and self._guards_admit(setpoint)
+
+    def _guards_admit(self, setpoint: Setpoint) -> bool:
+        """Ask again: a setpoint may live longer than what it was checked against."""
+        try:
+            self._guards.check(setpoint)
+        except GuardRefused as error:
+            if setpoint != setpoint.neutral():  # standing still is never refused
+                _logger.warning("sending neutral: %s", error.seen)
+                self._refused = error
+                self.setpoints.neutralise()
+                return False
+        return True

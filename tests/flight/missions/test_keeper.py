@@ -1,0 +1,102 @@
+"""A mission that somebody else started: found, refused beside, stopped, left in flight by name."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+
+import pytest
+
+from m100link import MissionKind, MissionRunning, UsageError
+from m100link.flight.authority import AuthorityState
+from tests.flight.foreign_aircraft import ONBOARD, ForeignInMemory
+from tests.flight.missions.foreign import assert_rests, foreign, orders, plan
+from tests.rig import NORTH
+
+pytestmark = pytest.mark.anyio
+
+
+def start_from_a_phone(there: ForeignInMemory) -> None:
+    """A mission that no program of ours knows."""
+    mission, points = plan().to_wire()
+    missions = there.missions
+    missions.mission = struct.pack("<Bff", mission.count, 10.0, 1.0) + bytes(42)
+    firmware = None
+    for point in points:
+        value = point.value(firmware)  # type: ignore[arg-type] # the layout is that of every one
+        missions.points[point.index] = value
+    missions.speed, missions.flying = 1.0, "waypoint"
+
+
+async def test_a_mission_that_runs_already_is_found_and_setpoints_are_refused() -> None:
+    async with foreign() as (there, aircraft):
+        assert aircraft.mission.kind is MissionKind.NONE
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        found = aircraft.mission
+        assert (found.kind, found.index, found.is_running) == (MissionKind.WAYPOINT, 0, True)
+        async with aircraft.control() as control:
+            with pytest.raises(MissionRunning, match="which this block did not start"):
+                control.send(NORTH)
+            with pytest.raises(MissionRunning):
+                async with control.waypoint_mission(plan()):
+                    pytest.fail("entered")
+            assert await control.stop_mission() is MissionKind.WAYPOINT
+            control.send(NORTH)
+        await assert_rests(there)
+
+
+async def test_one_that_is_not_ours_is_not_stopped_by_leaving_control() -> None:
+    """The release does that, as far as anybody knows; detach_mission() keeps it in flight."""
+    async with foreign() as (there, aircraft):
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        async with aircraft.control() as control:
+            assert await control.pause_mission() is MissionKind.WAYPOINT
+            assert control.detach_mission() is MissionKind.WAYPOINT
+        assert orders(there, 0x12, 0x13) == [(0x13, 0)]
+        assert there.missions.flying
+        assert there.device == ONBOARD
+
+
+async def test_where_nothing_is_pushed_every_kind_is_told_to_stop() -> None:
+    async with foreign() as (there, aircraft):
+        there.missions.is_pushing = False
+        start_from_a_phone(there)
+        async with aircraft.control() as control:
+            assert await control.stop_mission() is MissionKind.WAYPOINT
+            assert await control.stop_mission() is MissionKind.NONE
+            with pytest.raises(UsageError, match="Ground Station Status"):
+                await control.pause_mission()
+            with pytest.raises(UsageError):
+                control.detach_mission()
+        assert orders(there)[:3] == [(0x12, 0), (0x21, 0xD4), (0x31, 0xD4)]
+        await assert_rests(there)
+
+
+async def test_a_detached_mission_flies_on_and_is_found_by_the_next_block() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control(stop="land") as control:
+            async with control.waypoint_mission(plan(speed=1.0)) as mission:
+                await asyncio.sleep(2.0)
+                mission.detach()
+                assert [type(event).__name__ async for event in mission]
+        assert there.missions.flying
+        assert aircraft.authority.state is AuthorityState.HELD
+        assert not there.tasks
+        async with aircraft.control() as control:
+            assert aircraft.mission.is_running
+            assert await control.stop_mission() is MissionKind.WAYPOINT
+        await assert_rests(there)
+        assert there.device != ONBOARD
+
+
+async def test_one_that_was_detached_and_has_ended_leaves_an_ordinary_end() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(plan()) as mission:
+                mission.detach()
+            await asyncio.sleep(60.0)
+            assert not there.missions.flying
+            control.send(NORTH)
+        assert there.device != ONBOARD

@@ -1,0 +1,120 @@
+"""A plan that the aircraft flies by itself: uploaded, started, told of, stopped."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from m100link import (
+    Finished,
+    MissionProgress,
+    MissionRefused,
+    MissionRunning,
+    Paused,
+    Reached,
+    Resumed,
+    Setpoint,
+    Started,
+    Stopped,
+    Uploaded,
+    Uploading,
+)
+from tests.flight.missions.foreign import assert_rests, foreign, orders, plan
+from tests.rig import NORTH
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_a_plan_is_uploaded_flown_and_told_of_in_order() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        uploading: list[Uploading] = []
+        events = []
+        async with control.waypoint_mission(plan(), progress=uploading.append) as mission:
+            assert mission.estimated_time == 60.0
+            async for event in mission:
+                events.append(event)
+        assert [told.index for told in uploading] == [0, 1, 2, 3]
+        assert there.missions.reached == [0, 1, 2, 3]
+        steps = [event for event in events if not isinstance(event, MissionProgress)]
+        assert steps[:2] == [Uploaded(4, 60.0), Started()]
+        assert [e.index for e in steps if isinstance(e, Reached)] == [0, 1, 2, 3]
+        assert isinstance(steps[-1], Finished)
+        assert any(isinstance(event, MissionProgress) for event in events)
+        assert mission.is_over
+        control.send(NORTH)  # the aircraft is the program's again
+    assert orders(there, 0x12) == [(0x12, 0)], "a mission that has ended needs no stop"
+
+
+async def test_leaving_the_block_stops_it() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        async with control.waypoint_mission(plan()):
+            await asyncio.sleep(3.0)
+            assert there.missions.flying
+        assert not there.missions.flying
+        await assert_rests(there)
+
+
+async def test_setpoints_and_tasks_are_refused_while_it_flies() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        async with control.waypoint_mission(plan()) as mission:
+            with pytest.raises(MissionRunning, match="waypoint mission flies"):
+                control.send(NORTH)
+            with pytest.raises(MissionRunning):
+                await control.land()
+            with pytest.raises(MissionRunning):
+                await control.take_off()
+            with pytest.raises(MissionRunning):
+                await control.fly_to(north=1.0, east=0.0)
+            with pytest.raises(MissionRunning):
+                async with control.hold(NORTH):
+                    pytest.fail("held")
+            with pytest.raises(MissionRunning):
+                await control.follow(lambda _: NORTH)
+            with pytest.raises(MissionRunning):
+                async with control.waypoint_mission(plan()):
+                    pytest.fail("entered")
+            assert there.missions.flying
+            await mission.stop()
+            control.send(Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0))
+        assert not [move for move in there.movements if not move.is_obeyed]
+
+
+async def test_pause_resume_and_stop_are_orders_with_events() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        async with control.waypoint_mission(plan()) as mission:
+            await asyncio.sleep(1.0)
+            await mission.pause()
+            assert mission.is_paused
+            flown = there.missions.flown_m
+            await asyncio.sleep(5.0)
+            assert there.missions.flown_m == flown
+            await mission.resume()
+            await asyncio.sleep(1.0)
+            assert there.missions.flown_m > flown
+            await mission.stop()
+            events = [e async for e in mission if not isinstance(e, MissionProgress)]
+        assert [type(event) for event in events[1:]] == [Started, Paused, Resumed, Stopped]
+    assert orders(there, 0x12, 0x13) == [(0x12, 0), (0x13, 0), (0x13, 0), (0x12, 0)]
+
+
+async def test_another_speed_is_the_one_that_the_aircraft_says() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        async with control.waypoint_mission(plan()) as mission:
+            assert await mission.set_speed(2.0) == 2.0
+            assert there.missions.speed == 2.0
+
+
+async def test_a_refusal_names_the_waypoint_and_nothing_flies() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        there.missions.answers[0x11] = 0xE1
+        with pytest.raises(MissionRefused) as caught:
+            async with control.waypoint_mission(plan()):
+                pytest.fail("entered")
+        assert (caught.value.code, caught.value.point) == (0xE1, 0)
+        there.missions.answers = {0x12: 0x77}
+        with pytest.raises(MissionRefused) as caught:
+            async with control.waypoint_mission(plan()):
+                pytest.fail("entered")
+        assert caught.value.code == 0x77
+        control.send(NORTH)

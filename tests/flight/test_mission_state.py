@@ -1,0 +1,79 @@
+"""Which mission flies, as the pushes tell, and for how long one is believed."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link import MissionKind
+from m100link.flight.mission_state import BELIEVED_S, MissionState, MissionWatch
+from m100link.protocol.commands import missions as wire
+
+
+class Time:
+    now = 100.0
+
+
+def watch() -> tuple[MissionWatch, type[Time]]:
+    Time.now = 100.0
+    return MissionWatch(lambda: Time.now), Time
+
+
+def told(kind: MissionKind) -> wire.MissionStatus:
+    statuses: dict[MissionKind, wire.Status] = {
+        MissionKind.NONE: wire.IdleStatus(),
+        MissionKind.WAYPOINT: wire.WaypointStatus(3, status=1),
+        MissionKind.HOTPOINT: wire.HotpointStatus(1, radius_cm=1000),
+        MissionKind.FOLLOW: wire.FollowStatus(),
+        MissionKind.IOC: wire.IocStatus(),
+    }
+    return wire.MissionStatus(statuses[kind])
+
+
+def test_before_any_push_nobody_knows() -> None:
+    found, _ = watch()
+    assert found.state == MissionState()
+    assert found.state.kind is MissionKind.UNKNOWN
+    assert not found.state.is_running
+
+
+@pytest.mark.parametrize("kind", [kind for kind in MissionKind if kind is not MissionKind.UNKNOWN])
+def test_each_kind_is_told_and_only_missions_run(kind: MissionKind) -> None:
+    found, time = watch()
+    found.on_status(told(kind), time.now)
+    time.now += 1.0
+    found.on_status(told(kind), time.now)
+    assert found.state.kind is kind
+    assert found.state.since == 100.0
+    runs = kind in (MissionKind.WAYPOINT, MissionKind.HOTPOINT, MissionKind.FOLLOW)
+    assert found.state.is_running is runs
+    assert found.state.index == (3 if kind is MissionKind.WAYPOINT else None)
+
+
+def test_a_push_that_is_old_is_not_believed_any_more() -> None:
+    found, time = watch()
+    found.on_status(told(MissionKind.WAYPOINT), time.now)
+    time.now += BELIEVED_S
+    assert found.state.is_running
+    time.now += 0.1
+    assert not found.state.is_running
+
+
+def test_late_pushes_of_a_mission_that_has_ended_are_not_a_new_one() -> None:
+    found, time = watch()
+    found.on_status(told(MissionKind.WAYPOINT), time.now)
+    found.ended(MissionKind.WAYPOINT)
+    found.on_status(told(MissionKind.WAYPOINT), time.now)
+    assert not found.state.is_running
+    found.on_status(told(MissionKind.HOTPOINT), time.now)
+    assert found.state.kind is MissionKind.HOTPOINT
+    found.ended(MissionKind.HOTPOINT)
+    time.now += 1.5
+    found.on_status(told(MissionKind.HOTPOINT), time.now)
+    assert found.state.is_running, "it goes on, whatever was said"
+
+
+def test_a_kind_that_nobody_knows_changes_nothing() -> None:
+    found, time = watch()
+    found.on_status(told(MissionKind.FOLLOW), time.now)
+    found.on_status(wire.MissionStatus(wire.OtherKind(9, bytes(5))), time.now)
+    assert found.state.kind is MissionKind.FOLLOW
