@@ -303,7 +303,6 @@ _ROOMS = (
     "wire",
     "session",
     "protocol",
-    "missions.plan",
     "link",
     "telemetry.device_clock",
     "telemetry.sample",
@@ -324,6 +323,7 @@ _ROOMS = (
     "flight.missions.waypoint",
     "flight.control",
     "aircraft",
+    "missions.plan",  # last: who flies by setpoints needs no plan
 )
 
 # Not looked into: it has the same names again.

@@ -72,6 +72,12 @@ def test_a_lower_room_loads_neither_those_above_nor_what_only_they_need(
     assert loaded_by(statement) & COSTLY <= allowed
 
 
+def test_who_flies_by_setpoints_does_not_load_the_missions() -> None:
+    later = {f"m100link.protocol.commands.{name}" for name in ("registry", "waypoint", "hotpoint")}
+    assert not later & own("import m100link.protocol")
+    assert later <= own("from m100link.protocol import parse_command")
+
+
 def test_frames_need_few_modules_at_all() -> None:
     assert len(loaded_by("import m100link.wire")) < 65
 
