@@ -8,7 +8,7 @@ control authority goes back.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from types import TracebackType
 from typing import Self
 
@@ -20,10 +20,11 @@ from m100link.agent.holding import Holding, HoldingInput, HoldingState
 from m100link.agent.journal import Journal
 from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
 from m100link.agent.steering import SETPOINT_LIFETIME
-from m100link.aircraft import Aircraft
+from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.commands.control import Task
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["LONGEST_KEPT", "Agent"]
@@ -208,6 +209,48 @@ class Agent:
         self._renewed(token)
         await self.connection.require_aircraft().send_to_mobile(data)
 
+    def _camera_of(self, token: str | None) -> Aircraft:
+        """The aircraft, for what needs no authority: for the holder of the lease, or without one.
+
+        Raises:
+            LeaseRefused: Another client has control.
+            LinkError: There is no aircraft.
+        """
+        if self.desk.holder(self.now) is not None:
+            self.desk.check(token or "", self.now)
+        return self.connection.require_aircraft()
+
+    async def move_gimbal(self, token: str | None, command: GimbalAngle | GimbalSpeed) -> None:
+        """Point or turn the gimbal; done when it is sent.
+
+        Raises:
+            LeaseRefused, NotActivated, LevelTooLow, CommandNotSupported, UsageError, LinkError:
+                Nothing was sent.
+        """
+        gimbal = self._camera_of(token).gimbal
+        if isinstance(command, GimbalSpeed):
+            await gimbal.set_angular_rates(
+                yaw=command.yaw_deg_s, pitch=command.pitch_deg_s, roll=command.roll_deg_s
+            )
+            return
+        mode = command.mode
+        await gimbal.set_angles(
+            yaw=None if mode & GimbalAngleMode.KEEP_YAW else command.yaw_deg,
+            pitch=None if mode & GimbalAngleMode.KEEP_PITCH else command.pitch_deg,
+            roll=None if mode & GimbalAngleMode.KEEP_ROLL else command.roll_deg,
+            seconds=command.duration_s,
+            relative=not mode & GimbalAngleMode.ABSOLUTE,
+        )
+
+    async def use_camera(
+        self, token: str | None, use: Callable[[AircraftCamera], Awaitable[None]]
+    ) -> None:
+        """Take a photograph, start or stop video; done when it is sent.
+
+        Raises: as :meth:`move_gimbal`.
+        """
+        await use(self._camera_of(token).camera)
+
     # -- control authority -----------------------------------------------------------------------
 
     async def obtain(self, token: str) -> None:
@@ -282,6 +325,16 @@ class Agent:
         """
         self._renewed(token)
         await self.holding.require().fly(task, accepted)
+
+    async def switch_motors(self, token: str, *, on: bool) -> None:
+        """Start or stop the motors on the ground.
+
+        Raises:
+            LeaseRefused: The token is not in force.
+            NoAuthority, GuardRefused, TaskRefused, TelemetryStalled, AckTimeout: See each class.
+        """
+        self._renewed(token)
+        await self.holding.require().switch_motors(on=on)
 
     def start_pattern(self, token: str, name: str, fly: Pattern) -> None:
         """Let a program fly, until it ends, the stick is moved, or anything stops it.

@@ -285,7 +285,7 @@ class AgentClient:
             self._answers.pop(number, None)
             self._accepted.pop(number, None)
 
-    async def _ask(
+    async def ask(
         self,
         action: Action,
         lease: Lease | None = None,
@@ -294,6 +294,12 @@ class AgentClient:
         data: bytes = b"",
         accepted: Callable[[], None] | None = None,
     ) -> Outcome:
+        """Ask for something to be done, and wait for what becomes of it.
+
+        Raises:
+            M100Error: What the agent tells.
+            LinkError: It has gone.
+        """
         fence = lease.number if lease is not None else 0
         outcome: Outcome = await self._question(
             lambda identity: Ask(identity, action, fence, number, data), accepted
@@ -406,7 +412,7 @@ class AgentClient:
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies."""
-        await self._ask(Action.STOP)
+        await self.ask(Action.STOP)
 
     async def activate(self, lease: Lease | None = None) -> None:
         """Activate the aircraft. Needs the lease, or that nobody holds it.
@@ -415,7 +421,7 @@ class AgentClient:
             UsageError: The agent has no credentials.
             LeaseRefused, ActivationRefused, AckTimeout, LinkError: See each class.
         """
-        await self._ask(Action.ACTIVATE, lease)
+        await self.ask(Action.ACTIVATE, lease)
 
     async def obtain(self, lease: Lease | None) -> None:
         """Obtain control authority for the holder of the lease.
@@ -424,7 +430,7 @@ class AgentClient:
             LeaseRefused, AuthorityRefused, NotActivated, NoAuthority, LinkError, AckTimeout: See
                 each class.
         """
-        await self._ask(Action.OBTAIN, lease)
+        await self.ask(Action.OBTAIN, lease)
 
     async def release(self, lease: Lease | None) -> None:
         """Give control authority back; the lease stays.
@@ -432,7 +438,7 @@ class AgentClient:
         Raises:
             LeaseRefused, LinkError: See each class.
         """
-        await self._ask(Action.RELEASE, lease)
+        await self.ask(Action.RELEASE, lease)
 
     async def fly(
         self, lease: Lease | None, task: Task, accepted: Callable[[], None] | None = None
@@ -448,7 +454,7 @@ class AgentClient:
             LeaseRefused, NoAuthority, TaskRefused, TaskFailed, NotObserved, AckTimeout, LinkError:
                 See each class.
         """
-        await self._ask(_ACTIONS[task], lease, accepted=accepted)
+        await self.ask(_ACTIONS[task], lease, accepted=accepted)
 
     async def start_pattern(self, lease: Lease | None, number: int) -> None:
         """Let the simple task of that number fly, until it ends or anything stops it.
@@ -457,7 +463,7 @@ class AgentClient:
             UsageError: There is no such task.
             LeaseRefused, NoAuthority, LinkError: See each class.
         """
-        await self._ask(Action.PATTERN, lease, number=number)
+        await self.ask(Action.PATTERN, lease, number=number)
 
     # -- everything else -------------------------------------------------------------------------
 
@@ -467,7 +473,7 @@ class AgentClient:
         Raises:
             AckTimeout, LinkError: See each class.
         """
-        outcome = await self._ask(Action.VERSION)
+        outcome = await self.ask(Action.VERSION)
         return outcome.text, outcome.number
 
     async def send_to_mobile(self, lease: Lease | None, data: bytes) -> None:
@@ -476,7 +482,7 @@ class AgentClient:
         Raises:
             LeaseRefused, PayloadTooLarge, CommandRefused, AckTimeout, LinkError: See each class.
         """
-        await self._ask(Action.SEND_TO_MOBILE, lease, data=data)
+        await self.ask(Action.SEND_TO_MOBILE, lease, data=data)
 
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""

@@ -154,6 +154,18 @@ class Flying:
             self.task = self._running_task = None
             self._journal.note(outcome, level)
 
+    async def switch_motors(self, *, on: bool) -> None:
+        """Start or stop the motors on the ground; ends a program.
+
+        Raises:
+            NoAuthority, GuardRefused, TaskRefused, TelemetryStalled, AckTimeout: See each class.
+        """
+        name = "arm" if on else "disarm"
+        self._end_pattern(f"{name} was asked for")
+        self._last = None
+        await (self._control.arm() if on else self._control.disarm())
+        self._journal.note("the motors were started" if on else "the motors were stopped")
+
     # -- programs --------------------------------------------------------------------------------
 
     def start_pattern(self, name: str, fly: Pattern) -> None:

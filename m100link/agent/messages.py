@@ -48,7 +48,7 @@ __all__ = [
     "Telemetry",
 ]
 
-VERSION = 2
+VERSION = 3
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 
@@ -345,6 +345,13 @@ class Action(Enum):
     PATTERN = "pattern"  # the simple task of that number
     HALT = "halt"  # no motion; a task goes on
     STOP = "stop"  # no motion, and no task
+    GIMBAL_ANGLES = "gimbal_angles"
+    GIMBAL_RATES = "gimbal_rates"
+    TAKE_PHOTO = "take_photo"
+    START_VIDEO = "start_video"
+    STOP_VIDEO = "stop_video"
+    ARM = "arm"
+    DISARM = "disarm"
     VERSION = "version"
     SEND_TO_MOBILE = "send_to_mobile"
 
@@ -358,7 +365,7 @@ class Ask:
         action: What.
         fence: Number of the lease it is asked under; 0 for none.
         number: Of the simple task.
-        data: For the app on the pilot's phone.
+        data: For the app on the pilot's phone; of the gimbal, the value of its command.
         text: Why, for people (halt).
     """
 

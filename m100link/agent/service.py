@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from m100link.agent.agent import Agent
 from m100link.agent.carriers import Channel
@@ -41,11 +41,13 @@ from m100link.agent.messages import (
     Telemetry,
 )
 from m100link.agent.patterns import pattern
-from m100link.aircraft import Aircraft
+from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
 from m100link.protocol.codes import ActivationCode
+from m100link.protocol.command import Command
 from m100link.protocol.commands.control import Task
-from m100link.protocol.firmware import PROFILES
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES
 from m100link.telemetry.sample import Sample
 
 __all__ = ["MAX_SETPOINT_AGE", "STATE_INTERVAL", "Service"]
@@ -62,6 +64,8 @@ _MAX_ASKS = 64
 _MAX_NOTE = 200
 _NOTES_PER_S, _MAX_NOTES = 5.0, 20.0
 _LEVELS = ("info", "warning", "error")
+
+C = TypeVar("C", bound=Command)
 
 _Result = tuple[str, int]
 _TASKS = {
@@ -195,6 +199,18 @@ class Service:
             dropped_writes=link.dropped_writes if link else 0,
             mismatches=aircraft.telemetry_mismatches if aircraft is not None else 0,
         )
+
+
+def _read(kind: type[C], value: bytes) -> C:
+    """A command of a front, which may have been written by anybody.
+
+    Raises:
+        MessageError: It is not one.
+    """
+    try:
+        return kind.parse(value, FIRMWARE_3_1)
+    except ValueError as error:
+        raise MessageError(f"not a command: {error}") from None
 
 
 def _fault(error: M100Error | None) -> Fault | None:
@@ -408,6 +424,13 @@ class _Front:
             Action.RELEASE: lambda: agent.release(token),
             Action.PATTERN: lambda: self._start_pattern(token, ask.number),
             Action.STOP: agent.stop,
+            Action.GIMBAL_ANGLES: lambda: agent.move_gimbal(token, _read(GimbalAngle, ask.data)),
+            Action.GIMBAL_RATES: lambda: agent.move_gimbal(token, _read(GimbalSpeed, ask.data)),
+            Action.TAKE_PHOTO: lambda: agent.use_camera(token, AircraftCamera.take_photo),
+            Action.START_VIDEO: lambda: agent.use_camera(token, AircraftCamera.start_video),
+            Action.STOP_VIDEO: lambda: agent.use_camera(token, AircraftCamera.stop_video),
+            Action.ARM: lambda: agent.switch_motors(token, on=True),
+            Action.DISARM: lambda: agent.switch_motors(token, on=False),
             Action.VERSION: self._version,
             Action.SEND_TO_MOBILE: lambda: agent.send_to_mobile(token, ask.data),
         }

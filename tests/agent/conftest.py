@@ -26,8 +26,8 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
 class Rig:
     """An agent with an activated virtual aircraft, and one client's lease."""
 
-    def __init__(self, **options: Any) -> None:
-        self.aircraft = VirtualAircraft(seed=5)
+    def __init__(self, *, firmware: str = "1.0", **options: Any) -> None:
+        self.aircraft = VirtualAircraft(seed=5, firmware=firmware)
         self.driver = Driver(self.aircraft)
         credentials = self.aircraft.credentials
         self.agent = Agent(by_driver(self.driver), credentials=credentials, **options)

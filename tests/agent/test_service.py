@@ -30,6 +30,8 @@ from m100link.agent.messages import (
     Telemetry,
 )
 from m100link.agent.service import MAX_SETPOINT_AGE, STATE_INTERVAL, Service
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
 from tests.agent.conftest import Rig
@@ -287,3 +289,29 @@ async def test_telemetry_of_a_profile_of_ones_own_is_not_told_under_a_known_name
     for callback in rig.agent.connection.on_sample:
         callback(Sample(b"\0\0", own, 0.0))
     assert front.all(Telemetry) == []
+
+
+async def test_gimbal_camera_and_motors_by_messages() -> None:
+    async with Rig(firmware="3.1").running() as rig:
+        service = Service(rig.agent)
+        rig.renewing.cancel()
+        rig.agent.desk.release(rig.token, rig.agent.now)
+        front = Front(rig, service)
+        value = GimbalAngle(pitch_deg=-45.0).value(FIRMWARE_3_1)
+        front.send(Ask(11, Action.GIMBAL_ANGLES, data=value))
+        await front.outcome(11)
+        front.send(Ask(12, Action.GIMBAL_RATES, data=GimbalSpeed().value(FIRMWARE_3_1)))
+        await front.outcome(12)
+        for identity, data in ((13, b""), (14, b"\xff" * 8), (15, value[:-1])):
+            front.send(Ask(identity, Action.GIMBAL_ANGLES, data=data))
+            assert (await front.outcome(identity, Stage.FAILED)).fault is not None
+        for identity, action in ((16, Action.TAKE_PHOTO), (17, Action.START_VIDEO)):
+            front.send(Ask(identity, action))
+            await front.outcome(identity)
+        camera = rig.aircraft.vehicle.camera
+        await rig.until(lambda: camera.is_recording)
+        assert camera.photos == 1
+        front.send(Ask(18, Action.ARM))
+        fault = (await front.outcome(18, Stage.FAILED)).fault
+        assert fault is not None
+        assert not rig.aircraft.vehicle.flight.dynamics.motors_on

@@ -12,11 +12,10 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Coroutine
-from typing import Any
+from collections.abc import Callable
 
 from m100link.agent.client import AgentClient
-from m100link.errors import BadSetpoint, CommandRefused, GuardRefused, M100Error, UsageError
+from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
@@ -31,6 +30,7 @@ from m100link.protocol.setpoint import (
 from m100link.station.ros.graph import Call, Graph, Listener, Topic
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
+from m100link.station.ros.payload import Payload
 from m100link.station.way_time import MAX_LATE, WayTime
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
@@ -95,6 +95,7 @@ class DjiSdk:
         self._add_setpoints()
         self._add_services()
         self._from_mobile = graph.add_topic("/dji_sdk/from_mobile_data", "dji_sdk/MobileData")
+        Payload(agent, graph, clients)
         agent.background.spawn(self._watch(), "dji_sdk topics")
         agent.background.spawn(self._watch_mobile(), "mobile data")
 
@@ -303,30 +304,8 @@ class DjiSdk:
             ("send_data_to_mobile", "SendMobileData", self._send_to_mobile),
         ):
             self._graph.add_service(
-                f"/dji_sdk/{name}", f"dji_sdk/{kind}", self._answering(name, handler)
+                f"/dji_sdk/{name}", f"dji_sdk/{kind}", self._clients.answering(name, handler)
             )
-
-    def _answering(
-        self, name: str, handler: Callable[[Call], Coroutine[Any, Any, Message]]
-    ) -> Callable[[Call], None]:
-        """Answer when the aircraft has; a refusal is an answer, trouble is a failure."""
-
-        async def answer(call: Call) -> None:
-            try:
-                call.respond(await handler(call))
-            except CommandRefused as error:
-                call.session.status("error", str(error))
-                call.respond({"result": False, "ack_data": max(0, error.code)})
-            except M100Error as error:
-                call.fail(str(error))
-
-        def on_call(call: Call) -> None:
-            if self._clients.admits(call.session):
-                self._agent.background.spawn(answer(call), name)
-            else:
-                call.fail("more than the orders that one client may give")
-
-        return on_call
 
     async def _activate(self, call: Call) -> Message:
         await self._agent.activate(self._clients.lease(call.session))

@@ -13,9 +13,10 @@ from typing import Any
 
 from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, LeaseRefused
-from m100link.errors import M100Error, NoAuthority, UsageError
+from m100link.errors import CommandRefused, M100Error, NoAuthority, UsageError
 from m100link.station.ros.allowance import Allowance
 from m100link.station.ros.graph import Call, Graph, Listener
+from m100link.station.ros.messages import Message
 
 __all__ = ["Clients"]
 
@@ -124,6 +125,31 @@ class Clients:
                 session.status("error", str(error))
 
         self._agent.background.spawn(guarded(), f"{name} for {session.name}")
+
+    def answering(
+        self, name: str, handler: Callable[[Call], Coroutine[Any, Any, Message]]
+    ) -> Callable[[Call], None]:
+        """Answer when the aircraft has; a refusal is an answer, trouble is a failure."""
+
+        async def answer(call: Call) -> None:
+            try:
+                call.respond(await handler(call))
+            except CommandRefused as error:
+                call.session.status("error", str(error))
+                refused: Message = {"result": False}
+                if "ack_data" in call.service.type.response.default():
+                    refused["ack_data"] = max(0, error.code)
+                call.respond(refused)
+            except M100Error as error:
+                call.fail(str(error))
+
+        def on_call(call: Call) -> None:
+            if self.admits(call.session):
+                self._agent.background.spawn(answer(call), name)
+            else:
+                call.fail("more than the orders that one client may give")
+
+        return on_call
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
         for session in self._graph.sessions:

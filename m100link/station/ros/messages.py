@@ -66,6 +66,8 @@ string function, uint32 line, string[] topics
 rosapi/TypeDef: string type, string[] fieldnames, string[] fieldtypes, int32[] fieldarraylen, \
 string[] examples, string[] constnames, string[] constvalues
 dji_sdk/MobileData: uint8[<=100] data
+dji_sdk/Gimbal: std_msgs/Header header, int32 ts, uint8 mode, float32 yaw, float32 pitch, \
+float32 roll
 """
 
 _SERVICE_DEFINITIONS = """
@@ -76,6 +78,7 @@ dji_sdk/SDKControlAuthority: uint8 control_enable -> bool result, uint8 cmd_set,
 uint32 ack_data
 dji_sdk/DroneTaskControl: uint8 task -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
 dji_sdk/DroneArmControl: uint8 arm -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/CameraAction: uint8 camera_action -> bool result
 dji_sdk/QueryDroneVersion: -> uint32 version, string hardware
 dji_sdk/SetLocalPosRef: -> bool result
 dji_sdk/SendMobileData: uint8[<=100] data -> bool result

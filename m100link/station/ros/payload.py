@@ -1,0 +1,101 @@
+"""Gimbal, camera and motors under the names of DJI's later ``dji_sdk`` node.
+
+Gimbal and camera need no control authority. They need the lease, or that nobody holds it: whoever
+flies also looks where it flies. Nothing answers these commands, so ``result`` says "sent".
+"""
+
+from __future__ import annotations
+
+import math
+
+from m100link.agent.client import AgentClient
+from m100link.agent.messages import Action
+from m100link.errors import M100Error, UsageError
+from m100link.protocol.commands.control import Arm
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.firmware import FIRMWARE_3_1
+from m100link.station.ros.graph import Call, Graph, Listener
+from m100link.station.ros.leases import Clients
+from m100link.station.ros.messages import Message
+
+__all__ = ["Payload"]
+
+_CAMERA = (Action.TAKE_PHOTO, Action.START_VIDEO, Action.STOP_VIDEO)
+"""By the number that ``camera_action`` has for each."""
+
+_SHORTEST_S = 0.1
+
+
+class Payload:
+    """The topics and services of what hangs below, and of the motors.
+
+    Args:
+        agent: The agent that owns the aircraft.
+        graph: Where they are offered.
+        clients: Who holds the lease.
+    """
+
+    def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
+        self._agent, self._clients = agent, clients
+        graph.add_topic("/dji_sdk/gimbal_angle_cmd", "dji_sdk/Gimbal", self._on_angles)
+        graph.add_topic("/dji_sdk/gimbal_speed_cmd", "geometry_msgs/Vector3Stamped", self._on_rates)
+        for name, kind, handler in (
+            ("camera_action", "CameraAction", self._camera),
+            ("drone_arm_control", "DroneArmControl", self._arm),
+        ):
+            graph.add_service(
+                f"/dji_sdk/{name}", f"dji_sdk/{kind}", clients.answering(name, handler)
+            )
+
+    def _on_angles(self, session: Listener, message: Message, now: float) -> None:
+        """Radians, as DJI's node has them; seconds are whole."""
+        try:
+            command = GimbalAngle(
+                yaw_deg=math.degrees(message["yaw"]),
+                roll_deg=math.degrees(message["roll"]),
+                pitch_deg=math.degrees(message["pitch"]),
+                mode=message["mode"],
+                duration_s=max(_SHORTEST_S, float(message["ts"])),
+            )
+            data = command.value(FIRMWARE_3_1)
+        except M100Error as error:
+            self._clients.complain(session, error)
+        else:
+            self._send(session, Action.GIMBAL_ANGLES, data)
+
+    def _on_rates(self, session: Listener, message: Message, now: float) -> None:
+        """Radians per second: roll, pitch, yaw. One message turns it for half a second."""
+        vector = message["vector"]
+        try:
+            command = GimbalSpeed(
+                yaw_deg_s=math.degrees(vector["z"]),
+                roll_deg_s=math.degrees(vector["x"]),
+                pitch_deg_s=math.degrees(vector["y"]),
+            )
+            data = command.value(FIRMWARE_3_1)
+        except M100Error as error:
+            self._clients.complain(session, error)
+        else:
+            self._send(session, Action.GIMBAL_RATES, data)
+
+    def _send(self, session: Listener, action: Action, data: bytes) -> None:
+        async def send() -> None:
+            await self._agent.ask(action, self._clients.lease(session), data=data)
+
+        self._clients.run(session, send, action.value)
+
+    async def _camera(self, call: Call) -> Message:
+        number = call.request["camera_action"]
+        if number >= len(_CAMERA):
+            raise UsageError("camera_action is 0 (photo), 1 (start video) or 2 (stop video)")
+        await self._agent.ask(_CAMERA[number], self._clients.lease(call.session))
+        return {"result": True}
+
+    async def _arm(self, call: Call) -> Message:
+        wanted = call.request["arm"]
+        if wanted > 1:
+            raise UsageError("arm is 1 (start the motors) or 0 (stop them)")
+        action = Action.ARM if wanted else Action.DISARM
+        await self._agent.ask(action, self._clients.held(call.session))
+        command_set, command_id = Arm.ADDRESS
+        return {"result": True, "cmd_set": command_set, "cmd_id": command_id}
