@@ -28,6 +28,8 @@ from m100link.missions.waypoint import (
 )
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 
 __all__ = [
@@ -232,6 +234,54 @@ class WaypointPlan:
         return cls(
             **qgroundcontrol.from_document(found, home_altitude=home_altitude, leave_out=leave_out)
         )
+
+    @classmethod
+    def read(
+        cls,
+        path: str | Path,
+        *,
+        home_altitude: float | None = None,
+        leave_out: Collection[int | str] = (),
+    ) -> Self:
+        """Read a file: JSON of :meth:`to_json` or a ``.plan``, whichever it is.
+
+        Args:
+            path: The file.
+            home_altitude: See :meth:`from_qgroundcontrol`.
+            leave_out: See :meth:`from_qgroundcontrol`.
+
+        Raises:
+            BadPlan: It cannot be read, is neither of them, or the aircraft would refuse it.
+        """
+        from m100link.missions import files
+
+        return cls.parse(files.read(path), home_altitude=home_altitude, leave_out=leave_out)
+
+    @classmethod
+    def parse(
+        cls,
+        text: str | bytes,
+        *,
+        home_altitude: float | None = None,
+        leave_out: Collection[int | str] = (),
+    ) -> Self:
+        """As :meth:`read`, of what such a file holds."""
+        from m100link.missions import files
+
+        if files.is_qgroundcontrol(text):
+            return cls.from_qgroundcontrol(text, home_altitude=home_altitude, leave_out=leave_out)
+        return cls.from_json(text)
+
+    def write(self, path: str | Path) -> None:
+        """Write a file: for QGroundControl if its name ends in ``.plan``, else JSON.
+
+        Raises:
+            BadPlan: It cannot be written.
+        """
+        from m100link.missions import files
+
+        is_for_qgroundcontrol = files.is_named_plan(path)
+        files.write(path, self.to_qgroundcontrol() if is_for_qgroundcontrol else self.to_json())
 
     def to_wire(self) -> tuple[WaypointMission, tuple[WaypointPoint, ...]]:
         """The commands 0x03/0x10 and 0x03/0x11 that upload it.

@@ -253,13 +253,14 @@ class Waypoint:
     ) -> list[Self]:
         """Waypoints along a track such as :func:`m100link.patterns.survey` makes.
 
+        >>> from m100link import TakePhoto, Waypoint
         >>> from m100link.geodesy import LocalFrame
         >>> from m100link.patterns import survey
         >>> lines = survey([(0, 0), (0, 30), (20, 30), (20, 0)], spacing=15, height=12)
         >>> frame = LocalFrame(52.1, 4.31)
         >>> points = Waypoint.along(lines, frame=frame, every=10, actions=[TakePhoto()])
         >>> len(points)
-        8
+        7
 
         Args:
             track: North and east in metres in ``frame``, height above the take-off point.
