@@ -69,6 +69,10 @@ VERBS = {
         "payload:rates",
         "Set telemetry rates (firmware 3.1), and show how items arrive; without any only that.",
     ),
+    "plan": (
+        "plan:app",
+        "Look at plans of waypoints, check and convert them; no aircraft is needed.",
+    ),
     "decode": (
         "decode:decode",
         "Decode frames from hex: one stream per argument, or per line of standard input.",

@@ -19,6 +19,7 @@ class _Canvas:
     def __init__(self, columns: int, rows: int) -> None:
         self.width, self.height = columns * 2, rows * 4
         self._cells = [[0] * columns for _ in range(rows)]
+        self._words: dict[tuple[int, int], str] = {}
 
     def dot(self, x: int, y: int) -> None:
         if 0 <= x < self.width and 0 <= y < self.height:
@@ -31,8 +32,23 @@ class _Canvas:
             part = step / steps
             self.dot(round(x0 + (x1 - x0) * part), round(y0 + (y1 - y0) * part))
 
+    def write(self, x: float, y: float, word: str) -> None:
+        """Put a word over the dots, from this one on, if no other word stands there or beside."""
+        row = (self.height - 1 - round(y)) // 4
+        column = min(round(x) // 2, self.width // 2 - len(word))
+        taken = {(row, column + index) for index in range(-1, len(word) + 1)}
+        if column >= 0 and not self._words.keys() & taken:
+            for index, character in enumerate(word):
+                self._words[row, column + index] = character
+
     def lines(self) -> list[str]:
-        return ["".join(chr(0x2800 + cell) for cell in row) for row in self._cells]
+        return [
+            "".join(
+                self._words.get((row, column), chr(0x2800 + cell))
+                for column, cell in enumerate(cells)
+            )
+            for row, cells in enumerate(self._cells)
+        ]
 
 
 def _span(values: Iterable[float], at_least: float) -> tuple[float, float]:
@@ -42,13 +58,20 @@ def _span(values: Iterable[float], at_least: float) -> tuple[float, float]:
     return (low, high) if missing <= 0 else (low - missing / 2, high + missing / 2)
 
 
-def track_plot(points: Sequence[Point], *, columns: int = 44, rows: int = 16) -> list[str]:
+def track_plot(
+    points: Sequence[Point],
+    *,
+    columns: int = 44,
+    rows: int = 16,
+    names: Sequence[str] = (),
+) -> list[str]:
     """A track seen from above, equal scales, north up.
 
     Args:
         points: North and east in metres.
         columns: Width in characters.
         rows: Height in characters.
+        names: Of the points, in their order; those for which there is no room are left out.
     """
     canvas = _Canvas(columns, rows)
     if not points:
@@ -61,6 +84,8 @@ def track_plot(points: Sequence[Point], *, columns: int = 44, rows: int = 16) ->
     dots = [(left + (e - west) * scale, bottom + (n - south) * scale) for n, e in points]
     for (x0, y0), (x1, y1) in pairwise(dots):
         canvas.line(x0, y0, x1, y1)
+    for (x, y), name in zip(dots, names, strict=False):
+        canvas.write(x, y, name)
     pictured = canvas.lines()
     pictured.append(
         f"north up; {north - south:.1f} m north to south, {east - west:.1f} m east to west"
@@ -69,13 +94,19 @@ def track_plot(points: Sequence[Point], *, columns: int = 44, rows: int = 16) ->
 
 
 def line_plot(
-    points: Sequence[Point], *, unit: str = "", columns: int = 44, rows: int = 10
+    points: Sequence[Point],
+    *,
+    unit: str = "",
+    over: str = "s",
+    columns: int = 44,
+    rows: int = 10,
 ) -> list[str]:
-    """A value over time.
+    """A value over time, or over something else.
 
     Args:
         points: Time in seconds, and value.
         unit: Unit of the value, for the scale.
+        over: Unit of the time, likewise.
         columns: Width in characters, scale not included.
         rows: Height in characters.
     """
@@ -98,6 +129,6 @@ def line_plot(
     pictured = [
         f"{labels.get(row, ''):>{width}} ┤{line}" for row, line in enumerate(canvas.lines())
     ]
-    seconds = f"{last - first:.1f} s"
-    pictured.append(f"{unit:>{width}}  0{seconds:>{columns - 1}}")
+    whole = f"{last - first:.1f} {over}"
+    pictured.append(f"{unit:>{width}}  0{whole:>{columns - 1}}")
     return pictured

@@ -55,3 +55,12 @@ def test_a_value_over_time_rises_to_the_right_and_is_labelled() -> None:
 def test_nothing_and_one_point_are_pictures_too(plot: Callable[..., list[str]]) -> None:
     assert dots(plot([], columns=5, rows=3), 5) == set()
     assert plot([(1.0, 1.0)], columns=5, rows=3)
+
+
+def test_names_stand_where_there_is_room_for_them() -> None:
+    row = [(0.0, 0.0), (0.0, 1.0), (0.0, 100.0)]
+    *picture, _ = track_plot(row, columns=12, rows=3, names=["0", "1", "12"])
+    [line] = [line for line in picture if "0" in line]
+    assert line.strip("\u2800")[0] == "0"
+    assert line.strip("\u2800")[-2:] == "12"
+    assert "1" not in line[:-3]
