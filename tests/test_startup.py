@@ -72,10 +72,14 @@ def test_a_lower_room_loads_neither_those_above_nor_what_only_they_need(
     assert loaded_by(statement) & COSTLY <= allowed
 
 
-def test_who_flies_by_setpoints_does_not_load_the_missions() -> None:
-    later = {f"m100link.protocol.commands.{name}" for name in ("registry", "waypoint", "hotpoint")}
-    assert not later & own("import m100link.protocol")
-    assert later <= own("from m100link.protocol import parse_command")
+def test_who_reads_a_frame_does_not_load_the_commands_that_it_does_not_have() -> None:
+    commands = {f"m100link.protocol.commands.{name}" for name in ("waypoint", "hotpoint", "follow")}
+    read = "from m100link.protocol import PROFILES, parse_command; parse_command(bytes({}), {})"
+    assert not commands & own("import m100link.protocol")
+    assert not commands & own(read.format([0x01, 0x05, 1], "PROFILES['3.1']"))
+    assert commands & own(read.format([0x03, 0x12, 1], "PROFILES['3.1']")) == {
+        "m100link.protocol.commands.waypoint"
+    }
 
 
 def test_frames_need_few_modules_at_all() -> None:

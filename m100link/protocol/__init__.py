@@ -1,9 +1,5 @@
 """What the data bytes mean: command sets, setpoints, telemetry, firmware profiles."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
-
 from m100link.protocol import records
 from m100link.protocol.codes import (
     AckCode,
@@ -46,6 +42,7 @@ from m100link.protocol.commands.control import (
     Task,
 )
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
+from m100link.protocol.commands.registry import parse_command
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.protocol.packet import TelemetryPacket, encode_telemetry
 from m100link.protocol.records import *  # noqa: F403 (all of records.__all__, nothing else)
@@ -57,9 +54,6 @@ from m100link.protocol.setpoint import (
     Vertical,
     Yaw,
 )
-
-if TYPE_CHECKING:
-    from m100link.protocol.commands.registry import parse_command
 
 __all__ = [
     "PROFILES",
@@ -112,13 +106,3 @@ __all__ = [
 ]
 
 __all__ += records.__all__
-
-
-def __getattr__(name: str) -> Any:
-    # It knows every command there is. A program that flies by setpoints needs few of them, and
-    # the missions alone would take half as long to load as all the rest.
-    if name == "parse_command":
-        from m100link.protocol.commands.registry import parse_command
-
-        return parse_command
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,98 +1,102 @@
-"""Which command an address stands for."""
+"""Which command an address stands for.
+
+A module is imported when a command in it is asked for: there are many, and a program that decodes
+one frame needs one of them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+
 from m100link.protocol.command import Address, Command, Unrecognised
-from m100link.protocol.commands.activation import (
-    Activate,
-    GetVersion,
-    SendToMobile,
-    SetTelemetryRates,
-)
-from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
-from m100link.protocol.commands.control import Arm, Move, QueryTask, RequestAuthority, StartTask
-from m100link.protocol.commands.follow import (
-    FollowPauseResume,
-    FollowStart,
-    FollowStop,
-    FollowTarget,
-)
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
-from m100link.protocol.commands.hotpoint import (
-    HotpointAutoRadius,
-    HotpointDownload,
-    HotpointPauseResume,
-    HotpointResetYaw,
-    HotpointSetRadius,
-    HotpointSetRate,
-    HotpointStart,
-    HotpointStop,
-)
-from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
-from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
-from m100link.protocol.commands.sync import Sync
-from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
-from m100link.protocol.commands.waypoint import (
-    WaypointDownloadMission,
-    WaypointDownloadPoint,
-    WaypointGetIdleSpeed,
-    WaypointMission,
-    WaypointPauseResume,
-    WaypointPoint,
-    WaypointSetIdleSpeed,
-    WaypointStartStop,
-)
 from m100link.protocol.firmware import FirmwareProfile
 
 __all__ = ["COMMANDS", "address_of", "parse_command"]
 
-COMMANDS: dict[Address, type[Command]] = {
-    command.ADDRESS: command
-    for command in (
-        GetVersion,
-        Activate,
-        SetTelemetryRates,
-        SendToMobile,
-        RequestAuthority,
-        StartTask,
-        QueryTask,
-        Move,
-        Arm,
-        GimbalSpeed,
-        GimbalAngle,
-        TakePhoto,
-        StartVideo,
-        StopVideo,
-        PushTelemetry,
-        AuthorityChanged,
-        FromMobile,
-        MissionStatus,
-        WaypointEvent,
-        WaypointMission,
-        WaypointPoint,
-        WaypointStartStop,
-        WaypointPauseResume,
-        WaypointDownloadMission,
-        WaypointDownloadPoint,
-        WaypointSetIdleSpeed,
-        WaypointGetIdleSpeed,
-        HotpointStart,
-        HotpointStop,
-        HotpointPauseResume,
-        HotpointSetRate,
-        HotpointSetRadius,
-        HotpointResetYaw,
-        HotpointDownload,
-        HotpointAutoRadius,
-        FollowStart,
-        FollowStop,
-        FollowPauseResume,
-        FollowTarget,
-        Sync,
-        VirtualRcSettings,
-        VirtualRcData,
-    )
-}
+# Set, the module of its commands, and their classes by id.
+_SETS: tuple[tuple[int, str, dict[int, str]], ...] = (
+    (
+        0x00,
+        "activation",
+        {0x00: "GetVersion", 0x01: "Activate", 0x10: "SetTelemetryRates", 0xFE: "SendToMobile"},
+    ),
+    (
+        0x01,
+        "control",
+        {0x00: "RequestAuthority", 0x01: "StartTask", 0x02: "QueryTask", 0x03: "Move", 0x05: "Arm"},
+    ),
+    (0x01, "gimbal", {0x1A: "GimbalSpeed", 0x1B: "GimbalAngle"}),
+    (0x01, "camera", {0x20: "TakePhoto", 0x21: "StartVideo", 0x22: "StopVideo"}),
+    (0x02, "monitor", {0x00: "PushTelemetry", 0x01: "AuthorityChanged", 0x02: "FromMobile"}),
+    (0x02, "missions", {0x03: "MissionStatus", 0x04: "WaypointEvent"}),
+    (
+        0x03,
+        "waypoint",
+        {
+            0x10: "WaypointMission",
+            0x11: "WaypointPoint",
+            0x12: "WaypointStartStop",
+            0x13: "WaypointPauseResume",
+            0x14: "WaypointDownloadMission",
+            0x15: "WaypointDownloadPoint",
+            0x16: "WaypointSetIdleSpeed",
+            0x17: "WaypointGetIdleSpeed",
+        },
+    ),
+    (
+        0x03,
+        "hotpoint",
+        {
+            0x20: "HotpointStart",
+            0x21: "HotpointStop",
+            0x22: "HotpointPauseResume",
+            0x23: "HotpointSetRate",
+            0x24: "HotpointSetRadius",
+            0x25: "HotpointResetYaw",
+            0x26: "HotpointDownload",
+            0x27: "HotpointAutoRadius",
+        },
+    ),
+    (
+        0x03,
+        "follow",
+        {0x30: "FollowStart", 0x31: "FollowStop", 0x32: "FollowPauseResume", 0x33: "FollowTarget"},
+    ),
+    (0x04, "sync", {0x00: "Sync"}),
+    (0x05, "virtual_rc", {0x00: "VirtualRcSettings", 0x01: "VirtualRcData"}),
+)
+
+
+class _Commands(Mapping[Address, type[Command]]):
+    """The classes by address, each imported when it is asked for."""
+
+    __slots__ = ("_known", "_places")
+
+    def __init__(self) -> None:
+        self._places = {
+            Address(command_set, command_id): (module, name)
+            for command_set, module, names in _SETS
+            for command_id, name in names.items()
+        }
+        self._known: dict[Address, type[Command]] = {}
+
+    def __getitem__(self, address: Address) -> type[Command]:
+        command = self._known.get(address)
+        if command is None:
+            module, name = self._places[address]
+            command = getattr(import_module(f"{__package__}.{module}"), name)
+            self._known[address] = command
+        return command
+
+    def __iter__(self) -> Iterator[Address]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+COMMANDS: Mapping[Address, type[Command]] = _Commands()
 """Every command and push by its address."""
 
 

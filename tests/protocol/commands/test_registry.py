@@ -52,7 +52,10 @@ def declared() -> list[type[Command]]:
 def test_every_declared_command_is_listed_under_an_address_of_its_own() -> None:
     ours = declared()
     assert set(ours) == set(COMMANDS.values())
-    assert len({kind.ADDRESS for kind in ours}) == len(ours)
+    assert len({kind.ADDRESS for kind in ours}) == len(ours) == len(COMMANDS)
+    assert {address: kind.ADDRESS for address, kind in COMMANDS.items()} == {
+        address: address for address in COMMANDS
+    }
 
 
 def name_of(row: dict[str, Any]) -> str:
