@@ -56,6 +56,7 @@ nitpick_ignore_regex = [
     (r"py:attr", r"state"),
     # Programs get a Control or a Subscription from the aircraft and never make one.
     (r"py:class", r"m100link\.flight\.(tasks\.Commander|guidance\.Flyer|lifecycle\.BlockClaim)"),
+    (r"py:class", r"(Requests|TelemetryStream|m100link\.flight\.sticks\.SettingsPace)"),
     (r"py:class", r"m100link\.sync\.portal\.(Portal|Caller)"),
     (r"py:class", r"m100link\.flight\.missions\.(deck\.Deck|keeper\.MissionKeeper)"),
     (r"py:class", r"m100link\.(flight\.guards\.GuardKeeper|telemetry\.subscription\.Queue)"),

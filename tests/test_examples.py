@@ -85,6 +85,15 @@ def test_without_await(run: Lockstep, url: str) -> None:
     assert text.endswith("landed\n")
 
 
+def test_look_around(run: Run) -> None:
+    lines = run("look_around", "sim://?firmware=3.1").splitlines()
+    assert lines[0] == "gimbal at 50 Hz, attitude at 10 Hz"
+    seen = [tuple(map(float, re.findall(r"-?\d+\.\d", line))) for line in lines[1:]]
+    yaws = [yaw % 360.0 for yaw, _, _ in seen]
+    assert yaws[1:4] == pytest.approx([90, 180, 270], abs=2.0)
+    assert [pitch for _, pitch, _ in seen] == pytest.approx([-30, -30, -30, -30, 0], abs=2.0)
+
+
 def test_every_example_is_tested_here() -> None:
     source = Path(__file__).read_text(encoding="utf-8")
     assert [name for name in PROGRAMS if f'run("{name}"' not in source] == []
