@@ -58,7 +58,10 @@ nitpick_ignore_regex = [
     (r"py:class", r"m100link\.flight\.(tasks\.Commander|guidance\.Flyer|lifecycle\.BlockClaim)"),
     (r"py:class", r"(Requests|TelemetryStream|m100link\.flight\.sticks\.SettingsPace)"),
     (r"py:class", r"m100link\.sync\.portal\.(Portal|Caller)"),
-    (r"py:class", r"m100link\.flight\.missions\.(deck\.Deck|keeper\.MissionKeeper)"),
+    (
+        r"py:class",
+        r"m100link\.flight\.missions\.(deck\.Deck|keeper\.MissionKeeper|run\.MissionRun)",
+    ),
     (r"py:class", r"m100link\.(flight\.guards\.GuardKeeper|telemetry\.subscription\.Queue)"),
     # Type variables.
     (r"py:class", r"m100link\.[\w.]+\.[RT]"),

@@ -98,6 +98,9 @@ if TYPE_CHECKING:
         Uploaded,
         Uploading,
     )
+    from m100link.flight.missions.flight import MissionFlight
+    from m100link.flight.missions.follow import FollowFlight, Target
+    from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
     from m100link.flight.missions.waypoint import WaypointFlight
     from m100link.flight.pacing import Tick, Ticker
     from m100link.flight.tasks import TaskProgress
@@ -189,6 +192,8 @@ __all__ = [
     "BadURL",
     "BadValue",
     "Battery",
+    "CircleHeading",
+    "CircleStart",
     "Columns",
     "CommandNotSupported",
     "CommandRefused",
@@ -204,6 +209,7 @@ __all__ = [
     "FirmwareProfile",
     "FlightPhase",
     "FlightStatus",
+    "FollowFlight",
     "Gimbal",
     "GimbalPitch",
     "GimbalRates",
@@ -213,6 +219,7 @@ __all__ = [
     "Heading",
     "Hold",
     "HostTime",
+    "HotpointFlight",
     "ItemStatistics",
     "Key",
     "KeyRejected",
@@ -229,6 +236,7 @@ __all__ = [
     "Magnetometer",
     "MissionAborted",
     "MissionEvent",
+    "MissionFlight",
     "MissionKind",
     "MissionProgress",
     "MissionRefused",
@@ -268,6 +276,7 @@ __all__ = [
     "Subscription",
     "Table",
     "TakePhoto",
+    "Target",
     "Task",
     "TaskError",
     "TaskFailed",
@@ -320,7 +329,10 @@ _ROOMS = (
     "flight.guidance",
     "flight.mission_state",
     "flight.missions.events",
+    "flight.missions.flight",
     "flight.missions.waypoint",
+    "flight.missions.hotpoint",
+    "flight.missions.follow",
     "flight.control",
     "aircraft",
     "missions.plan",  # last: who flies by setpoints needs no plan

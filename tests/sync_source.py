@@ -214,6 +214,12 @@ BY_HAND = {
             self._portal, lambda caller: self._control.waypoint_mission(ARGUMENTS)
         )
     """,
+    "hotpoint": """
+        return HotpointFlight(self._portal, lambda _: self._control.hotpoint(ARGUMENTS))
+    """,
+    "follow_target": """
+        return FollowFlight(self._portal, lambda _: self._control.follow_target(ARGUMENTS))
+    """,
     "obtain": """
         if self._handles_signals:
             SIGNALS.join(self)
@@ -240,6 +246,7 @@ TYPES = {
     "AsyncIterator[Hold]": "Hold",
     "AsyncIterator[GimbalRates]": "GimbalRates",
     "Ticker": "Ticks",
+    "TargetSource": "Target",
     "SetpointSource": "Callable[[Tick], Setpoint | None]",
 }
 """What the types with ``await`` are called here."""
@@ -268,6 +275,9 @@ def without_await(text: str) -> str:
         (r"m100link\.connect", "m100link.sync.connect"),
         (r" \(when it is entered or awaited\)", ""),
         (r"; no asyncio, but trio", ""),
+        (r"targets\(\)\) as mission:  # an async generator", "first) as mission:"),
+        (r"Targets as they are known, [^;]*; or the first\n +one, to be", "The first one, to be"),
+        (r"when the source ends, and when", "when"),
         (r"and returns a setpoint, or None to end;\n.*", "and returns a setpoint, or None to end."),
     ):
         text = re.sub(word, other, text)
@@ -391,8 +401,9 @@ FIXED_IMPORTS = {
     "types": "TracebackType",
     "typing": "Any, Self, TypeVar",
     "m100link.errors": "M100Error",
+    "m100link.flight.missions.follow": "Target",
     "m100link.flight.pacing": "Tick",
-    "m100link.sync.missions": "WaypointFlight",
+    "m100link.sync.missions": "FollowFlight, HotpointFlight, WaypointFlight",
     "m100link.sync.portal": "Portal",
     "m100link.sync.signals": "SIGNALS",
     "m100link.sync.steering": "GimbalRates, Hold, Ticks, asked",

@@ -22,11 +22,13 @@ from m100link.flight.guards import Guards
 from m100link.flight.handover import release_authority
 from m100link.flight.lifecycle import BlockClaim
 from m100link.flight.mission_state import MissionState, MissionWatch
+from m100link.flight.missions.download import download_waypoint_plan
 from m100link.flight.sticks import SettingsPace
 from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, task_sequences
 from m100link.flight.virtual_rc import VirtualRc
 from m100link.link import Link, LinkStatistics
+from m100link.missions.plan import WaypointPlan
 from m100link.notifications import Notifications
 from m100link.protocol.command import Push, Request
 from m100link.protocol.commands.activation import (
@@ -356,6 +358,18 @@ class Aircraft:
         assistant.
         """
         return self._missions.state
+
+    async def download_waypoint_plan(self) -> WaypointPlan:
+        """Read back the waypoint mission that the aircraft has stored, whoever uploaded it.
+
+        Firmware 3.1. Behind the end of a mission there is none.
+
+        Raises:
+            MissionRefused: There is none (code 0xEA), or the aircraft's reason.
+            BadPlan: What is stored is no plan that could be uploaded.
+            CommandNotSupported, NotActivated, AckTimeout, LinkError: See each class.
+        """
+        return await download_waypoint_plan(self._requests)
 
     # -- telemetry and mobile data ---------------------------------------------------------------
 

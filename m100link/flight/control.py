@@ -388,6 +388,8 @@ class Control:
     # -- missions: the aircraft flies by itself --------------------------------------------------
 
     waypoint_mission = _mission(Missions.waypoint_mission)
+    hotpoint = _mission(Missions.hotpoint)
+    follow_target = _mission(Missions.follow_target)
     stop_mission = _mission(Missions.stop_mission)
     pause_mission = _mission(Missions.pause_mission)
     resume_mission = _mission(Missions.resume_mission)

@@ -21,6 +21,7 @@ from m100link.flight.mission_state import MissionState
 from m100link.flight.stop_path import StopAction
 from m100link.link.link import Link
 from m100link.link.statistics import LinkStatistics
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.command import Request
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.firmware import FirmwareProfile
@@ -272,6 +273,18 @@ class Aircraft:
         assistant.
         """
         return self._aircraft.mission
+
+    def download_waypoint_plan(self) -> WaypointPlan:
+        """Read back the waypoint mission that the aircraft has stored, whoever uploaded it.
+
+        Firmware 3.1. Behind the end of a mission there is none.
+
+        Raises:
+            MissionRefused: There is none (code 0xEA), or the aircraft's reason.
+            BadPlan: What is stored is no plan that could be uploaded.
+            CommandNotSupported, NotActivated, AckTimeout, LinkError: See each class.
+        """
+        return self._portal.wait(lambda _: self._aircraft.download_waypoint_plan())
 
     def telemetry(
         self,

@@ -9,13 +9,13 @@ from m100link.errors import GuardRefused, TelemetryStalled, UsageError
 from m100link.flight.known import known
 from m100link.flight.tasks import describe_situation
 from m100link.geodesy import LocalFrame
-from m100link.protocol.records import FlightPhase, FlightStatus, Position
+from m100link.protocol.records import Battery, FlightPhase, FlightStatus, Position
 
 if TYPE_CHECKING:
     from m100link.flight.missions.deck import Deck
     from m100link.missions.plan import WaypointPlan
 
-__all__ = ["FAR_M", "check_plan", "check_way", "require_airborne"]
+__all__ = ["FAR_M", "check_battery", "check_plan", "check_way", "require_airborne"]
 
 FAR_M = 500.0
 """Horizontal metres to the first waypoint, centre or target from which a mission must be allowed by
@@ -68,6 +68,33 @@ def check_plan(deck: Deck, plan: WaypointPlan, *, allow_far: bool) -> None:
     deck.guards.check_target(what, speed=abs(plan.speed))
     first = plan.waypoints[0]
     check_way(deck, what, (first.latitude_deg, first.longitude_deg), allow_far=allow_far)
+
+
+def check_battery(deck: Deck, plan: WaypointPlan) -> None:
+    """Whether the charge lasts for the plan and what the floor wants to be left, by estimate.
+
+    A plan that only the pilot's stick moves has no estimate; the floor ends it in flight.
+
+    Raises:
+        GuardRefused: It does not.
+    """
+    floor = deck.guards.guards.battery_floor_percent
+    state = deck.commander.state
+    battery, position = known(state, Battery), known(state, Position)
+    if floor is None or battery is None:
+        return  # without a charge and with a floor nothing comes here
+    home = None if position is None else (position.latitude_deg, position.longitude_deg)
+    needed = plan.estimate(home=home).battery_percent
+    if math.isfinite(needed) and battery.percent - needed < floor:
+        raise GuardRefused(
+            f"the waypoint mission was refused: it takes about {needed:.0f} % of a battery, which "
+            f"has {battery.percent} %, and {floor} % are to be left",
+            guard="battery_floor_percent",
+            measured=battery.percent,
+            limit=floor + needed,
+            cause="the estimate reckons with a TB47D and 500 g; nothing of it was measured",
+            remedy="a full battery, a shorter plan, or Guards(battery_floor_percent=…)",
+        )
 
 
 def check_way(deck: Deck, what: str, place: tuple[float, float], *, allow_far: bool) -> float:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable
 
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.deck import Deck
+from m100link.flight.missions.follow import FollowFlight, TargetSource
+from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.missions.waypoint import UploadListener, WaypointFlight
 from m100link.missions.plan import WaypointPlan
+from m100link.protocol.commands.hotpoint import HotpointStart
 
 __all__ = ["Missions"]
 
@@ -85,6 +89,100 @@ class Missions:
             progress=progress,
         )
 
+    def hotpoint(
+        self,
+        *,
+        latitude_deg: float,
+        longitude_deg: float,
+        height: float,
+        radius: float,
+        rate_deg_s: float,
+        clockwise: bool = True,
+        start: CircleStart = CircleStart.NEAREST,
+        heading: CircleHeading = CircleHeading.TO_CENTRE,
+        allow_far: bool = False,
+    ) -> HotpointFlight:
+        """Let the aircraft circle around a place by itself: an orbit, DJI's hotpoint.
+
+        ::
+
+            async with control.hotpoint(
+                latitude_deg=52.1, longitude_deg=4.31, height=20, radius=30, rate_deg_s=10
+            ) as circle:
+                await asyncio.sleep(30)
+                await circle.set_radius(40)
+
+        It flies to the circle at that height and then along it until it is stopped; leaving the
+        block does that. **It flies on when this program is killed.** While it flies, everything
+        else that moves the aircraft raises :class:`MissionRunning`.
+
+        Args:
+            latitude_deg: Of the centre, WGS 84.
+            longitude_deg: Of the centre, WGS 84.
+            height: 5 to 500 m **above the take-off point**, and not above the sea, which
+                ``aircraft.state`` tells as well.
+            radius: 5 to 500 m.
+            rate_deg_s: 0 to 30 °/s, and no more than 10 m/s along the circle: 573 divided by the
+                radius.
+            clockwise: Direction, seen from above.
+            start: Where the circle is entered.
+            heading: Where the nose points.
+            allow_far: Let the centre be more than 500 m away.
+
+        Raises:
+            UsageError: A value out of range, or too fast for the radius; on the ground.
+            GuardRefused, CommandNotSupported, MissionRefused, MissionRunning, NoAuthority,
+            TelemetryStalled, AckTimeout, MissionAborted: See :meth:`waypoint_mission`.
+        """
+        request = HotpointStart(
+            latitude=math.radians(latitude_deg),
+            longitude=math.radians(longitude_deg),
+            altitude=height,
+            radius=radius,
+            angular_rate=rate_deg_s,
+            clockwise=int(clockwise),
+            start_point=int(start),
+            yaw_mode=int(heading),
+        )
+        return HotpointFlight(
+            self._deck, self._keeper, request, make_way=self._make_way, allow_far=allow_far
+        )
+
+    def follow_target(
+        self, source: TargetSource, *, face_target: bool = True, allow_far: bool = False
+    ) -> FollowFlight:
+        """Let the aircraft follow a target by itself, at the distance that it has at the beginning.
+
+        ::
+
+            async with control.follow_target(targets()) as mission:  # an async generator
+                async for event in mission:
+                    print(event)
+
+        It is stopped when the source ends, and when the block is left; the aircraft hovers. When
+        nothing new comes for 6 s, the aircraft waits where it is. ``Control.follow`` is another
+        thing: it sends setpoints.
+
+        Args:
+            source: Targets as they are known, of which ten a second are taken at most; or the first
+                one, to be renewed by :meth:`m100link.FollowFlight.set_target`.
+            face_target: The nose points to the target; otherwise the pilot's stick turns it.
+            allow_far: Let the first target be more than 500 m away.
+
+        Raises:
+            UsageError: The source is empty, a target is not a place, or jumps by more than 200 m.
+            GuardRefused, CommandNotSupported, MissionRefused, MissionRunning, NoAuthority,
+            TelemetryStalled, AckTimeout, MissionAborted: See :meth:`waypoint_mission`.
+        """
+        return FollowFlight(
+            self._deck,
+            self._keeper,
+            source,
+            make_way=self._make_way,
+            face_target=face_target,
+            allow_far=allow_far,
+        )
+
     async def stop_mission(self) -> MissionKind:
         """Stop whatever mission flies, whoever started it: the aircraft hovers.
 
@@ -118,7 +216,7 @@ class Missions:
         """Leave whatever mission flies in flight when this control block ends.
 
         Authority is not given back then: that would break it off. See
-        :meth:`WaypointFlight.detach`.
+        :meth:`m100link.MissionFlight.detach`.
 
         Raises:
             UsageError: No mission flies, as far as the aircraft tells.

@@ -265,6 +265,21 @@ class MissionRun:
             raise mission_refused(f"the stop of the {self.name}", code)
         self._end(RunInput.STOPPED)
 
+    async def end_by_program(self, failure: M100Error | None) -> None:
+        """What feeds it has ended, well or not: stop it, and tell the program why.
+
+        A stop that fails is for the stop path to try again.
+        """
+        if not self.owes_a_stop:
+            return
+        if failure is not None:
+            self.events.end(failure)
+        try:
+            await self.stop()
+        except M100Error as error:
+            _logger.error("%s", error)
+            self.events.end(error)
+
     def _unanswered(self) -> AckTimeout:
         return AckTimeout(
             f"the stop of the {self.name} was not answered: the aircraft may be flying it on",
@@ -414,8 +429,9 @@ class MissionRun:
                 is_warned = True
                 _logger.warning(
                     "the aircraft pushes nothing about the %s: tick 'Ground Station Status' in the "
-                    "PC assistant; until then it is asked each second",
+                    "PC assistant; %s",
                     self.name,
+                    "nothing tells its end" if self._track.poll is None else "it is asked instead",
                 )
             if now >= next_poll_at:
                 next_poll_at = now + _POLL_S

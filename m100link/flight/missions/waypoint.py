@@ -5,16 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from types import TracebackType
-from typing import Self
 
 from m100link.errors import BadAck, MissionRefused, UsageError
 from m100link.flight.mission_state import MissionKind
-from m100link.flight.missions.checks import check_plan, require_airborne
+from m100link.flight.missions.checks import check_battery, check_plan, require_airborne
 from m100link.flight.missions.deck import Deck
-from m100link.flight.missions.events import MissionEvent, Uploaded, Uploading
+from m100link.flight.missions.events import Uploaded, Uploading
+from m100link.flight.missions.flight import MissionFlight
 from m100link.flight.missions.keeper import MissionKeeper
-from m100link.flight.missions.life import RunState
 from m100link.flight.missions.refusal import mission_refused
 from m100link.flight.missions.run import MissionRun
 from m100link.flight.missions.waypoint_track import WaypointTrack
@@ -47,14 +45,10 @@ _OF_ONE_POINT = frozenset(
 """What an aircraft says of the waypoint at hand; with the last one it may speak of the whole."""
 
 
-class WaypointFlight:
+class WaypointFlight(MissionFlight):
     """A waypoint mission: ``async with control.waypoint_mission(plan) as mission``.
 
-    Entering checks, uploads and starts it. Leaving stops it if it still flies; then the aircraft
-    hovers. **It flies on when this program is killed, loses its power or its cable**: it lives in
-    the aircraft, and only the pilot, its own end or a stop ends it.
-
-    ``async for event in mission`` gives :data:`m100link.MissionEvent` until it is over.
+    Entering checks, uploads and starts it; the rest is that of :class:`m100link.MissionFlight`.
     """
 
     def __init__(
@@ -68,48 +62,23 @@ class WaypointFlight:
         allow_far: bool,
         progress: UploadListener | None,
     ) -> None:
-        self._deck = deck
-        self._keeper = keeper
+        self._track = WaypointTrack(plan)
+        super().__init__(deck, keeper, MissionRun(deck, MissionKind.WAYPOINT, self._track))
         self._make_way = make_way
         self._take_off = take_off
         self._allow_far = allow_far
         self._progress = progress
-        self._track = WaypointTrack(plan)
-        self._run = MissionRun(deck, MissionKind.WAYPOINT, self._track)
         self.plan = plan
 
     def __repr__(self) -> str:
         return f"<WaypointFlight {self._run.state.name.lower()}, to waypoint {self._track.index}>"
 
-    # -- in and out ------------------------------------------------------------------------------
-
-    async def __aenter__(self) -> Self:
-        with self._deck.block.waiting(self._run.name):
-            try:
-                await self._begin()
-            except BaseException as error:
-                await self._run.leave(error)
-                self._keeper.give_back(self._run)
-                raise
-        return self
-
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        await self._run.leave(exc)
-
     async def _begin(self) -> None:
-        self._deck.block.require_flying("a waypoint mission")
-        if self._run.state is not RunState.READY:
-            raise UsageError("this mission was entered before; ask for a new one")
-        self._keeper.claim(self._run)
         is_on_ground = await require_airborne(
             self._deck, "the waypoint mission", may_take_off=self._take_off is not None
         )
         check_plan(self._deck, self.plan, allow_far=self._allow_far)
+        check_battery(self._deck, self.plan)
         await self._upload()
         if is_on_ground and self._take_off is not None:
             await self._take_off()
@@ -164,22 +133,6 @@ class WaypointFlight:
 
     # -- while it flies --------------------------------------------------------------------------
 
-    def __aiter__(self) -> Self:
-        return self
-
-    async def __anext__(self) -> MissionEvent:
-        return await self._run.next_event()
-
-    @property
-    def is_over(self) -> bool:
-        """Whether it does not fly any more, or the program let go of it."""
-        return self._run.state in (RunState.OVER, RunState.DETACHED)
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether it hovers by order of the program."""
-        return self._run.state is RunState.PAUSED
-
     @property
     def index(self) -> int | None:
         """Waypoint that it flies to, counted from 0; None while nobody knows."""
@@ -189,29 +142,6 @@ class WaypointFlight:
     def estimated_time(self) -> float | None:
         """Seconds that the aircraft expects it to take; None if it did not say."""
         return self._track.estimated_time
-
-    async def pause(self) -> None:
-        """Hover in place until :meth:`resume`; setpoints are ignored all the same.
-
-        Raises:
-            MissionRefused: With the aircraft's reason.
-            MissionAborted: It was broken off meanwhile.
-            AckTimeout: Nobody knows whether it hovers.
-            UsageError: It is over.
-        """
-        await self._run.pause()
-
-    async def resume(self) -> None:
-        """Go on to the same waypoint. Raises as :meth:`pause`."""
-        await self._run.resume()
-
-    async def stop(self) -> None:
-        """Stop it for good: the aircraft hovers and forgets the mission.
-
-        Raises:
-            AckTimeout, MissionRefused: It may be flying on; leaving the block tries again.
-        """
-        await self._run.stop()
 
     async def set_speed(self, speed: float) -> float:
         """Change the speed along the way, from here on.
@@ -241,16 +171,3 @@ class WaypointFlight:
         if answer.code is not MissionCode.SUCCESS:
             raise mission_refused("another speed of the waypoint mission", answer.code)
         return answer.idle_speed
-
-    def detach(self) -> None:
-        """Let it fly on by itself when this block, and this program, end.
-
-        Nothing here watches it any more: no guard, no stop path. Authority is **not** given back
-        when the control block ends, because that would break the mission off. Whoever connects
-        later finds it as :attr:`m100link.Aircraft.mission`, and ends it by
-        :meth:`m100link.Control.stop_mission`. A warning is logged.
-
-        Raises:
-            UsageError: It does not fly.
-        """
-        self._run.detach()

@@ -101,6 +101,19 @@ async def test_a_low_battery_before_the_start_is_refused() -> None:
         assert orders(there) == []
 
 
+async def test_a_charge_that_does_not_last_for_the_plan_is_refused() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        there.battery = 25
+        await asyncio.sleep(0.2)
+        with pytest.raises(GuardRefused, match="takes about") as caught:
+            async with control.waypoint_mission(plan(speed=1.0)):
+                pytest.fail("entered")
+        assert caught.value.guard == "battery_floor_percent"
+        assert orders(there) == []
+        async with control.waypoint_mission(plan([(0.0, 0.0), (5.0, 0.0)])):
+            pass
+
+
 @pytest.mark.parametrize("stop", ["hover", "land"])
 async def test_a_low_battery_in_flight_stops_it_and_ends_the_block(stop: str) -> None:
     async with foreign() as (there, aircraft):

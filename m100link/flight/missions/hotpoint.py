@@ -1,0 +1,320 @@
+"""A circle around a place that the aircraft flies by itself: DJI's hotpoint, an orbit.
+
+:meth:`m100link.Control.orbit` is another thing: a closed loop of this program, which ends with it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+from m100link.errors import MissionRefused, NotObserved, UsageError
+from m100link.flight.known import known
+from m100link.flight.mission_state import MissionKind
+from m100link.flight.missions.checks import check_way, require_airborne
+from m100link.flight.missions.deck import Deck, Over
+from m100link.flight.missions.events import Aborted, MissionEvent, MissionProgress
+from m100link.flight.missions.flight import MissionFlight
+from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.run import MissionRun
+from m100link.flight.missions.waypoint_track import broken_off
+from m100link.geodesy import distance_m
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.commands import missions as wire
+from m100link.protocol.commands.hotpoint import (
+    HotpointDownload,
+    HotpointDownloadAnswer,
+    HotpointResetYaw,
+    HotpointSetRadius,
+    HotpointSetRate,
+    HotpointStart,
+    HotpointStartAnswer,
+)
+from m100link.protocol.records import Position
+
+if TYPE_CHECKING:
+    from m100link.telemetry.state import AircraftState
+
+__all__ = ["CircleHeading", "CircleStart", "HotpointFlight", "HotpointTrack", "largest_rate"]
+
+_MOST_DEG_S = 30.0
+_MOST_M_S = 10.0  # along the circle
+_REPEAT_S = 1.0  # between two transmissions of what is not acknowledged
+_LOOK_S = 0.1
+_RADIUS_SHOWN_M, _RATE_SHOWN_DEG_S = 1.0, 0.15
+
+
+class CircleStart(IntEnum):
+    """Where the circle is entered, seen from its centre; the numbers of the wire."""
+
+    NORTH = 0
+    SOUTH = 1
+    WEST = 2
+    EAST = 3
+    NEAREST = 4
+
+
+class CircleHeading(IntEnum):
+    """Where the nose points on the circle; the numbers of the wire."""
+
+    ALONG_PATH = 0
+    TO_CENTRE = 1
+    OUTWARDS = 2
+    BY_RC = 3
+    AS_AT_START = 4
+
+
+def largest_rate(radius: float) -> float:
+    """The largest angular rate on a circle, °/s: 30, and no faster than 10 m/s (facts H4)."""
+    return min(_MOST_DEG_S, math.degrees(_MOST_M_S / radius))
+
+
+class HotpointTrack:
+    """Reads the pushes of one hotpoint. It has no end of its own: whatever ends it broke it off.
+
+    Args:
+        centre: Latitude and longitude, °.
+
+    Attributes:
+        distance_m: Present distance from the centre as the aircraft says, m; None before it did.
+        rate_deg_s: Present angular rate, °/s; likewise.
+        status: 0 on the way to the circle, 1 circling, 2 paused.
+        poll: What is asked when nothing is pushed.
+    """
+
+    poll = HotpointDownload()
+    ends_by_landing = False
+
+    def __init__(self, centre: tuple[float, float]) -> None:
+        self._centre = centre
+        self.distance_m: float | None = None
+        self.rate_deg_s: float | None = None
+        self.status: int | None = None
+
+    def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> list[MissionEvent | Over]:
+        """A push came."""
+        told = push.status if isinstance(push, wire.MissionStatus) else None
+        if isinstance(told, wire.HotpointStatus):
+            self.distance_m, self.rate_deg_s = told.radius_cm / 100, told.rate / 10
+            self.status = told.status
+        elif self.status is None or told is None:
+            pass  # older than ours
+        elif isinstance(told, wire.IdleStatus | wire.IocStatus):
+            return [broken_off(told)]
+        elif isinstance(told, wire.WaypointStatus | wire.FollowStatus):
+            return [Aborted(None, "another mission flies the aircraft")]
+        return []
+
+    def polled(self, answer: HotpointDownloadAnswer) -> list[MissionEvent | Over]:
+        """What circle it flies."""
+        if answer.code is MissionCode.NOT_RUNNING:
+            return [Aborted(None, "it flies no circle any more, and gives no reason")]
+        return []
+
+    def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
+        """Where it is."""
+        position = known(state, Position)
+        distance = self.distance_m
+        if distance is None and position is not None:
+            distance = distance_m(position.latitude_deg, position.longitude_deg, *self._centre)
+        return MissionProgress(
+            elapsed,
+            status=self.status,
+            distance_m=distance,
+            height_m=None if position is None else position.height_m,
+            rate_deg_s=self.rate_deg_s,
+        )
+
+
+class HotpointFlight(MissionFlight):
+    """A circle around a place: ``async with control.hotpoint(…) as circle``.
+
+    Entering checks and starts it; the rest is that of :class:`m100link.MissionFlight`. It flies
+    until it is stopped. ``set_radius``, ``set_rate`` and ``reset_heading`` are not acknowledged by
+    the aircraft: the first two are repeated until its pushes, or the circle that it says it flies,
+    show them.
+    """
+
+    def __init__(
+        self,
+        deck: Deck,
+        keeper: MissionKeeper,
+        request: HotpointStart,
+        *,
+        make_way: Callable[[str], Awaitable[None]],
+        allow_far: bool,
+    ) -> None:
+        self._centre = math.degrees(request.latitude), math.degrees(request.longitude)
+        self._track = HotpointTrack(self._centre)
+        super().__init__(deck, keeper, MissionRun(deck, MissionKind.HOTPOINT, self._track))
+        self._request = request
+        self._make_way = make_way
+        self._allow_far = allow_far
+        self._radius, self._rate = request.radius, request.angular_rate
+        self._is_clockwise = bool(request.clockwise)
+        self._largest_radius: float | None = None
+
+    def __repr__(self) -> str:
+        return f"<HotpointFlight {self._run.state.name.lower()}, {self._track.distance_m} m>"
+
+    async def _begin(self) -> None:
+        _require_legal(self._request)
+        _require_rate(self._rate, self._radius)
+        await require_airborne(self._deck, "the hotpoint")
+        self._check(self._radius, self._rate)
+        check_way(self._deck, "the hotpoint", self._centre, allow_far=self._allow_far)
+        await self._make_way("the hotpoint")
+        answer: HotpointStartAnswer = await self._run.start(self._request, lambda got: got.code)
+        self._largest_radius = answer.largest_radius
+
+    def _check(self, radius: float, rate: float) -> None:
+        """Ask the guards for a circle."""
+        self._deck.guards.check_target(
+            "the hotpoint",
+            self._centre,
+            height=self._request.altitude,
+            radius=radius,
+            speed=math.radians(rate) * radius,
+        )
+
+    @property
+    def distance_m(self) -> float | None:
+        """Present distance from the centre as the aircraft says, m; None before it did."""
+        return self._track.distance_m
+
+    @property
+    def rate_deg_s(self) -> float | None:
+        """Present angular rate as the aircraft says, °/s; None before it did."""
+        return self._track.rate_deg_s
+
+    @property
+    def largest_radius(self) -> float | None:
+        """The largest radius that the aircraft allows here, m; None before the start."""
+        return self._largest_radius
+
+    async def set_radius(self, radius: float, *, wait: bool = True, timeout: float = 30.0) -> None:
+        """Change the radius; the aircraft lowers a rate that is too large for it.
+
+        Args:
+            radius: 5 to 500 m.
+            wait: Until the aircraft shows it; otherwise it is sent once and may be lost.
+            timeout: Seconds to wait.
+
+        Raises:
+            UsageError: Not such a radius; nothing was sent.
+            GuardRefused: The circle would leave the envelope; nothing was sent.
+            NotObserved: The aircraft does not show it: it may fly the old circle.
+            MissionAborted, NoAuthority: See :meth:`pause`.
+        """
+        request = HotpointSetRadius(radius)
+        _require_legal(request)
+        self._check(radius, min(self._rate, largest_rate(radius)))
+
+        def is_shown() -> bool:
+            seen = self._track.distance_m
+            return seen is not None and abs(seen - radius) <= _RADIUS_SHOWN_M
+
+        await self._send(
+            request, is_shown, lambda circle: abs(circle.radius - radius) < 0.01, wait, timeout
+        )
+        self._radius = radius
+
+    async def set_rate(
+        self,
+        rate_deg_s: float,
+        *,
+        clockwise: bool | None = None,
+        wait: bool = True,
+        timeout: float = 30.0,
+    ) -> None:
+        """Change the angular rate, and the direction.
+
+        Args:
+            rate_deg_s: 0 to 30 °/s, and no more than 10 m/s along the circle.
+            clockwise: Seen from above; None: as it is.
+            wait: Until the aircraft shows it; otherwise it is sent once and may be lost.
+            timeout: Seconds to wait.
+
+        Raises: as :meth:`set_radius`.
+        """
+        direction = self._is_clockwise if clockwise is None else clockwise
+        request = HotpointSetRate(int(direction), rate_deg_s)
+        _require_legal(request)
+        _require_rate(rate_deg_s, self._radius)
+        self._check(self._radius, rate_deg_s)
+
+        def is_shown() -> bool:
+            seen = self._track.rate_deg_s
+            is_turned = direction is not self._is_clockwise  # which the push does not tell
+            return not is_turned and seen is not None and abs(seen - rate_deg_s) < _RATE_SHOWN_DEG_S
+
+        def is_confirmed(circle: HotpointStart) -> bool:
+            return (
+                abs(circle.angular_rate - rate_deg_s) < 0.01 and bool(circle.clockwise) is direction
+            )
+
+        await self._send(request, is_shown, is_confirmed, wait, timeout)
+        self._rate, self._is_clockwise = rate_deg_s, direction
+
+    async def reset_heading(self) -> None:
+        """Turn the nose back to where it is to point. Sent once; nothing shows that it arrived.
+
+        Raises:
+            MissionAborted, NoAuthority: See :meth:`pause`.
+        """
+        self._run.require_in_the_air("its heading")
+        self._deck.commander.requests.push(HotpointResetYaw())
+
+    async def _send(
+        self,
+        request: HotpointSetRadius | HotpointSetRate,
+        is_shown: Callable[[], bool],
+        is_confirmed: Callable[[HotpointStart], bool],
+        wait: bool,
+        timeout: float,
+    ) -> None:
+        """Send it once, or again and again until a push or the download shows it (facts K15)."""
+        self._run.require_in_the_air("its change")
+        requests, clock = self._deck.commander.requests, self._deck.commander.link.loop.time
+        give_up_at = clock() + timeout
+        requests.push(request)
+        with self._deck.block.waiting(self._run.name):
+            while wait:
+                send_again_at = clock() + _REPEAT_S
+                while clock() < send_again_at:
+                    await asyncio.sleep(_LOOK_S)
+                    if is_shown():
+                        return
+                self._run.require_in_the_air("its change")
+                answer = await requests.execute(
+                    HotpointDownload(), timeout=0.5, tries=3, refusal=MissionRefused
+                )
+                if answer.code is MissionCode.SUCCESS and is_confirmed(answer.hotpoint):
+                    return
+                if clock() >= give_up_at:
+                    raise NotObserved(
+                        f"{request.NAME} was sent for {timeout:g} s, and nothing shows it",
+                        cause="it is not acknowledged, and the aircraft tells the circle of before",
+                        remedy="look at the aircraft: it may fly the circle of before",
+                    )
+                requests.push(request)
+
+
+def _require_legal(request: HotpointStart | HotpointSetRadius | HotpointSetRate) -> None:
+    problems = request.problems()
+    if problems:
+        raise problems[0].error(request.NAME)
+
+
+def _require_rate(rate: float, radius: float) -> None:
+    most = largest_rate(radius)
+    if rate > most + 1e-6:
+        raise UsageError(
+            f"{rate:g} °/s on a circle of {radius:g} m would be {math.radians(rate) * radius:.1f} "
+            "m/s; nothing was sent",
+            cause=f"the aircraft refuses more than {_MOST_M_S:g} m/s along the circle",
+            remedy=f"stay within {most:.1f} °/s, or choose a smaller radius",
+        )
