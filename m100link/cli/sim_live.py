@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Group
 from rich.panel import Panel
@@ -136,6 +136,9 @@ class LiveView:
                 f"{state['frames_sent']} out, {state['commands']} in, {state['frames_lost']} lost",
             ),
         ]
+        if state["mission"] is not None:
+            ended = self._aircraft.vehicle.missions.running is None
+            rows.append(("last mission" if ended else "mission", *_mission(state["mission"])))
         table = Table.grid(padding=(0, 2))
         for row in rows:
             left, right = ((Text(title, style="bold"), told) for title, told in (row[:2], row[2:]))
@@ -175,6 +178,14 @@ class LiveView:
         if self._message:
             text.append(f"\n> {self._message}", style="yellow")
         return text
+
+
+def _mission(told: dict[str, Any]) -> tuple[str, str, str]:
+    """What the mission does, and how far it is."""
+    doing = f"{told['kind']}: {'paused' if told['is_paused'] else told['doing']}"
+    if "waypoint" not in told:
+        return doing, "", ""
+    return doing, "waypoint", f"{told['waypoint']} of 0 to {told['waypoints'] - 1}"
 
 
 def _degrees(radians: float) -> str:

@@ -110,6 +110,20 @@ def _message(aircraft: VirtualAircraft, words: list[str], named: dict[str, str])
         aircraft.send_from_mobile(" ".join(words).encode())
 
 
+def _mission(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
+    missions = aircraft.vehicle.missions
+    acts = {"stop": missions.stop, "pause": missions.pause, "resume": missions.resume}
+    if not words:
+        return
+    if words[0] not in acts:
+        raise UsageError(f"a mission can be stopped, paused and resumed, not {words[0]!r}")
+    if missions.running is None:
+        raise UsageError("no mission runs")
+    code = acts[words[0]](type(missions.running))
+    if code:
+        raise UsageError(f"mission {words[0]}: {code.meaning}")
+
+
 def _battery(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
     aircraft.battery_percent = _number(words)
 
@@ -185,6 +199,7 @@ ACTIONS: dict[str, Action] = {
             "velocity of the air in m/s",
             lambda aircraft, words, _: aircraft.set_wind(_number(words), _number(words, 1)),
         ),
+        Action("mission", "[stop|pause|resume]", "show, end or hold the mission", _mission),
         Action("reboot", "", "restart the autopilot", _plain("reboot")),
         Action("faults", _faults_usage(), "spoil the line", _faults),
         Action("no-faults", "", "a clean line", _plain("set_faults")),
@@ -258,6 +273,7 @@ def status(aircraft: VirtualAircraft) -> dict[str, Any]:
         "activated_app": None if active is None else active.app_id,
         "task": None if flight.tasks.task is None else flight.tasks.task.name.lower(),
         "task_state": flight.tasks.state.name.lower(),
+        "mission": vehicle.missions.summary(),
         "movements": autopilot.counters.movements,
         "last_movement": None if move is None else move.fields()["movement"],
         "ignored_movements": autopilot.counters.ignored_movements,

@@ -14,11 +14,14 @@ from rich.console import Console
 from m100link.cli.sim_live import KEYS, LiveView, read_keys
 from m100link.errors import UsageError
 from m100link.protocol import Setpoint
+from m100link.protocol.commands.follow import FollowStart
 from m100link.sim import LineFaults, VirtualAircraft
 from m100link.sim.orders.actions import ACTIONS, perform, status
 from m100link.sim.orders.ctl import CtlServer, NoSimulator, find_sockets, send_order
 from m100link.sim.orders.scenario import Scenario
 from tests.sim.host import Host
+from tests.sim.vehicle.missions.flights import begin, hotpoint, point
+from tests.sim.vehicle.missions.flights import host as mission_host
 
 
 def done(order: str) -> VirtualAircraft:
@@ -152,6 +155,83 @@ def test_a_scenario_happens_at_its_times(tmp_path: Path) -> None:
     assert host.aircraft.remote.mode.name == "P"
 
 
+def test_steps_that_wait_for_a_waypoint(tmp_path: Path) -> None:
+    played = scenario(
+        tmp_path,
+        """
+        [[step]]
+        when = "waypoint 1"
+        do = ["wind 1 0", "battery 77"]
+        [[step]]
+        when = "waypoint 1"
+        after = 2.5
+        do = "stick yaw=0.1"
+        [[step]]
+        when = "waypoint 7"
+        do = "reboot"
+        [[step]]
+        at = 5
+        do = "status"
+        """,
+    )
+    program = mission_host()
+    begin(program, [point(index, 20.0 * index, 0, 10) for index in range(3)], repeat=2)
+    seen: list[tuple[str, float]] = []
+    arrived = None
+    while program.vehicle.missions.running is not None:
+        program.wait(0.1)
+        if arrived is None and 1 in program.vehicle.missions.arrivals:
+            arrived = program.now
+        seen += [(step.order, round(program.now, 1)) for step in played.advance(program.aircraft)]
+    assert arrived is not None
+    assert seen == [
+        ("status", 5.0),
+        ("wind 1 0", round(arrived, 1)),
+        ("battery 77", round(arrived, 1)),
+        ("stick yaw=0.1", round(arrived + 2.5, 1)),
+    ]
+
+
+def test_a_mission_is_shown_paused_resumed_and_stopped() -> None:
+    program = mission_host()
+    assert status(program.aircraft)["mission"] is None
+    with pytest.raises(UsageError, match="no mission runs"):
+        perform(program.aircraft, "mission stop")
+    perform(program.aircraft, "mission")
+    begin(program, [point(0, 0, 0, 10), point(1, 60, 0, 10)])
+    program.wait(14.0)
+    told = {"kind": "waypoint", "doing": "flies", "waypoint": 1, "waypoints": 2}
+    assert status(program.aircraft)["mission"] == told | {"is_paused": False}
+    perform(program.aircraft, "mission pause")
+    assert status(program.aircraft)["mission"] == told | {"is_paused": True}
+    with pytest.raises(UsageError, match="mission pause: "):
+        perform(program.aircraft, "mission pause")
+    perform(program.aircraft, "mission resume")
+    perform(program.aircraft, "mission stop")
+    assert status(program.aircraft)["mission"]["doing"] == "ended"
+    with pytest.raises(UsageError, match="not 'fly'"):
+        perform(program.aircraft, "mission fly")
+
+
+@pytest.mark.parametrize("order", ["hotpoint", "follow"])
+def test_other_missions_are_shown(order: str) -> None:
+    program = mission_host()
+    program.take_off()
+    program.motion.place(0, 0, 15)
+    here = hotpoint()
+    program.ask(here if order == "hotpoint" else FollowStart(here.latitude, here.longitude))
+    told = status(program.aircraft)["mission"]
+    assert told["kind"] == order
+    program.wait(7.0)
+    assert status(program.aircraft)["mission"]["doing"] in _LATER
+    program.aircraft.leave_f()
+    program.wait(0.1)
+    assert "broken off: the remote controller" in status(program.aircraft)["mission"]["doing"]
+
+
+_LATER = ("flies to the circle", "circles", "hovers: the target is silent")
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [
@@ -163,6 +243,12 @@ def test_a_scenario_happens_at_its_times(tmp_path: Path) -> None:
         ("[[step]]\nat = 1\ndo = 5\n", "order"),
         ('[[step]]\nat = 1\ndo = "fly-away"\n', "fly-away"),
         ('[[step]]\nat = 1\ndo = "status"\nwhy = 1\n', "'at'"),
+        ('[[step]]\nat = 1\nwhen = "waypoint 3"\ndo = "status"\n', "'when'"),
+        ('[[step]]\nafter = 1\ndo = "status"\n', "'when'"),
+        ('[[step]]\nwhen = "waypoint"\ndo = "status"\n', "waypoint 3"),
+        ('[[step]]\nwhen = "sunset 3"\ndo = "status"\n', "sunset"),
+        ('[[step]]\nwhen = "waypoint -1"\ndo = "status"\n', "waypoint -1"),
+        ('[[step]]\nwhen = "waypoint 1"\nafter = true\ndo = "status"\n', "'after' is seconds"),
     ],
 )
 def test_a_bad_scenario_says_what_and_where(tmp_path: Path, text: str, why: str) -> None:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Notification
@@ -327,6 +327,25 @@ class MissionComputer:
     def name(self) -> str:
         """The mission under way in a word."""
         return "no" if self.running is None else _NAMES[self.running.KIND]
+
+    def summary(self) -> dict[str, Any] | None:
+        """The mission under way as JSON can carry it; else how the last one ended, if one did."""
+        running, last = self.running, self._idle
+        if running is not None:
+            told: dict[str, Any] = {
+                "kind": self.name,
+                "doing": running.doing,
+                "is_paused": self.is_paused,
+            }
+            if isinstance(running, WaypointFlight):
+                told |= {"waypoint": running.index, "waypoints": len(running.plan.points)}
+            return told
+        if not last.last_mission:
+            return None
+        kind, ended = _NAMES[last.last_mission], "ended"
+        if last.flags & _BROKEN_OFF:
+            ended = f"broken off: {MissionCode(last.reason).meaning}"
+        return {"kind": kind, "doing": ended, "is_paused": False}
 
     @property
     def flies_without_rc(self) -> bool:

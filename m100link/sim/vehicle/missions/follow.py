@@ -104,6 +104,12 @@ class FollowFlight:
         return FollowStatus()
 
     @property
+    def doing(self) -> str:
+        """What it does, in words."""
+        is_silent = self.silence > self._settings.follow_silence
+        return "hovers: the target is silent" if is_silent else "follows"
+
+    @property
     def is_lost(self) -> bool:
         """Whether the target has been silent for so long that it is given up."""
         return self.silence > self._settings.follow_lost

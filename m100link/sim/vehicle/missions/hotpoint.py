@@ -162,6 +162,11 @@ class HotpointFlight:
         )
 
     @property
+    def doing(self) -> str:
+        """What it does, in words."""
+        return self._phase.value[0]
+
+    @property
     def distance(self) -> float:
         """Metres from the centre."""
         motion, centre = self._motion, self._centre

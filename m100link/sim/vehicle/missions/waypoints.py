@@ -132,6 +132,11 @@ class WaypointFlight:
         return WaypointStatus(index=self.index, status=self.phase.status, error=0)
 
     @property
+    def doing(self) -> str:
+        """What it does, in words."""
+        return self.phase.value[0]
+
+    @property
     def is_over(self) -> bool:
         """Whether it has come to its end."""
         return self.phase is Phase.OVER
