@@ -32,7 +32,8 @@ from m100link.sim.orders.scenario import Scenario
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.pty import PtyPort
 from m100link.sim.ports.tcp import TcpServer, serve_tcp
-from m100link.sim.ports.url import LINE_OPTIONS, SITE_OPTIONS
+from m100link.sim.ports.url import LINE_OPTIONS, MISSION_OPTIONS, SITE_OPTIONS
+from m100link.sim.vehicle.missions.settings import MissionSettings
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
@@ -77,9 +78,26 @@ _OfTheSite: Any = options_of(
 class SiteOptions(_OfTheSite):  # type: ignore[misc] # a class that is made has no type
     """Where it stands, and how good its sensors are."""
 
-    def settings(self) -> AircraftSettings:
+    def settings(self, missions: MissionSettings) -> AircraftSettings:
         """As the aircraft takes them."""
-        return AircraftSettings(**asdict(self))
+        return AircraftSettings(**asdict(self), missions=missions)
+
+
+_OfMissions: Any = options_of(
+    MissionSettings,
+    MISSION_OPTIONS,
+    called={field: f"--{option}" for field, option in MISSION_OPTIONS.items()},
+)
+
+
+@Parameter(name="*", group="Missions")
+@dataclass(frozen=True)
+class MissionOptions(_OfMissions):  # type: ignore[misc] # a class that is made has no type
+    """How firmware 3.1 takes missions, where sources are silent or disagree."""
+
+    def settings(self) -> MissionSettings:
+        """As the aircraft takes them."""
+        return MissionSettings(**asdict(self))
 
 
 _OfTheAssistant: Any = options_of(AssistantSettings, ("baud_rate",), called={"baud_rate": "--baud"})
@@ -141,6 +159,7 @@ def run(
     assistant: AssistantOptions = AssistantOptions(),
     faults: FaultOptions = FaultOptions(),
     site: SiteOptions = SiteOptions(),
+    missions: MissionOptions = MissionOptions(),
 ) -> int:
     """Run a virtual aircraft behind a serial port that programs can open.
 
@@ -167,6 +186,7 @@ def run(
         assistant: The assistant's settings.
         faults: Line faults.
         site: Site and sensors.
+        missions: Missions.
     """
     if seed is None:
         seed = secrets.randbits(32)
@@ -185,7 +205,7 @@ def run(
     }
     try:
         options |= {
-            "settings": site.settings(),
+            "settings": site.settings(missions.settings()),
             "faults": faults.faults(),
             "assistant": assistant.settings(cold=cold),
         }

@@ -19,6 +19,7 @@ from m100link.sim.ports.pty import PtyPort
 from m100link.sim.ports.tcp import TcpServer, serve_tcp
 from m100link.sim.vehicle.airframe import Airframe
 from m100link.sim.vehicle.dynamics import Dynamics
+from m100link.sim.vehicle.missions.settings import MissionSettings, NoFlyZone
 from m100link.sim.vehicle.mobile import (
     DEMO_APP_ID,
     DEMO_KEY,
@@ -54,7 +55,9 @@ __all__ = [
     "LineFaults",
     "LockstepEventLoop",
     "LogEntry",
+    "MissionSettings",
     "MobileApp",
+    "NoFlyZone",
     "PilotRemote",
     "PtyPort",
     "RegisteredApp",

@@ -10,10 +10,10 @@ import pytest
 pytest.importorskip("cyclopts")
 from m100link.cli.common import AppOptions
 from m100link.cli.options import attribute_texts, options_of
-from m100link.cli.sim import AssistantOptions, FaultOptions, SiteOptions
+from m100link.cli.sim import AssistantOptions, FaultOptions, MissionOptions, SiteOptions
 from m100link.cli.station import StationOptions
 from m100link.protocol.commands.activation import Credentials
-from m100link.sim import NO_FAULTS, AircraftSettings, AssistantSettings, LineFaults
+from m100link.sim import NO_FAULTS, AircraftSettings, AssistantSettings, LineFaults, MissionSettings
 from m100link.station.config import ENVIRONMENT, Settings
 
 
@@ -83,5 +83,8 @@ def test_every_fault_of_the_line_is_an_option_and_the_site_is_that_of_the_librar
     assert [one.name for one in fields(FaultOptions)] == [one.name for one in fields(LineFaults)]
     assert FaultOptions().faults() == NO_FAULTS
     assert FaultOptions(loss=0.5, baud_rate=9600).faults() == LineFaults(loss=0.5, baud_rate=9600)
-    assert SiteOptions().settings() == AircraftSettings(noise=1.0)  # people want to see noise
+    missions = MissionOptions().settings()
+    assert missions == MissionSettings()
+    site = SiteOptions().settings(missions)
+    assert site == AircraftSettings(noise=1.0)  # people want to see noise
     assert AssistantOptions().settings(cold=False) == AssistantSettings()

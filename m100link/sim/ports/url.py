@@ -11,11 +11,20 @@ from urllib.parse import parse_qsl
 from m100link.errors import BadURL, UsageError
 from m100link.sim.clock import LockstepEventLoop, VirtualClockEventLoop, loop_factory
 from m100link.sim.line import LineFaults
+from m100link.sim.vehicle.missions.settings import MissionSettings
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
 
-__all__ = ["LINE_OPTIONS", "SITE_OPTIONS", "aircraft_of", "check_clock", "clock_of", "speed_of"]
+__all__ = [
+    "LINE_OPTIONS",
+    "MISSION_OPTIONS",
+    "SITE_OPTIONS",
+    "aircraft_of",
+    "check_clock",
+    "clock_of",
+    "speed_of",
+]
 
 LINE_OPTIONS: dict[str, str] = {
     one.name: {"baud_rate": "line-baud"}.get(one.name, one.name.replace("_", "-"))
@@ -38,6 +47,13 @@ SITE_OPTIONS: dict[str, str] = {
     )
 }
 """What the fields of :class:`AircraftSettings` are called that are options."""
+
+MISSION_OPTIONS: dict[str, str] = {
+    **{"status_hz": "mission-status-hz", "takes_off_by_itself": "mission-takes-off"},
+    **{name: name.replace("_", "-") for name in ("hotpoint_acks", "follow_yaw_reversed")},
+    **{"radius_limit": "radius-limit", "never_logged_in": "never-logged-in"},
+}
+"""What the fields of :class:`MissionSettings` are called that are options."""
 
 _EXAMPLE = "sim://?firmware=3.1&speed=10&loss=0.1&seed=7"
 _OWN: dict[str, Any] = {
@@ -67,7 +83,12 @@ def _options(url: str) -> dict[str, Any]:
 def _kinds() -> dict[str, Any]:
     """The type of each option."""
     kinds = dict(_OWN)
-    for source, names in ((LineFaults, LINE_OPTIONS), (AircraftSettings, SITE_OPTIONS)):
+    sources: tuple[tuple[type, dict[str, str]], ...] = (
+        (LineFaults, LINE_OPTIONS),
+        (AircraftSettings, SITE_OPTIONS),
+        (MissionSettings, MISSION_OPTIONS),
+    )
+    for source, names in sources:
         hints = get_type_hints(source)
         kinds |= {option: hints[field] for field, option in names.items()}
     return kinds
@@ -160,7 +181,9 @@ def aircraft_of(url: str) -> VirtualAircraft:
             level=options.get("level", 2),
             cold=cold,
             activated=options.get("activated", False),
-            settings=AircraftSettings(**taken(SITE_OPTIONS)),
+            settings=AircraftSettings(
+                **taken(SITE_OPTIONS), missions=MissionSettings(**taken(MISSION_OPTIONS))
+            ),
             assistant=assistant,
             faults=LineFaults(**taken(LINE_OPTIONS)),
             paced=options.get("pace", False),

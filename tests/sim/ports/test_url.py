@@ -8,7 +8,14 @@ import m100link
 from m100link import BadURL, UsageError, sync
 from m100link.sim import LockstepEventLoop, ScaledEventLoop, VirtualClockEventLoop, loop_factory
 from m100link.sim.line import LineFaults
-from m100link.sim.ports.url import LINE_OPTIONS, SITE_OPTIONS, aircraft_of, clock_of, speed_of
+from m100link.sim.ports.url import (
+    LINE_OPTIONS,
+    MISSION_OPTIONS,
+    SITE_OPTIONS,
+    aircraft_of,
+    clock_of,
+    speed_of,
+)
 from m100link.sim.vehicle.settings import AircraftSettings
 
 
@@ -38,8 +45,19 @@ def test_without_options_it_is_the_aircraft_by_default() -> None:
     assert aircraft.app.is_connected
 
 
+def test_options_of_missions() -> None:
+    url = (
+        "sim://?firmware=3.1&mission-status-hz=2&mission-takes-off=0&hotpoint-acks&radius-limit=90"
+    )
+    missions = aircraft_of(url).vehicle.settings.missions
+    assert (missions.status_hz, missions.takes_off_by_itself) == (2.0, False)
+    assert (missions.hotpoint_acks, missions.radius_limit) == (True, 90.0)
+    with pytest.raises(BadURL, match="0 to 100 Hz"):
+        aircraft_of("sim://?mission-status-hz=101")
+
+
 def test_no_two_options_have_the_same_name() -> None:
-    names = [*LINE_OPTIONS.values(), *SITE_OPTIONS.values()]
+    names = [*LINE_OPTIONS.values(), *SITE_OPTIONS.values(), *MISSION_OPTIONS.values()]
     assert len(names) == len(set(names))
 
 
