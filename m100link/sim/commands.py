@@ -24,7 +24,6 @@ from m100link.protocol.codes import (
     VersionCode,
 )
 from m100link.protocol.command import Acknowledged, Address, Command, Request, encode_code
-from m100link.protocol.commands import missions
 from m100link.protocol.commands.activation import (
     Activate,
     GetVersion,
@@ -35,12 +34,13 @@ from m100link.protocol.commands.activation import (
 from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
 from m100link.protocol.commands.control import Arm, Move, QueryTask, RequestAuthority, StartTask
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.missions import COMMAND_SET
 from m100link.protocol.commands.registry import address_of
 from m100link.protocol.commands.sync import Sync
 from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
-from m100link.sim.missions import UNCONFIRMED, MissionCommands
+from m100link.sim.missions import UNCONFIRMED, MissionCommands, refusal
 from m100link.wire.frame import Frame
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 __all__ = ["CommandedAircraft", "Commands", "Counters", "LastCommand", "Reply"]
 
 
-_MISSIONS = bytes((missions.COMMAND_SET,))
+_MISSIONS = bytes((COMMAND_SET,))
 
 
 class Reply(NamedTuple):
@@ -197,9 +197,9 @@ class Commands:
         return issubclass(kind, Request) or is_chosen
 
     def _execute(self, kind: type[Command], frame: Frame) -> tuple[Command | None, Any]:
-        refusal = self._refusal(kind, frame)
-        if refusal is not None:
-            return None, refusal
+        code = self._refusal(kind, frame)
+        if code is not None:
+            return None, code
         try:
             command = kind.parse(frame.data[2:], self._profile)
         except ValueError:
@@ -336,6 +336,6 @@ def _is_system_code(reply: Reply | None) -> bool:
 def _unknown(data: bytes) -> Reply | None:
     """The answer to a command that this firmware does not have."""
     if data[:1] == _MISSIONS and len(data) >= 2:
-        payload = missions.refusal(data[1], data[2:])
+        payload = refusal(data)
         return None if payload is None else Reply(payload)
     return Reply(encode_code(SystemCode.NOT_SUPPORTED))

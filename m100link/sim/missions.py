@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from m100link.protocol.codes import MissionCode
-from m100link.protocol.command import Command
+from m100link.protocol.command import Acknowledged, Command
 from m100link.protocol.commands.follow import (
     FollowPauseResume,
     FollowStart,
@@ -25,6 +25,7 @@ from m100link.protocol.commands.hotpoint import (
     HotpointStartAnswer,
     HotpointStop,
 )
+from m100link.protocol.commands.registry import COMMANDS, address_of
 from m100link.protocol.commands.waypoint import (
     IdleSpeedAnswer,
     WaypointDownloadedPoint,
@@ -48,7 +49,7 @@ from m100link.sim.vehicle.missions.waypoints import WaypointFlight
 if TYPE_CHECKING:
     from m100link.sim.vehicle.vehicle import Vehicle
 
-__all__ = ["UNCONFIRMED", "MissionCommands"]
+__all__ = ["UNCONFIRMED", "MissionCommands", "refusal"]
 
 UNCONFIRMED = frozenset((HotpointSetRate, HotpointSetRadius, HotpointResetYaw))
 """Commands without an ack, except where ``MissionSettings.hotpoint_acks`` asks for one."""
@@ -177,3 +178,21 @@ class MissionCommands:
         running = self._missions.running
         if isinstance(running, FollowFlight):
             running.update(command)
+
+
+def refusal(data: bytes) -> bytes | None:
+    """The ack of a firmware that does not know a mission command; None for the one without an ack.
+
+    It has the shape of the ack that the host expects: of 0xFF00, "not supported" elsewhere, DJI's
+    programs read the first byte, and 0 is success.
+    """
+    address = address_of(data)
+    kind = COMMANDS.get(address) if address else None
+    if kind is FollowTarget:
+        return None
+    if kind is WaypointPoint:
+        index = data[2] if len(data) > 2 else 0
+        return kind.encode_ack(WaypointPointAnswer(MissionCode.NOT_SUPPORTED, index))
+    if kind is not None and issubclass(kind, Acknowledged):
+        return kind.encode_ack(MissionCode.NOT_SUPPORTED)
+    return bytes((MissionCode.NOT_SUPPORTED,))

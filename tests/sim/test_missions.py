@@ -31,6 +31,7 @@ from m100link.protocol.commands.waypoint import (
     WaypointSetIdleSpeed,
     WaypointStartStop,
 )
+from m100link.sim.missions import refusal
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import (
     OK,
@@ -321,3 +322,26 @@ def test_every_command_of_the_set_is_carried_out() -> None:
         assert last.address == address
         known.discard(address)
     assert known == set()
+
+
+# --- firmware that knows no missions --------------------------------------------------------
+
+
+@pytest.mark.parametrize("row", COMMAND_ROWS, ids=lambda row: f"{row['name']}-{row['value'][:16]}")
+def test_a_refusal_is_as_long_as_the_ack(row: dict[str, Any]) -> None:
+    payload = refusal(bytes((row["set"], row["id"])) + bytes.fromhex(row["value"]))
+    if row["name"] == "follow_target":
+        assert payload is None
+        return
+    assert payload is not None
+    assert len(payload) == len(bytes.fromhex(ACKS[row["name"]]["value"]))
+    assert payload[0] == 0xC8
+    if row["name"] == "waypoint_point":
+        assert payload[1] == row["fields"]["index"]
+
+
+@pytest.mark.parametrize("data", [b"\x03\x11", b"\x03\x40abc", b"\x03\xff", b"\x03"])
+def test_whatever_comes_the_first_byte_is_not_success(data: bytes) -> None:
+    payload = refusal(data)
+    assert payload is not None
+    assert payload[0] == 0xC8

@@ -1,4 +1,4 @@
-"""What the missions of command set 0x03 share: what the aircraft tells of them, and their refusal.
+"""What the aircraft tells of missions: 0x02/0x03 and 0x02/0x04 of firmware 3.1.
 
 Layouts and readings are from DJI's libraries and documents of 2015 to 2019.
 """
@@ -15,7 +15,6 @@ from m100link.protocol.firmware import FirmwareProfile, Generation
 
 __all__ = [
     "COMMAND_SET",
-    "NOT_SUPPORTED",
     "Finished",
     "FollowStatus",
     "HotpointStatus",
@@ -27,13 +26,9 @@ __all__ = [
     "Uploaded",
     "WaypointEvent",
     "WaypointStatus",
-    "refusal",
 ]
 
 COMMAND_SET = 0x03
-
-NOT_SUPPORTED = MissionCode.NOT_SUPPORTED
-"""Ack code: this mission is not supported."""
 
 # -- pushes ----------------------------------------------------------------------------------------
 
@@ -407,32 +402,3 @@ class WaypointEvent(Notification):
     def problems(self) -> list[Problem]:
         """A kind that does not exist."""
         return self.event.problems()
-
-
-# -- refusals of a firmware without missions ------------------------------------------------------
-
-_ADD_WAYPOINT, _FOLLOW_TARGET = 0x11, 0x33
-_TAILS = {
-    _ADD_WAYPOINT: 1,  # its index
-    0x14: 51,  # the downloaded mission
-    0x15: 90,  # the downloaded waypoint
-    0x16: 4,  # the speed in force, as a float
-    0x17: 4,
-    0x20: 4,  # the largest radius
-    0x26: 51,  # the downloaded hotpoint
-}
-"""Bytes behind the code of the ack, by command id; the other acks are the code alone."""
-
-
-def refusal(command_id: int, value: bytes) -> bytes | None:
-    """The ack that refuses a mission command as not supported; None for the one that has no ack.
-
-    An aircraft that knows no missions must refuse them in the shape of their acks: of 0xFF00, "not
-    supported" elsewhere, DJI's programs read the first byte, and 0 is success.
-    """
-    if command_id == _FOLLOW_TARGET:
-        return None
-    tail = bytes(_TAILS.get(command_id, 0))
-    if command_id == _ADD_WAYPOINT and value:
-        tail = value[:1]
-    return bytes((NOT_SUPPORTED,)) + tail
