@@ -21,6 +21,8 @@ __all__ = [
     "encode_telemetry",
     "field_span",
     "fitting_profiles",
+    "mismatch",
+    "plan_of",
     "telemetry_size",
 ]
 
@@ -171,9 +173,9 @@ class TelemetryPacket(RecordViews):
         try:
             plan: _Plan = profile.plans[value[0] | value[1] << 8]
         except LookupError:
-            plan = _plan_of(value, profile)
+            plan = plan_of(value, profile)
         if plan.size != len(value):
-            raise _mismatch(value, profile)
+            raise mismatch(value, profile)
         self._plan = plan
         self.flags = plan.flags
         self.profile = profile
@@ -231,7 +233,7 @@ class TelemetryPacket(RecordViews):
         return f"TelemetryPacket({', '.join(map(repr, self.records()))})"
 
 
-def _plan_of(value: bytes, profile: FirmwareProfile) -> _Plan:
+def plan_of(value: bytes, profile: FirmwareProfile) -> _Plan:
     """The plan that the flags of a value ask for.
 
     Raises:
@@ -239,11 +241,12 @@ def _plan_of(value: bytes, profile: FirmwareProfile) -> _Plan:
     """
     flags = value[0] | value[1] << 8 if len(value) >= _FLAGS_SIZE else ~0
     if flags & ~profile.item_flags:
-        raise _mismatch(value, profile)
+        raise mismatch(value, profile)
     return _plan(flags, profile)
 
 
-def _mismatch(value: bytes, profile: FirmwareProfile) -> LayoutMismatch:
+def mismatch(value: bytes, profile: FirmwareProfile) -> LayoutMismatch:
+    """The error for a value that does not fit its flags under the profile."""
     others = [name for name in fitting_profiles(value) if name != profile.name]
     if len(value) < 2:
         seen = f"a telemetry value of {len(value)} byte(s) has no flag word"

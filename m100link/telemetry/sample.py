@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.packet import TelemetryPacket
+from m100link.protocol.packet import TelemetryPacket, mismatch, plan_of
 
 __all__ = ["Sample"]
 
@@ -25,7 +25,18 @@ class Sample(TelemetryPacket):
     __slots__ = ("received_at",)
 
     def __init__(self, value: bytes, profile: FirmwareProfile, received_at: float) -> None:
-        TelemetryPacket.__init__(self, value, profile)  # super() takes twice as long
+        # What TelemetryPacket does, written out: a call less for what comes a hundred times a
+        # second on each line.
+        try:
+            plan = profile.plans[value[0] | value[1] << 8]
+        except LookupError:
+            plan = plan_of(value, profile)
+        if plan.size != len(value):
+            raise mismatch(value, profile)
+        self._plan = plan
+        self.flags = plan.flags
+        self.profile = profile
+        self.value = value
         self.received_at = received_at
 
     def __getitem__(self, record: type[R]) -> R:
