@@ -129,51 +129,60 @@ class DeviceClock:
 
     def _look(self) -> None:
         """Look at the notes. Whatever is asked of the clock begins with it."""
+        # Every package of every line comes by, so what is of one package alone stays in locals
+        # until somebody else wants it.
         notes, self._notes = self._notes, []
-        tick_hz = self.tick_hz
+        tick_hz, since, before = self.tick_hz, self._arrivals_since, self._silence
+        last_tick, last_device, last_at = self._last_tick, self._device, self._received_at
+        arrivals, newest = self._arrivals, self._newest
+        slope, intercept = self._slope, self._intercept
+        floor, floor_slope = self._floor
         for tick, received_at in notes:
-            last_tick, last_device, last_at = self._last_tick, self._device, self._received_at
             if last_tick is None:
-                device = tick / tick_hz
+                step = tick
             else:
-                step = (tick - last_tick) & _MASK
-                device = last_device + (step if step < _HALF else step - _WRAP) / tick_hz
+                step = tick - last_tick
+                if not 0 <= step < _HALF:  # it wrapped, or went back
+                    step &= _MASK
+                    step -= _WRAP if step >= _HALF else 0
+            device = last_device + step / tick_hz
             offset = received_at - device
-            intercept, slope = self._floor
             # The tick went back, or a package came before it can have been sent: the clock jumped.
-            if offset < intercept + slope * device or device < last_device:
+            if step < 0 or offset < floor + floor_slope * device:
                 self._resets += 1
                 self._start()
-                last_device, last_at = self._device, self._received_at
+                last_device, last_at, arrivals = self._device, self._received_at, self._arrivals
+                slope, intercept = self._slope, self._intercept
+                floor, floor_slope = self._floor
                 device = tick / tick_hz
                 offset = received_at - device
+                before = self._silence
             silence = received_at - last_at
-            arrivals = self._arrivals
             if not arrivals:
-                self._arrivals_since = received_at
+                since = received_at
             elif silence > 0:  # the read before this one is complete
-                if self._newest - (self._intercept + self._slope * last_device) > _BACKLOG_S:
+                if newest - (intercept + slope * last_device) > _BACKLOG_S:
+                    self._device, self._received_at = last_device, last_at
+                    self._newest, self._silence = newest, before
                     self._note_backlog()
-                if (
-                    received_at - self._arrivals_since >= _SECOND_S
-                    and len(arrivals) >= _SECOND_COUNT
-                ):
+                if received_at - since >= _SECOND_S and len(arrivals) >= _SECOND_COUNT:
                     self._end_second()
+                    slope, intercept = self._slope, self._intercept
+                    floor, floor_slope = self._floor
                     self._arrivals = arrivals = []
-                    self._arrivals_since = received_at
+                    since = received_at
             if silence > 0:
-                self._silence = silence
+                before = silence
             # What follows sooner than its tick: the one before waited, and says nothing of delay.
             if silence < (device - last_device) / 2 and arrivals:
                 arrivals[-1] = (device, offset)
             else:
                 arrivals.append((device, offset))
-            self._last_tick = tick
-            self._device = device
-            self._received_at = received_at
-            self._newest = offset
-            if offset < self._intercept and not self._seconds:
-                self._intercept = offset
+            last_tick, last_device, last_at, newest = tick, device, received_at, offset
+            if offset < intercept and not self._seconds:
+                self._intercept = intercept = offset
+        self._last_tick, self._device, self._received_at = last_tick, last_device, last_at
+        self._newest, self._silence, self._arrivals_since = newest, before, since
 
     def _note_backlog(self) -> None:
         """The newest package, the last of its read, may have waited."""
