@@ -12,6 +12,7 @@ from m100link.protocol.commands.monitor import PushTelemetry
 
 if TYPE_CHECKING:
     from m100link.link import Link
+    from m100link.protocol.firmware import FirmwareProfile
     from m100link.requests import Requests
     from m100link.wire.frame import Frame
 
@@ -19,31 +20,36 @@ __all__ = ["Notifications"]
 
 _logger = logging.getLogger("m100link.notifications")
 
+_TELEMETRY = bytes(PushTelemetry.ADDRESS)
+
 N = TypeVar("N", bound=Notification)
 
 
 class Notifications:
     """Hands each notification to whoever wants it; takes the link's ``on_received``.
 
-    Telemetry goes on as the frame that it came in: it is read where it is used, a hundred times a
-    second.
+    Telemetry, which comes a hundred times a second, goes on as the bytes of its value. It is passed
+    over until the firmware is known by which it is read.
 
     Args:
         link: The line.
         requests: Knows the firmware.
-        on_telemetry: Gets telemetry frames and the time of their arrival.
+        on_telemetry: Gets the value of each telemetry package, its firmware, and the time of its
+            arrival.
     """
 
-    __slots__ = ("_link", "_requests", "_takers")
+    __slots__ = ("_link", "_on_telemetry", "_requests", "_takers")
 
     def __init__(
-        self, link: Link, requests: Requests, on_telemetry: Callable[[Frame, float], None]
+        self,
+        link: Link,
+        requests: Requests,
+        on_telemetry: Callable[[bytes, FirmwareProfile, float], None],
     ) -> None:
         self._link = link
         self._requests = requests
-        self._takers: dict[bytes, Callable[[Frame, float], None]] = {
-            bytes(PushTelemetry.ADDRESS): on_telemetry
-        }
+        self._on_telemetry = on_telemetry
+        self._takers: dict[bytes, Callable[[Frame, float], None]] = {}
         link.on_received = self._on_received
 
     def subscribe(self, kind: type[N], handler: Callable[[N, float], None]) -> None:
@@ -52,7 +58,13 @@ class Notifications:
 
     def _on_received(self, frame: Frame, now: float) -> None:
         data = frame.data
-        taker = self._takers.get(data[:2])
+        address = data[:2]
+        if address == _TELEMETRY:
+            requests = self._requests
+            if requests.knows_layout:
+                self._on_telemetry(data[2:], requests.firmware, now)
+            return
+        taker = self._takers.get(address)
         if taker is not None:
             taker(frame, now)
         else:

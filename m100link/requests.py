@@ -49,6 +49,8 @@ class Requests:
     Attributes:
         firmware: Profile in whose layout commands are encoded.
         level: Level that this program activated with, None when nobody here knows it.
+        knows_layout: Whether telemetry can be read by ``firmware``: it is forced, or chosen by a
+            version answer.
         version: Newest answer to the version query, None before the first.
     """
 
@@ -61,6 +63,7 @@ class Requests:
         "_link",
         "_proven_cipher",
         "firmware",
+        "knows_layout",
         "level",
         "version",
     )
@@ -74,12 +77,8 @@ class Requests:
         self._known_pushes: set[type[Command]] = set()  # that the firmware was found to have
         self.firmware = firmware or FIRMWARE_1_0
         self.level: int | None = None
+        self.knows_layout = self._is_forced
         self.version: Version | None = None
-
-    @property
-    def knows_layout(self) -> bool:
-        """Whether telemetry can be read by ``firmware``: forced, or chosen by a version answer."""
-        return self.version is not None or self._is_forced
 
     @property
     def knows_firmware(self) -> bool:
@@ -236,6 +235,7 @@ class Requests:
         """
         version = await self.execute(GetVersion(), timeout=timeout, tries=tries)
         self.version = version
+        self.knows_layout = True
         self._choose_firmware(version)
         return version
 

@@ -8,11 +8,16 @@ import pytest
 
 from m100link import AuthorityLost
 from m100link.notifications import Notifications
-from m100link.protocol import AuthorityChanged, FromMobile, PushTelemetry, profile
+from m100link.protocol import (
+    AuthorityChanged,
+    FirmwareProfile,
+    FromMobile,
+    PushTelemetry,
+    profile,
+)
 from m100link.requests import Requests
 from m100link.session import SessionMode
 from m100link.sim import AircraftSettings, AssistantSettings, VirtualClockEventLoop
-from m100link.wire import Frame
 from tests.link.peer import Peer, connected
 from tests.rig import Rig, rig
 
@@ -42,12 +47,28 @@ class Program:
         notifications.subscribe(FromMobile, self._on_message)
         return peer
 
-    def _on_telemetry(self, frame: Frame, now: float) -> None:
-        self.telemetry.append(frame.data)
+    def _on_telemetry(self, value: bytes, firmware: FirmwareProfile, now: float) -> None:
+        assert firmware is FIRMWARE
+        self.telemetry.append(value)
 
     def _on_message(self, message: FromMobile, now: float) -> None:
         self.messages.append(message.data)
         self.times.append(now)
+
+
+async def test_telemetry_waits_until_its_firmware_is_known() -> None:
+    link, peer, _ = await connected()
+    requests = Requests(link)
+    values: list[bytes] = []
+    Notifications(link, requests, lambda value, firmware, now: values.append(value))
+    package = bytes(PushTelemetry.ADDRESS) + b"\0\0"
+    peer.link.push(package)
+    await asyncio.sleep(0.1)
+    assert values == []
+    requests.knows_layout = True
+    peer.link.push(package)
+    await asyncio.sleep(0.1)
+    assert values == [b"\0\0"]
 
 
 async def test_each_kind_goes_to_its_own_handler() -> None:
@@ -63,7 +84,7 @@ async def test_each_kind_goes_to_its_own_handler() -> None:
     await asyncio.sleep(0.01)
     assert program.losses == [AuthorityChanged()]
     assert program.messages == [b"hello"]
-    assert program.telemetry == [b"\x02\x00\x00\x00"]
+    assert program.telemetry == [b"\x00\x00"]
     assert before <= program.times[0] <= asyncio.get_running_loop().time()
 
 

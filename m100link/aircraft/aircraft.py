@@ -47,7 +47,6 @@ from m100link.telemetry.state import AircraftState
 from m100link.telemetry.stream import TelemetryStream
 from m100link.telemetry.subscription import Hub, Latest, Lossless, Newest, Policy, Subscription
 from m100link.wire.cipher import Cipher
-from m100link.wire.frame import Frame
 
 __all__ = ["Aircraft"]
 
@@ -84,7 +83,7 @@ class Aircraft:
         self._missions = MissionWatch(link.loop.time)
         parts = link, self._requests, self.authority, self.state
         self._commander = Commander(*parts, self._missions, task_sequences())
-        notifications = Notifications(link, self._requests, self._on_telemetry)
+        notifications = Notifications(link, self._requests, self._telemetry.receive)
         notifications.subscribe(AuthorityChanged, self._on_authority_changed)
         notifications.subscribe(FromMobile, self._on_from_mobile)
         notifications.subscribe(MissionStatus, self._missions.on_status)
@@ -463,11 +462,6 @@ class Aircraft:
         return self._from_mobile.subscribe(policy or Newest(100))
 
     # -- what the link calls ---------------------------------------------------------------------
-
-    def _on_telemetry(self, frame: Frame, now: float) -> None:
-        requests = self._requests
-        if requests.knows_layout:
-            self._telemetry.receive(frame.data[2:], requests.firmware, now)
 
     def _on_authority_changed(self, notification: AuthorityChanged, now: float) -> None:
         _logger.info("the aircraft notifies that authority passed away")
