@@ -115,6 +115,10 @@ class Errand:
                 task = self.begin()  # it was cancelled before its first line
             cancelled = await undisturbed(task) or cancelled
         if cancelled is not None:
+            # Ctrl-C that acted behind the stop path is out of the event loop already.
+            error = None if task.cancelled() else task.exception()
+            if error is not None and not isinstance(error, KeyboardInterrupt | SystemExit):
+                _logger.error("the stop path failed, and its caller was cancelled: %r", error)
             raise cancelled
         if not task.cancelled():
             task.result()

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
-__all__ = ["SIGNALS", "SignalWatch"]
+__all__ = ["SIGNALS", "OtherWatch", "SignalWatch"]
 
 _logger = logging.getLogger("m100link.flight")
 
@@ -22,6 +22,18 @@ _NUMBERS = tuple(
 _HUNG_S = 1.0
 
 Stop = Callable[[], object]
+
+
+class OtherWatch:
+    """A watch of the same signals for blocks of another kind, which gives way to this one.
+
+    Its handler is put back and acts when the blocks here have ended; its own blocks are not to
+    wait for that.
+    """
+
+    def stop_blocks(self) -> None:
+        """Begin the stop path of every block of it, without waiting. Called in a handler."""
+        raise NotImplementedError
 
 
 class SignalWatch:
@@ -34,7 +46,7 @@ class SignalWatch:
     which loses the callback that it was about to run and with it the task that waits.
 
     A signal that the program handles itself is left alone, and so are all of them outside the main
-    thread.
+    thread. An :class:`OtherWatch` gives way, and its blocks are stopped by the same signal.
     """
 
     def __init__(self) -> None:
@@ -95,6 +107,9 @@ class SignalWatch:
             self._received.append(signal.Signals(number))
         if is_first:
             self._received_at = now
+            other = _other_watch(self._previous.get(signal.Signals(number)))
+            if other is not None:
+                other.stop_blocks()
             for stop, loop in self._blocks.items():
                 loop.call_soon_threadsafe(self._stop, stop, signal.Signals(number))
             if not self._blocks:
@@ -111,6 +126,8 @@ class SignalWatch:
 
 
 def _would_end_the_program(number: signal.Signals, handler: Any) -> bool:
+    if _other_watch(handler) is not None:
+        return True
     if number != signal.SIGINT:
         return handler is signal.SIG_DFL
     # What asyncio.run installs cancels the main task once, and then raises.
@@ -118,6 +135,12 @@ def _would_end_the_program(number: signal.Signals, handler: Any) -> bool:
         getattr(handler.func, "__self__", None), asyncio.Runner
     )
     return handler is signal.default_int_handler or is_of_asyncio
+
+
+def _other_watch(handler: Any) -> OtherWatch | None:
+    """The watch whose handler that is."""
+    owner = getattr(handler, "__self__", None)
+    return owner if isinstance(owner, OtherWatch) else None
 
 
 def _as_it_is_now(handler: Any) -> Any:

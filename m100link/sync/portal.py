@@ -9,13 +9,10 @@ import queue
 import threading
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
-from contextlib import ExitStack
 from functools import partial
 from typing import Any, ParamSpec, TypeVar
 
-from anyio.from_thread import start_blocking_portal
-
-from m100link.errors import UsageError
+from m100link.errors import LinkClosed, UsageError
 from m100link.sim.clock import LockstepEventLoop
 
 __all__ = ["Caller", "Portal"]
@@ -77,6 +74,26 @@ class Caller:
             callback()
 
 
+def _live(
+    loop_factory: Callable[[], asyncio.AbstractEventLoop] | None,
+    begun: Future[asyncio.AbstractEventLoop],
+) -> None:
+    """Run an event loop until it is stopped, then end what is left in it."""
+    try:
+        with asyncio.Runner(loop_factory=loop_factory) as runner:
+            loop = runner.get_loop()
+            loop.call_soon(begun.set_result, loop)
+            loop.run_forever()
+    except BaseException as error:
+        if begun.done():
+            raise
+        begun.set_exception(error)
+
+
+def _closed() -> LinkClosed:
+    return LinkClosed("the aircraft was closed by another thread while this one waited for it")
+
+
 class Portal:
     """An event loop in a thread of its own, and the doors to it.
 
@@ -90,20 +107,31 @@ class Portal:
     """
 
     def __init__(self, loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None) -> None:
-        self._resources = ExitStack()
-        options = {"loop_factory": loop_factory}
-        portal = self._resources.enter_context(start_blocking_portal("asyncio", options))
-        self._loop: asyncio.AbstractEventLoop = portal.call(asyncio.get_running_loop)
-        self._thread = portal.call(threading.get_ident)
+        begun: Future[asyncio.AbstractEventLoop] = Future()
+        # No generator and no context manager waits for its end here: in the child of a fork, which
+        # has no such thread, it would wait for ever.
+        self._thread = threading.Thread(
+            target=_live, args=(loop_factory, begun), name="m100link: aircraft", daemon=True
+        )
+        self._thread.start()
+        self._loop = begun.result()
         # Whose clock passes only while somebody waits; None: it does not ask.
         self._lockstep = self._loop if isinstance(self._loop, LockstepEventLoop) else None
         self._process = os.getpid()  # the child of a fork has no such thread
+        self._unanswered: set[Future[Any]] = set()  # what threads wait for
         self.is_open = True
 
     def soon(self, function: Callable[[], object]) -> None:
         """Call it in the event loop, and do not wait for it. Allowed in a signal handler."""
         if self.is_open and self._process == os.getpid():
+            self._schedule(function)
+
+    def _schedule(self, function: Callable[[], object]) -> None:
+        try:
             self._loop.call_soon_threadsafe(function)
+        except RuntimeError:
+            if not self._loop.is_closed():  # by another thread: `close` answers who waits
+                raise
 
     def call(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Call what does not wait in the event loop, and return what it returns.
@@ -111,8 +139,7 @@ class Portal:
         Raises:
             UsageError: The aircraft was closed, or this runs in its thread.
         """
-        self._require_open()
-        done: Future[T] = Future()
+        done: Future[T] = self._awaited()
 
         def run() -> None:
             try:
@@ -120,7 +147,7 @@ class Portal:
             except BaseException as error:  # noqa: BLE001 (it belongs to the caller)
                 done.set_exception(error)
 
-        self._loop.call_soon_threadsafe(run)
+        self._schedule(run)
         return done.result()
 
     def wait(self, make: Callable[[Caller], Coroutine[Any, Any, T]]) -> T:
@@ -128,10 +155,10 @@ class Portal:
 
         Raises:
             UsageError: The aircraft was closed, or this runs in its thread.
+            LinkClosed: Another thread closed it meanwhile.
         """
-        self._require_open()
         caller = Caller(self._lockstep)
-        done: Future[T] = Future()
+        done: Future[T] = self._awaited()
         tasks: list[asyncio.Task[None]] = []  # kept: an event loop holds its tasks weakly
 
         async def carry_out() -> None:
@@ -140,18 +167,32 @@ class Portal:
                 result = await make(caller)
             except BaseException as error:  # noqa: BLE001 (it belongs to the caller)
                 caller.end_waiting()
-                done.set_exception(error)
+                is_end = isinstance(error, asyncio.CancelledError) and not self.is_open
+                done.set_exception(_closed() if is_end else error)
             else:
                 caller.end_waiting()
                 done.set_result(result)
 
-        self._loop.call_soon_threadsafe(lambda: tasks.append(self._loop.create_task(carry_out())))
+        self._schedule(lambda: tasks.append(self._loop.create_task(carry_out())))
         try:
             caller.serve(done)
         except BaseException:
             self.soon(lambda: [task.cancel() for task in tasks])
             raise
         return done.result()
+
+    def _awaited(self) -> Future[Any]:
+        """What a thread may wait for: it is answered, or the end of this is its answer."""
+        done: Future[Any] = Future()
+        # Before it is asked whether this is open: who closes looks for what waits afterwards.
+        self._unanswered.add(done)
+        done.add_done_callback(self._unanswered.discard)
+        try:
+            self._require_open()
+            return done
+        except UsageError:
+            self._unanswered.discard(done)
+            raise
 
     def _require_open(self) -> None:
         if not self.is_open:
@@ -161,7 +202,7 @@ class Portal:
                 "the aircraft belongs to the process from which this one was forked",
                 remedy="fork before connect(), and fly from one process",
             )
-        if threading.get_ident() == self._thread:
+        if threading.current_thread() is self._thread:
             raise UsageError(
                 "a call that waits was made in the thread of the aircraft, and would wait for ever",
                 remedy="in callbacks of the event loop use the API with await",
@@ -170,7 +211,12 @@ class Portal:
     def close(self) -> None:
         """End the thread. May be called any number of times."""
         self.is_open = False
-        self._resources.close()
+        if self._process == os.getpid() and self._thread.is_alive():
+            self._schedule(self._loop.stop)
+            self._thread.join()
+        for done in list(self._unanswered):
+            if not done.done():
+                done.set_exception(_closed())
 
     def close_after(
         self, close: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], None]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
 from types import FrameType
 from typing import Any, Protocol
+
+from m100link.flight.signals import OtherWatch
 
 __all__ = ["SIGNALS", "SyncSignals"]
 
@@ -39,7 +42,7 @@ class Flying(Protocol):
         ...
 
 
-class SyncSignals:
+class SyncSignals(OtherWatch):
     """A signal begins the stop path of every aircraft at once, and then ends the program.
 
     The aircraft live in threads of their own, so the program may be interrupted wherever it is: it
@@ -50,6 +53,9 @@ class SyncSignals:
     Signals can be taken in the main thread alone, which often waits while others fly: so they are
     taken when it connects, until it closes. While nothing flies they do what they did before. A
     signal that the program handles itself is left alone.
+
+    When only other threads connect, Ctrl-C is seen when it ends the main thread: Python then waits
+    for those threads, however long they fly.
     """
 
     def __init__(self) -> None:
@@ -58,6 +64,7 @@ class SyncSignals:
         self._aircraft: list[object] = []  # that are connected
         self._changes = threading.Lock()  # of the two: several threads fly
         self._previous: dict[signal.Signals, Any] = {}  # dispositions to put back
+        self._excepthook: Any = None  # that of the program, while ours is in its place
         self._interrupted: list[Flying] = []  # their stop path begins in their own thread
         self._interrupted_at = 0.0
         self._has_acted = False  # since a block joined last: the program knows that it is to end
@@ -103,6 +110,9 @@ class SyncSignals:
 
     def _take(self) -> None:
         if threading.current_thread() is not threading.main_thread():
+            with self._changes:
+                if self._excepthook is None:
+                    self._excepthook, sys.excepthook = sys.excepthook, self._on_unhandled
             return
         for number in _NUMBERS:
             previous = signal.getsignal(number)
@@ -111,14 +121,28 @@ class SyncSignals:
                 signal.signal(number, self._on_signal)
 
     def _put_back(self) -> None:
-        if threading.current_thread() is not threading.main_thread():
-            return
         if self._aircraft or not all(block.is_over for block in self._blocks):
+            return
+        with self._changes:
+            if sys.excepthook == self._on_unhandled:  # else somebody hands on to ours
+                sys.excepthook, self._excepthook = self._excepthook, None
+        if threading.current_thread() is not threading.main_thread():
             return
         for number, previous in self._previous.items():
             if signal.getsignal(number) == self._on_signal:
                 signal.signal(number, previous)
         self._previous.clear()
+
+    def stop_blocks(self) -> None:
+        """Begin the stop path of everything that flies; no lock is taken."""
+        for block in self._blocks:
+            if block.is_flying:
+                block.interrupt()
+
+    def _on_unhandled(self, kind: type[BaseException], *details: Any) -> None:
+        if issubclass(kind, KeyboardInterrupt):
+            self.stop_blocks()
+        (self._excepthook or sys.__excepthook__)(kind, *details)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         # No lock is taken here: whatever holds one may be what was interrupted.

@@ -15,7 +15,7 @@ import pytest
 from m100link import Control, NoAuthority
 from m100link.flight import signals as module
 from m100link.flight.handover import obtain_authority
-from m100link.flight.signals import SignalWatch
+from m100link.flight.signals import OtherWatch, SignalWatch
 from m100link.flight.tasks import Commander
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import NORTH, Rig, rig
@@ -313,3 +313,38 @@ def test_a_new_block_is_protected_although_an_older_one_died_with_its_loop(
     asyncio.run(begin("new"))
     assert stopped == ["new"]
     assert acted == [signal.SIGTERM]
+
+
+class Beside(OtherWatch):
+    """A watch that was there first, as that of programs without ``await`` is."""
+
+    def __init__(self) -> None:
+        self.stopped = 0
+        self.acted: list[int] = []
+
+    def stop_blocks(self) -> None:
+        self.stopped += 1
+
+    def on_signal(self, number: int, frame: object) -> None:
+        self.acted.append(number)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("number", NUMBERS)
+async def test_another_watch_gives_way_and_its_blocks_do_not_wait_for_these(
+    number: signal.Signals, acted: list[signal.Signals]
+) -> None:
+    beside = Beside()
+    before = signal.signal(number, beside.on_signal)
+    try:
+        async with rig() as flown:
+            task = asyncio.create_task(fly_north(flown))
+            await asyncio.sleep(8)
+            come(number)
+            come(number)
+            assert (beside.stopped, beside.acted, acted) == (1, [], [])
+            await asyncio.wait([task])
+            assert acted == [number]
+            assert signal.getsignal(number) == beside.on_signal
+    finally:
+        signal.signal(number, before)

@@ -4,12 +4,14 @@ import asyncio
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 
 import pytest
 
-from m100link import UsageError
+from m100link import LinkClosed, M100Error, UsageError
 from m100link.sync.portal import Caller, Portal
+from tests.waiting import PATIENCE
 
 
 @pytest.fixture
@@ -103,6 +105,36 @@ def test_after_the_end_every_door_says_so(portal: Portal) -> None:
     portal.soon(lambda: pytest.fail("called"))
 
 
+@pytest.mark.parametrize("round_", range(30))
+def test_whoever_waits_while_another_thread_closes_is_told(round_: int) -> None:
+    opened = Portal()
+    ended: list[M100Error] = []
+
+    def use(call: Callable[[], object]) -> None:
+        try:
+            while True:
+                call()
+        except M100Error as error:
+            ended.append(error)
+
+    calls: list[Callable[[], object]] = [
+        lambda: opened.call(int),
+        lambda: opened.wait(lambda _: asyncio.sleep(0)),
+        lambda: opened.wait(lambda _: asyncio.sleep(3600)),
+    ]
+    threads = [threading.Thread(target=use, args=(call,), daemon=True) for call in calls]
+    for thread in threads:
+        thread.start()
+    time.sleep(0.0005 * round_)
+    opened.close()
+    for thread in threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+    # What waited, and what was not begun any more.
+    assert {type(error) for error in ended} <= {LinkClosed, UsageError}
+    assert len(ended) == len(threads)
+
+
 def test_a_call_in_the_thread_of_the_loop_would_wait_for_ever_and_is_refused(
     portal: Portal,
 ) -> None:
@@ -139,11 +171,11 @@ def test_closing_in_the_thread_of_the_loop_is_refused_and_leaves_it_open(portal:
     assert closed == [1]
 
 
-def test_in_the_child_of_a_fork_a_call_is_refused() -> None:
+def test_in_the_child_of_a_fork_a_call_is_refused_and_its_end_waits_for_nobody() -> None:
     run = subprocess.run(
         [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=60, check=True
     )
-    assert run.stdout.split() == ["refused", "0", "closed"]
+    assert run.stdout.split() == ["refused", "3", "closed"]
 
 
 FORKED = """
@@ -162,8 +194,9 @@ if not child:
         portal.call(int)
     except UsageError:
         print("refused", flush=True)
-    os._exit(0)
-print(os.waitpid(child, 0)[1], flush=True)
+    portal.close()
+    sys.exit(3)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -192,3 +194,62 @@ def test_outside_the_main_thread_nothing_is_taken(watch: SyncSignals) -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     block.end()
     watch.leave(block)
+
+
+def test_ctrl_c_that_ends_the_main_thread_ends_what_other_threads_fly(
+    watch: SyncSignals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python asks this hook about it, and then waits for those threads."""
+    told: list[type[BaseException]] = []
+
+    def of_the_program(kind: type[BaseException], error: BaseException, traceback: object) -> None:
+        told.append(kind)
+
+    monkeypatch.setattr(sys, "excepthook", of_the_program)
+    aircraft, block, over = object(), Block(), Block()
+    over.end()
+
+    def fly() -> None:
+        watch.connected(aircraft)
+        watch.join(over)
+        watch.join(block)
+
+    thread = threading.Thread(target=fly)
+    thread.start()
+    thread.join()
+    sys.excepthook(ZeroDivisionError, ZeroDivisionError(), None)
+    assert block.interrupted == 0
+    sys.excepthook(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert (block.interrupted, over.interrupted) == (1, 0)
+    assert told == [ZeroDivisionError, KeyboardInterrupt]
+    block.end()
+    watch.leave(block)
+    watch.closed(aircraft)
+    assert sys.excepthook is of_the_program
+
+
+def test_a_hook_that_hands_on_to_ours_stays_and_is_not_asked_twice(
+    watch: SyncSignals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(sys, "excepthook", lambda *_: told.append("program"))
+    aircraft = object()
+
+    def connect_elsewhere() -> None:
+        thread = threading.Thread(target=lambda: watch.connected(aircraft))
+        thread.start()
+        thread.join()
+
+    connect_elsewhere()
+    ours = sys.excepthook
+
+    def above(kind: type[BaseException], error: BaseException, traceback: Any) -> None:
+        told.append("above")
+        ours(kind, error, traceback)
+
+    monkeypatch.setattr(sys, "excepthook", above)
+    connect_elsewhere()
+    sys.excepthook(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert told == ["above", "program"]
+    watch.closed(aircraft)
+    assert sys.excepthook is above
