@@ -131,6 +131,12 @@ def as_rounded(value: Any, decimals: int = 0) -> Any:
     return round(found, decimals) if decimals else round(found)
 
 
+def as_whole(value: Any) -> Any:
+    """A whole number as an int, 3.0 as 3; anything else as it is."""
+    found = number(value)
+    return int(found) if found is not None and found.is_integer() else value
+
+
 @dataclass(frozen=True, slots=True)
 class Stay:
     """Hover at the waypoint.
@@ -234,6 +240,7 @@ class Waypoint:
             "heading_deg": as_rounded(self.heading_deg),
             "damping": as_single(self.damping),
             "gimbal_pitch_deg": as_rounded(self.gimbal_pitch_deg),
+            "action_repeat": as_whole(self.action_repeat),
             "action_time_limit": as_rounded(self.action_time_limit),
         }
         if isinstance(self.actions, Sequence):

@@ -84,3 +84,9 @@ def test_legs_are_divided_evenly(every: float, count: int) -> None:
 def test_a_track_cannot_be_divided_into_nothing(every: float) -> None:
     with pytest.raises(UsageError, match="apart"):
         Waypoint.along([(0, 0, 1), (9, 0, 1)], frame=LocalFrame(0, 0), every=every)
+
+
+def test_a_whole_number_is_one_however_it_is_written() -> None:
+    point = Waypoint(0.0, 0.0, 0.0, action_repeat=3.0)  # type: ignore[arg-type] # as JSON may be
+    assert type(point.action_repeat) is int
+    assert Waypoint(0.0, 0.0, 0.0, action_repeat=2.5).action_repeat == 2.5  # type: ignore[arg-type]
