@@ -1,9 +1,10 @@
 """How long a plan takes, and how much of the battery: an estimate, and what it reckons with.
 
 Nothing of it is measured on an aircraft. Along the way it flies at the plan's speed, more slowly
-where it climbs or descends faster than :data:`CLIMB_M_S`. Each stop costs :data:`STOP_S` to brake,
-settle and start again, each turn on the spot its angle at :data:`TURN_DEG_S`, a gimbal action
-:data:`GIMBAL_S`, one of the camera :data:`CAMERA_S`. The battery lasts as long as DJI says that a
+where it climbs or descends faster than :data:`CLIMB_M_S`. A stop costs :data:`STOP_S` to settle and
+:data:`STOP_S_PER_M_S` for braking and speeding up again; turns on the spot take their angle at
+:data:`TURN_DEG_S`, and so does the gimbal; an action of the camera takes :data:`CAMERA_S`. The
+virtual aircraft's flights take as long within 15 %. The battery lasts as long as DJI says that a
 Matrice 100 hovers with it: flying forwards takes about as much.
 """
 
@@ -33,12 +34,11 @@ __all__ = ["HOVER_MINUTES", "PlanEstimate", "estimate", "seconds_of_actions"]
 HOVER_MINUTES = 17.0
 """DJI's figure for a TB47D and 500 g of payload; 22 without any, 13 with 1 kg. A TB48D: 20, 28, 16.
 A camera, a computer and their supply are about 500 g."""
-STOP_S = 4.0
+STOP_S, STOP_S_PER_M_S = 2.0, 0.3
 CLIMB_M_S = 3.0
 LANDING_M_S = 1.5
 HOMEWARD_M_S = 8.0
 TURN_DEG_S = 45.0
-GIMBAL_S = 2.0
 CAMERA_S = 1.5
 """A photograph, and the beginning and end of a video."""
 
@@ -102,9 +102,9 @@ def _run(plan: PlanValues) -> tuple[float, float]:
         for (here, there), length in zip(pairwise(points), lengths, strict=True)
     )
     if plan.trace is Trace.COORDINATED_TURNS:
-        return sum(lengths), seconds + STOP_S
+        return sum(lengths), seconds + _stop(plan)
     headings = _headings(plan)
-    seconds += STOP_S * len(lengths)
+    seconds += _stop(plan) * len(lengths)
     seconds += sum(
         min(acting, _limit(point))
         for point, acting in zip(points, seconds_of_actions(plan), strict=True)
@@ -147,30 +147,36 @@ def _turn(here: float, there: float) -> float:
     return abs(normalize_degrees(there - here)) / TURN_DEG_S
 
 
+def _stop(plan: PlanValues) -> float:
+    """What stopping, and flying on, costs."""
+    return STOP_S + STOP_S_PER_M_S * max(0.0, plan.speed)
+
+
 def seconds_of_actions(plan: PlanValues) -> list[float]:
-    """How long the actions of each waypoint take if nothing cuts them off, s."""
-    return [
-        _acting(point, heading)
-        for point, heading in zip(plan.waypoints, _headings(plan), strict=True)
-    ]
+    """How long the actions of each waypoint take if nothing cuts them off, s.
 
-
-def _acting(point: Waypoint, heading: float) -> float:
-    """Seconds of the actions, in the order in which they are done."""
-    seconds = 0.0
-    for action in [*point.actions] * max(1, point.action_repeat):
-        match action:
-            case Stay(stay):
-                seconds += stay
-            case TurnTo(wanted):
-                angle = wanted - heading if point.turn_clockwise else heading - wanted
-                seconds += angle % 360.0 / TURN_DEG_S
-                heading = wanted
-            case GimbalPitch():
-                seconds += GIMBAL_S
-            case _:
-                seconds += CAMERA_S
-    return seconds
+    The gimbal looks ahead at first.
+    """
+    pitch, found = 0.0, []
+    for point, heading in zip(plan.waypoints, _headings(plan), strict=True):
+        if plan.gimbal_by_waypoint:
+            pitch = point.gimbal_pitch_deg
+        seconds = 0.0
+        for action in [*point.actions] * max(1, point.action_repeat):
+            match action:
+                case Stay(stay):
+                    seconds += stay
+                case TurnTo(wanted):
+                    angle = wanted - heading if point.turn_clockwise else heading - wanted
+                    seconds += angle % 360.0 / TURN_DEG_S
+                    heading = wanted
+                case GimbalPitch(wanted):
+                    seconds += abs(wanted - pitch) / TURN_DEG_S
+                    pitch = wanted
+                case _:
+                    seconds += CAMERA_S
+        found.append(seconds)
+    return found
 
 
 def _limit(point: Waypoint) -> float:
@@ -189,7 +195,7 @@ def _back_to_first(plan: PlanValues, times: int) -> tuple[float, float]:
     first, last = plan.waypoints[0], plan.waypoints[-1]
     climb = last.height - first.height
     length = math.hypot(distance_m(*_place(last), *_place(first)), climb)
-    return times * length, times * (_seconds(length, climb, plan.speed) + STOP_S)
+    return times * length, times * (_seconds(length, climb, plan.speed) + _stop(plan))
 
 
 def _around(plan: PlanValues, home: tuple[float, float] | None) -> tuple[float, float]:
@@ -198,7 +204,7 @@ def _around(plan: PlanValues, home: tuple[float, float] | None) -> tuple[float, 
     length = seconds = 0.0
     if home is not None:
         length = distance_m(*home, *_place(first))
-        seconds = _seconds(length, 0.0, plan.speed) + STOP_S
+        seconds = _seconds(length, 0.0, plan.speed) + _stop(plan)
         length += abs(first.height)
         seconds += abs(first.height) / CLIMB_M_S
     if plan.at_end is AtEnd.GO_HOME and home is not None:

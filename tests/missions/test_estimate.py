@@ -21,7 +21,6 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.geodesy import destination
-from m100link.missions.estimate import STOP_S
 from m100link.missions.waypoint import Action
 
 HOME = 52.1, 4.31
@@ -31,6 +30,7 @@ def at(north: float, east: float = 0.0, height: float = 30.0, **values: Any) -> 
     return Waypoint(*destination(*HOME, north, east), height, **values)
 
 
+STOP_S = 2 + 0.3 * 5
 PLAN = WaypointPlan([at(0), at(100), at(200)], speed=5)
 SECONDS = 200 / 5 + 2 * STOP_S
 
@@ -48,22 +48,29 @@ def test_a_straight_way_is_its_length_by_its_speed_and_its_stops() -> None:
     assert made.length_m == pytest.approx(200, abs=0.01)
     assert made.duration_s == pytest.approx(SECONDS, abs=0.01)
     assert made.battery_percent == pytest.approx(SECONDS / 12, abs=0.01)
-    assert str(made) == "200 m in 0:48 min, 4 % of a battery that hovers for 20 min"
+    assert str(made) == "200 m in 0:47 min, 4 % of a battery that hovers for 20 min"
     assert seconds(trace=Trace.COORDINATED_TURNS) == pytest.approx(SECONDS - STOP_S, abs=0.01)
 
 
 def test_a_steep_leg_is_climbed_slowly() -> None:
     steep = WaypointPlan([at(0, height=0), at(1, height=60)], speed=10)
-    assert steep.estimate().duration_s == pytest.approx(60 / 3 + STOP_S, abs=0.01)
+    assert steep.estimate().duration_s == pytest.approx(60 / 3 + 2 + 3, abs=0.01)
 
 
 def test_actions_take_their_time() -> None:
     assert with_actions(Stay(7)) == pytest.approx(7, abs=0.01)
     assert with_actions(TakePhoto(), GimbalPitch(-90)) == pytest.approx(3.5, abs=0.01)
+    assert with_actions(GimbalPitch(-90), action_repeat=9) == pytest.approx(2, abs=0.01)
     assert with_actions(Stay(7), action_repeat=3) == pytest.approx(21, abs=0.01)
     assert with_actions(Stay(7), action_repeat=0) == pytest.approx(7, abs=0.01)
     assert with_actions(Stay(7), action_time_limit=2) == pytest.approx(2, abs=0.01)
     assert with_actions(Stay(7), action_time_limit=None) == pytest.approx(7, abs=0.01)
+
+
+def test_the_gimbal_is_where_it_was_left() -> None:
+    down = [at(0, actions=[GimbalPitch(-90)]), at(100, actions=[GimbalPitch(-90)]), at(200)]
+    assert seconds(waypoints=down) == pytest.approx(SECONDS + 2, abs=0.01)
+    assert seconds(waypoints=down, gimbal_by_waypoint=True) == pytest.approx(SECONDS + 4, abs=0.01)
 
 
 def test_turns_go_round_as_the_waypoint_says() -> None:
