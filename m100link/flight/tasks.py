@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import secrets
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import cycle, islice
@@ -90,7 +90,7 @@ TaskListener = Callable[[TaskProgress], None]
 
 def task_sequences() -> Iterator[int]:
     """A number for each take-off, landing or go-home, 0 to 255 and round again."""
-    return islice(cycle(range(256)), secrets.randbits(8), None)
+    return islice(cycle(range(256)), os.urandom(1)[0], None)
 
 
 def task_name(task: Task) -> str:

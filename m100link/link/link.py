@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import secrets
+import os
 from collections.abc import Callable, Iterator
 from typing import cast
 
@@ -83,7 +83,7 @@ class Link(asyncio.Protocol):
     ) -> None:
         self._loop = asyncio.get_running_loop()
         if first_sequence is None:
-            first_sequence = secrets.randbits(16)
+            first_sequence = int.from_bytes(os.urandom(2))
         self._endpoint = Endpoint(first_sequence=first_sequence, forget_after=FORGET_AFTER)
         self.on_received = on_received
         self.on_lost = on_lost

@@ -15,7 +15,6 @@ import logging
 import os
 import socket
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 
 import serial
 import serial_asyncio
@@ -143,6 +142,10 @@ def _close_opened(opening: asyncio.Future[serial.Serial]) -> None:
 
 
 def _expanded(path: str) -> str:
+    if not path.startswith("~"):
+        return path
+    from pathlib import Path
+
     return str(Path(path).expanduser())
 
 
@@ -197,6 +200,8 @@ def _errno_of(error: BaseException) -> int | None:
 
 def port_owners(device: str) -> tuple[tuple[int, str], ...]:
     """Processes that hold a device open, as ``(pid, name)``, where the system tells."""
+    from pathlib import Path
+
     wanted = os.path.realpath(device)
     owners = []
     for process in sorted(Path("/proc").glob("[0-9]*")):

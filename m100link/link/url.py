@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from urllib.parse import urlsplit
 
 from m100link.errors import BadURL
 
@@ -91,6 +90,8 @@ def _serial(url: str, rest: str, baud_rate: int) -> ConnectionString:
 
 
 def _tcp(url: str, text: str) -> ConnectionString:
+    from urllib.parse import urlsplit  # which no other connection needs
+
     try:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port

@@ -6,7 +6,6 @@ import asyncio
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from html import escape
 from importlib import import_module
 from operator import attrgetter
 from typing import Any
@@ -154,6 +153,8 @@ class Table:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the first rows."""
+        from html import escape  # which few programs need, and brings a table of all entities
+
         head = "".join(f"<th>{escape(name)}</th>" for name in self.names)
         body = "".join(
             f"<tr>{''.join(f'<td>{_shown(value)}</td>' for value in row)}</tr>"
