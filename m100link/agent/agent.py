@@ -15,13 +15,14 @@ from typing import Self
 from m100link.agent.activation import Activation
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.connection import Connect, Connection
-from m100link.agent.flying import Pattern
+from m100link.agent.flying import MissionOrder, Pattern
 from m100link.agent.holding import Holding, HoldingInput, HoldingState
 from m100link.agent.journal import Journal
 from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import UsageError
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
@@ -325,6 +326,38 @@ class Agent:
         """
         self._renewed(token)
         await self.holding.require().fly(task, accepted)
+
+    async def fly_mission(self, token: str, plan: WaypointPlan, *, take_off: bool = False) -> None:
+        """Upload a plan and let the aircraft fly it by itself; done when it has begun.
+
+        It is stopped when whoever asked for it loses the lease, by :meth:`halt` and by
+        :meth:`stop`. Should this process die, **it flies on**.
+
+        Raises:
+            LeaseRefused: The token is not in force.
+            NoAuthority: Control authority is not held.
+            GuardRefused, MissionRefused, MissionRunning, AckTimeout, LinkError: See each class.
+        """
+        self._renewed(token)
+        await self.holding.require().start_mission(plan, take_off=take_off)
+
+    async def order_mission(self, token: str, what: MissionOrder) -> None:
+        """Pause, resume or stop the mission that flies, whoever started it.
+
+        Raises: as :meth:`fly_mission`.
+        """
+        self._renewed(token)
+        await self.holding.require().order_mission(what)
+
+    async def set_mission_speed(self, token: str, speed: float) -> float:
+        """Change the speed of the mission that flies, m/s; returns the one in force.
+
+        Raises:
+            UsageError: Beyond the plan's greatest speed, or no mission flies.
+            LeaseRefused, NoAuthority, MissionRefused, AckTimeout: See each class.
+        """
+        self._renewed(token)
+        return await self.holding.require().mission.flight.set_speed(speed)
 
     async def switch_motors(self, token: str, *, on: bool) -> None:
         """Start or stop the motors on the ground.

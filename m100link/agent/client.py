@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.carriers import Channel
-from m100link.agent.fault import Fault
+from m100link.agent.fault import Fault, agent_gone
 from m100link.agent.lease import Lease, LeaseRefused, TakeOver
 from m100link.agent.messages import (
     VERSION,
@@ -31,6 +31,7 @@ from m100link.agent.messages import (
     LeaseChanged,
     LeaseGranted,
     Message,
+    MissionTold,
     Note,
     Outcome,
     Stage,
@@ -41,7 +42,7 @@ from m100link.agent.messages import (
     Telemetry,
 )
 from m100link.agent.steering import SETPOINT_LIFETIME
-from m100link.errors import AuthorityLost, LayoutMismatch, LinkError, M100Error
+from m100link.errors import AuthorityLost, LayoutMismatch, M100Error
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import PROFILES
@@ -101,6 +102,7 @@ class AgentClient:
         self.on_activating: list[Callable[[ActivationCode], None]] = []
         self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
         self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
+        self.on_mission_told: list[Callable[[MissionTold], None]] = []
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
         self._count = 0
@@ -120,6 +122,7 @@ class AgentClient:
             Activating: self._on_activating,
             AuthorityTaken: self._on_authority_taken,
             SteerRefused: self._on_steer_refused,
+            MissionTold: self._on_mission_told,
         }
 
     @property
@@ -177,7 +180,7 @@ class AgentClient:
         self.state = replace(
             self.state,
             connection="lost",
-            connection_fault=Fault.of(_has_gone(reason)),
+            connection_fault=Fault.of(agent_gone(reason)),
             has_authority=False,
             holding="none",
             task="",
@@ -187,7 +190,7 @@ class AgentClient:
         waiting, self._answers = list(self._answers.values()), {}
         for answer in waiting:
             if not answer.done():
-                answer.set_exception(_has_gone(reason))
+                answer.set_exception(agent_gone(reason))
 
     def _on_hello(self, hello: Hello) -> None:
         if hello.version != VERSION:
@@ -240,6 +243,10 @@ class AgentClient:
         for callback in self.on_steer_refused:
             callback(message.fence, message.fault.error())
 
+    def _on_mission_told(self, message: MissionTold) -> None:
+        for callback in self.on_mission_told:
+            callback(message)
+
     def _on_granted(self, message: LeaseGranted) -> None:
         self._resolve(message.id, Lease(message.name, message.token, message.number))
 
@@ -272,7 +279,7 @@ class AgentClient:
         self, ask: Callable[[int], Message], accepted: Callable[[], None] | None = None
     ) -> Any:
         if self._gone is not None:
-            raise _has_gone(self._gone)
+            raise agent_gone(self._gone)
         self._count += 1
         number = self._count
         answer = self._answers[number] = self._create_future()
@@ -487,11 +494,3 @@ class AgentClient:
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""
         self._channel.send(Note(level, text))
-
-
-def _has_gone(reason: str) -> LinkError:
-    why = f": {reason}" if reason else ""
-    return LinkError(
-        f"the agent that owns the aircraft has gone{why}",
-        remedy="start it again; until then nothing here is up to date",
-    )

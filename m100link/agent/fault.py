@@ -9,9 +9,9 @@ from typing import Any
 
 from m100link import errors
 from m100link.agent.lease import LeaseHeld, LeaseRefused
-from m100link.errors import M100Error
+from m100link.errors import LinkError, M100Error
 
-__all__ = ["Fault", "MessageError"]
+__all__ = ["Fault", "MessageError", "agent_gone"]
 
 
 class MessageError(M100Error):
@@ -67,3 +67,12 @@ class Fault:
 
 def _plain(value: object) -> object:
     return value.value if isinstance(value, Enum) else value
+
+
+def agent_gone(reason: str) -> LinkError:
+    """What is raised when the agent has gone for good."""
+    why = f": {reason}" if reason else ""
+    return LinkError(
+        f"the agent that owns the aircraft has gone{why}",
+        remedy="start it again; until then nothing here is up to date",
+    )

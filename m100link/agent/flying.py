@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
-from typing import Any
+from typing import Any, Literal
 
 import anyio
 
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.journal import Journal
+from m100link.agent.mission import FlyingMission
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
 from m100link.flight.control import Control
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["Flying", "Pattern"]
+__all__ = ["Flying", "MissionOrder", "Pattern"]
+
+MissionOrder = Literal["pause", "resume", "stop"]
+"""What may be told to a mission that flies."""
 
 _AT_ONCE = 1e-3
 
@@ -38,6 +43,7 @@ class Flying:
 
     Attributes:
         task: Name of the task that was asked of the aircraft and has not ended, or None.
+        mission: The waypoint mission, while one flies.
     """
 
     def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
@@ -45,6 +51,7 @@ class Flying:
         self._journal = journal
         self._background = background
         self.task: str | None = None
+        self.mission = FlyingMission(control, journal, background)
         # The setpoint to neutralise when motion has to stop; None when nothing was sent.
         self._last: Setpoint | None = None
         self._running_task: asyncio.Task[None] | None = None
@@ -71,9 +78,10 @@ class Flying:
         Raises:
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
-        if self._pattern is not None:
+        if self._pattern is not None or self.mission.is_flying:
             if setpoint == setpoint.neutral():
                 return
+            self.mission.require_none("a setpoint")
             self._end_pattern("the stick was moved")
         self._send(setpoint, lifetime)
 
@@ -86,10 +94,11 @@ class Flying:
         self._last = setpoint
 
     def halt(self, why: str = "") -> None:
-        """Stop moving: end a program, replace the setpoint in force by its neutral.
+        """Stop moving: end a program or mission, replace the setpoint in force by its neutral.
 
         A take-off, landing or go-home goes on in the autopilot.
         """
+        self.mission.end(why or "halted")
         self._end_pattern(why)
         last, self._last = self._last, None
         if last is None:
@@ -119,6 +128,7 @@ class Flying:
             raise TaskRefused(
                 f"{name} was asked for during {self.task}", remedy="wait for its end, or stop it"
             )
+        self.mission.require_none(name)
         self._end_pattern(f"{name} was asked for")
         self.task, self._last = name, None
         work = self._running_task = self._background.spawn(self._fly(task, name, accepted), name)
@@ -169,7 +179,12 @@ class Flying:
     # -- programs --------------------------------------------------------------------------------
 
     def start_pattern(self, name: str, fly: Pattern) -> None:
-        """Let a program fly, until it ends, the stick is moved, or anything stops it."""
+        """Let a program fly, until it ends, the stick is moved, or anything stops it.
+
+        Raises:
+            MissionRunning: A mission flies.
+        """
+        self.mission.require_none(name)
         self._end_pattern("another one begins")
         self._pattern = (name, self._background.spawn(self._run_pattern(name, fly), name))
 
@@ -195,11 +210,45 @@ class Flying:
             work.cancel()
             self._journal.note(f"{name} ended: {why}")
 
+    # -- missions --------------------------------------------------------------------------------
+
+    async def start_mission(self, plan: WaypointPlan, *, take_off: bool) -> None:
+        """Upload a plan and let the aircraft fly it; done when it has begun. Ends a program.
+
+        Raises: as :meth:`m100link.Control.waypoint_mission`.
+        """
+        self._end_pattern("a mission was asked for")
+        self._last = None
+        await self.mission.start(plan, take_off=take_off)
+
+    async def order_mission(self, what: MissionOrder) -> None:
+        """Pause, resume or stop the mission that flies, whoever started it.
+
+        Raises:
+            MissionRefused, MissionAborted, AckTimeout, NoAuthority: See each class.
+        """
+        control, own = self._control, self.mission
+        if own.is_flying:
+            flight = own.flight
+            orders = {"pause": flight.pause, "resume": flight.resume, "stop": flight.stop}
+            await orders[what]()
+            return
+        await {
+            "pause": control.pause_mission,
+            "resume": control.resume_mission,
+            "stop": control.stop_mission,
+        }[what]()
+
+    # -- the end ---------------------------------------------------------------------------------
+
     async def end(self) -> None:
         """Control ends: so does what was using it."""
         self._is_ended = True
+        self.mission.end("control ended")
         self._end_pattern("control ended")
         if self._running_task is not None:
             self._running_task.cancel()
             with anyio.CancelScope(shield=True):  # a lost authority cancels this block, too
                 await asyncio.wait([self._running_task])
+        with anyio.CancelScope(shield=True):
+            await self.mission.ended()

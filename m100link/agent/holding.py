@@ -18,6 +18,7 @@ from enum import Enum
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.flying import Flying
 from m100link.agent.journal import Journal
+from m100link.agent.mission import MissionListener
 from m100link.aircraft import Aircraft
 from m100link.errors import AuthorityLost, AuthorityRefused, LossReason, M100Error, NoAuthority
 from m100link.flight.authority import AuthorityState
@@ -148,6 +149,7 @@ class Holding:
         self._let_go = asyncio.Event()
         # Resolved when the request under way has ended.
         self._granted: asyncio.Future[None] | None = None
+        self.on_mission_event: MissionListener | None = None
         # Watches the mode switch while the pilot may come back.
         self._watch: asyncio.Task[None] | None = None
 
@@ -259,6 +261,7 @@ class Holding:
 
     async def _use(self, control: Control, granted: asyncio.Future[None]) -> None:
         flying = self.flying = Flying(control, self._journal, self._background)
+        flying.mission.on_event = self.on_mission_event
         try:
             self.feed(HoldingInput.OBTAINED)
             if self.state is HoldingState.HELD:

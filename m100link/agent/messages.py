@@ -7,7 +7,8 @@ whatever carries them (``m100link.agent.carriers``).
 ==================  ========================================================================
 Both ways           Hello, Goodbye
 From the agent      Telemetry, FromMobile, Event, State, LeaseChanged, LeaseGranted,
-                    TakeOverOffered, Activating, AuthorityTaken, SteerRefused, Outcome
+                    TakeOverOffered, Activating, AuthorityTaken, MissionTold, SteerRefused,
+                    Outcome
 From a front        LeaseAsk, Steer, Ask, Note
 ==================  ========================================================================
 
@@ -38,6 +39,7 @@ __all__ = [
     "LeaseChanged",
     "LeaseGranted",
     "Message",
+    "MissionTold",
     "Note",
     "Outcome",
     "Stage",
@@ -144,6 +146,10 @@ class State:
         has_authority: Whether setpoints and tasks are obeyed.
         task: What the aircraft flies by itself; empty for nothing.
         pattern: Name of the program that flies; empty for none.
+        mission: The kind of mission that the aircraft says it flies, whoever started it, by the
+            names of :class:`~m100link.flight.mission_state.MissionKind`; empty when nobody knows.
+        mission_index: Waypoint that it flies to, counted from 0; -1 when nobody knows.
+        mission_status: Status of the mission as on the wire; -1 when nobody knows.
         lease_remaining: Seconds until the lease ends if nobody renews it.
         round_trip: Seconds to the aircraft and back.
         discards: Damaged frames.
@@ -163,6 +169,9 @@ class State:
     has_authority: bool = False
     task: str = ""
     pattern: str = ""
+    mission: str = ""
+    mission_index: int = -1
+    mission_status: int = -1
     lease_remaining: float = 0.0
     round_trip: float | None = None
     discards: int = 0
@@ -244,6 +253,19 @@ class AuthorityTaken:
     """
 
     fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class MissionTold:
+    """Something happened to the mission that this agent flies, as DJI's push 0x02/0x04 says it.
+
+    Attributes:
+        event: 0 uploaded, 1 finished, 2 waypoint reached.
+        data: The five bytes behind it.
+    """
+
+    event: int
+    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,6 +374,13 @@ class Action(Enum):
     STOP_VIDEO = "stop_video"
     ARM = "arm"
     DISARM = "disarm"
+    MISSION_PLAN = "mission_plan"  # a new plan, of which the points follow
+    MISSION_POINT = "mission_point"
+    MISSION_START = "mission_start"
+    MISSION_STOP = "mission_stop"
+    MISSION_PAUSE = "mission_pause"
+    MISSION_RESUME = "mission_resume"
+    MISSION_SPEED = "mission_speed"
     VERSION = "version"
     SEND_TO_MOBILE = "send_to_mobile"
 
@@ -364,8 +393,8 @@ class Ask:
         id: Comes back in each outcome; 0 asks for none.
         action: What.
         fence: Number of the lease it is asked under; 0 for none.
-        number: Of the simple task.
-        data: For the app on the pilot's phone; of the gimbal, the value of its command.
+        number: Of the simple task; 1 to take off before a mission; a speed in mm/s.
+        data: For the app on the pilot's phone; else the value of a command, as on the wire.
         text: Why, for people (halt).
     """
 
@@ -402,6 +431,7 @@ Message = (
     | TakeOverOffered
     | Activating
     | AuthorityTaken
+    | MissionTold
     | SteerRefused
     | Outcome
     | LeaseAsk

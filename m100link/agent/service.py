@@ -31,6 +31,7 @@ from m100link.agent.messages import (
     LeaseChanged,
     LeaseGranted,
     Message,
+    MissionTold,
     Note,
     Outcome,
     Stage,
@@ -40,13 +41,17 @@ from m100link.agent.messages import (
     TakeOverOffered,
     Telemetry,
 )
+from m100link.agent.mission import StagedPlan, push_of
 from m100link.agent.patterns import pattern
 from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
+from m100link.flight.mission_state import MissionKind, MissionState
+from m100link.flight.missions.events import MissionEvent
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.command import Command
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES
 from m100link.telemetry.sample import Sample
 
@@ -67,6 +72,7 @@ _LEVELS = ("info", "warning", "error")
 
 C = TypeVar("C", bound=Command)
 
+_NONE = MissionKind.NONE
 _Result = tuple[str, int]
 _TASKS = {
     Action.TAKE_OFF: Task.TAKE_OFF,
@@ -91,6 +97,7 @@ class Service:
         agent.journal.on_event.append(self._event)
         agent.activation.on_code.append(self._activating)
         agent.holding.on_lost.append(self._authority_taken)
+        agent.holding.on_mission_event = self._mission_event
         agent.on_lease.append(self._lease_changed)
         agent.background.spawn(self._keep_telling(), "state")
 
@@ -141,6 +148,11 @@ class Service:
         self._tell_state()
         self._tell(AuthorityTaken(Fault.of(error)))
 
+    def _mission_event(self, event: MissionEvent) -> None:
+        push = push_of(event)
+        if push is not None:
+            self._tell(MissionTold(*push))
+
     def _lease_changed(self, why: LeaseChange, lease: Lease | None) -> None:
         number, name = (lease.number, lease.name) if lease is not None else (0, "")
         for front in self._fronts:
@@ -168,6 +180,7 @@ class Service:
             holding.has_authority,
             holding.task,
             holding.pattern,
+            connection.aircraft.mission if connection.aircraft is not None else None,
         )
         if told != self._told:
             self._told = told
@@ -180,6 +193,7 @@ class Service:
         is_connected = connection.state is ConnectionState.CONNECTED
         aircraft = connection.aircraft if is_connected else None
         link = aircraft.statistics() if aircraft is not None else None
+        mission = aircraft.mission if aircraft is not None else MissionState()
         return State(
             at=agent.now,
             connection=connection.state.value,
@@ -192,6 +206,9 @@ class Service:
             has_authority=holding.has_authority,
             task=holding.task or "",
             pattern=holding.pattern or "",
+            mission=mission.kind.value if mission.is_running or mission.kind is _NONE else "",
+            mission_index=-1 if mission.index is None else mission.index,
+            mission_status=-1 if mission.status is None else mission.status,
             lease_remaining=agent.desk.remaining(agent.now),
             round_trip=connection.round_trip,
             discards=sum(link.discards.values()) if link else 0,
@@ -243,6 +260,7 @@ class _Front:
         # Tokens of the leases that were granted over this channel, by number.
         self._tokens: dict[int, str] = {}
         self._asks = 0
+        self._staged, self._staged_under = StagedPlan(), 0  # the lease that it came under
         self._notes = _MAX_NOTES
         self._noted_at = agent.now
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
@@ -431,6 +449,15 @@ class _Front:
             Action.STOP_VIDEO: lambda: agent.use_camera(token, AircraftCamera.stop_video),
             Action.ARM: lambda: agent.switch_motors(token, on=True),
             Action.DISARM: lambda: agent.switch_motors(token, on=False),
+            Action.MISSION_PLAN: lambda: self._stage(ask),
+            Action.MISSION_POINT: lambda: self._stage(ask),
+            Action.MISSION_START: lambda: agent.fly_mission(
+                token, self._plan_of(ask).require(), take_off=ask.number == 1
+            ),
+            Action.MISSION_STOP: lambda: agent.order_mission(token, "stop"),
+            Action.MISSION_PAUSE: lambda: agent.order_mission(token, "pause"),
+            Action.MISSION_RESUME: lambda: agent.order_mission(token, "resume"),
+            Action.MISSION_SPEED: lambda: self._set_speed(token, ask.number / 1000),
             Action.VERSION: self._version,
             Action.SEND_TO_MOBILE: lambda: agent.send_to_mobile(token, ask.data),
         }
@@ -441,6 +468,30 @@ class _Front:
 
     async def _start_pattern(self, token: str, number: int) -> None:
         self._agent.start_pattern(token, f"simple task {number}", pattern(number))
+
+    async def _stage(self, ask: Ask) -> None:
+        """A piece of a plan: nothing is asked of the aircraft before the start."""
+        self._agent.desk.check(self._token(ask.fence), self._agent.now)
+        if ask.action is Action.MISSION_PLAN:
+            self._staged_under = ask.fence
+            self._staged.begin(_read(WaypointMission, ask.data))
+        else:
+            self._plan_of(ask).add(_read(WaypointPoint, ask.data))
+
+    def _plan_of(self, ask: Ask) -> StagedPlan:
+        """The plan that came under this lease: nobody flies what somebody else left.
+
+        Raises:
+            UsageError: It came under another one.
+        """
+        if self._staged_under != ask.fence:
+            raise UsageError(
+                "no plan was uploaded under this lease", remedy="upload it again, then start"
+            )
+        return self._staged
+
+    async def _set_speed(self, token: str, speed: float) -> _Result:
+        return "", round(await self._agent.set_mission_speed(token, speed) * 1000)
 
     async def _version(self) -> _Result:
         version = await self._agent.version()

@@ -30,6 +30,7 @@ from m100link.protocol.setpoint import (
 from m100link.station.ros.graph import Call, Graph, Listener, Topic
 from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
+from m100link.station.ros.missions import Missions
 from m100link.station.ros.payload import Payload
 from m100link.station.way_time import MAX_LATE, WayTime
 from m100link.telemetry.sample import Sample
@@ -96,6 +97,7 @@ class DjiSdk:
         self._add_services()
         self._from_mobile = graph.add_topic("/dji_sdk/from_mobile_data", "dji_sdk/MobileData")
         Payload(agent, graph, clients)
+        Missions(agent, graph, clients)
         agent.background.spawn(self._watch(), "dji_sdk topics")
         agent.background.spawn(self._watch_mobile(), "mobile data")
 

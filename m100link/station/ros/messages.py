@@ -68,6 +68,16 @@ string[] examples, string[] constnames, string[] constvalues
 dji_sdk/MobileData: uint8[<=100] data
 dji_sdk/Gimbal: std_msgs/Header header, int32 ts, uint8 mode, float32 yaw, float32 pitch, \
 float32 roll
+dji_sdk/MissionPushInfo: uint8 type, uint8 data_1, uint8 data_2, uint8 data_3, uint8 data_4, \
+uint8 data_5
+dji_sdk/MissionWaypointAction: uint8 action_repeat, uint8[16] command_list, \
+uint16[16] command_parameter
+dji_sdk/MissionWaypoint: float64 latitude, float64 longitude, float32 altitude, \
+float32 damping_distance, int16 target_yaw, int16 target_gimbal_pitch, uint8 turn_mode, \
+uint8 has_action, uint16 action_time_limit, dji_sdk/MissionWaypointAction waypoint_action
+dji_sdk/MissionWaypointTask: float32 velocity_range, float32 idle_velocity, \
+uint8 action_on_finish, uint8 mission_exec_times, uint8 yaw_mode, uint8 trace_mode, \
+uint8 action_on_rc_lost, uint8 gimbal_pitch_mode, dji_sdk/MissionWaypoint[] mission_waypoint
 """
 
 _SERVICE_DEFINITIONS = """
@@ -78,6 +88,12 @@ dji_sdk/SDKControlAuthority: uint8 control_enable -> bool result, uint8 cmd_set,
 uint32 ack_data
 dji_sdk/DroneTaskControl: uint8 task -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
 dji_sdk/DroneArmControl: uint8 arm -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionWpUpload: dji_sdk/MissionWaypointTask waypoint_task -> bool result, \
+uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionWpAction: uint8 action -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionWpGetInfo: -> dji_sdk/MissionWaypointTask waypoint_task
+dji_sdk/MissionWpGetSpeed: -> float32 speed, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionWpSetSpeed: float32 speed -> bool result
 dji_sdk/CameraAction: uint8 camera_action -> bool result
 dji_sdk/QueryDroneVersion: -> uint32 version, string hardware
 dji_sdk/SetLocalPosRef: -> bool result

@@ -1,0 +1,197 @@
+"""A waypoint mission for a front: its plan in pieces, and the mission while it flies."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from m100link.agent.background import BackgroundTasks
+from m100link.agent.journal import Journal
+from m100link.errors import M100Error, MissionRunning, UsageError
+from m100link.flight.control import Control
+from m100link.flight.missions.events import (
+    Aborted,
+    ActionsDone,
+    Finished,
+    MissionEvent,
+    MissionProgress,
+    Reached,
+    Uploaded,
+)
+from m100link.flight.missions.waypoint import WaypointFlight
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+
+__all__ = ["FlyingMission", "MissionListener", "StagedPlan", "push_of"]
+
+MissionListener = Callable[[MissionEvent], None]
+"""Told of each event, progress excepted."""
+
+
+class StagedPlan:
+    """A plan that comes in pieces, as the aircraft would get it, and is checked as a whole.
+
+    Attributes:
+        plan: The whole, checked; None while a piece is missing.
+    """
+
+    def __init__(self) -> None:
+        self._mission: WaypointMission | None = None
+        self._points: dict[int, WaypointPoint] = {}
+        self.plan: WaypointPlan | None = None
+
+    def begin(self, mission: WaypointMission) -> None:
+        """A new plan: what was there is forgotten."""
+        self._mission, self._points, self.plan = mission, {}, None
+
+    def add(self, point: WaypointPoint) -> None:
+        """One of its points. The last one that is missing makes it whole.
+
+        Raises:
+            UsageError: No plan was begun, or it has no such point.
+            BadPlan: The whole cannot be flown: point, value, limit.
+        """
+        mission = self._mission
+        if mission is None:
+            raise UsageError("a waypoint came before the plan that it belongs to")
+        if not 0 <= point.index < mission.count:
+            raise UsageError(f"the plan has {mission.count} waypoints, and no number {point.index}")
+        self._points[point.index] = point
+        if len(self._points) == mission.count:
+            in_order = [self._points[index] for index in range(mission.count)]
+            self.plan = WaypointPlan.from_wire(mission, in_order)
+
+    def require(self) -> WaypointPlan:
+        """The plan.
+
+        Raises:
+            UsageError: There is none, or a waypoint is missing.
+        """
+        if self.plan is None:
+            missing = 0 if self._mission is None else self._mission.count - len(self._points)
+            raise UsageError(
+                f"{missing} waypoints are missing" if missing else "there is no plan to be flown",
+                remedy="upload it first",
+            )
+        return self.plan
+
+
+class FlyingMission:
+    """The mission of one control block, if there is one.
+
+    Args:
+        control: The block.
+        journal: Where it is told what happens.
+        background: Where it is watched.
+
+    Attributes:
+        on_event: Called with each event.
+    """
+
+    def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
+        self._control = control
+        self._journal = journal
+        self._background = background
+        self._flight: WaypointFlight | None = None
+        self._watch: asyncio.Task[None] | None = None
+        self.on_event: MissionListener | None = None
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether one was begun and is not over."""
+        return self._watch is not None
+
+    def require_none(self, what: str) -> None:
+        """Refuse what the aircraft would ignore.
+
+        Raises:
+            MissionRunning: A mission flies.
+        """
+        if self.is_flying:
+            raise MissionRunning(
+                f"{what} was asked for while a waypoint mission flies; nothing was sent",
+                cause="the aircraft ignores movement during missions",
+                remedy="stop or pause the mission",
+            )
+
+    async def start(self, plan: WaypointPlan, *, take_off: bool = False) -> None:
+        """Upload a plan and let it fly; done when the aircraft has begun.
+
+        Raises: as :meth:`m100link.Control.waypoint_mission`.
+        """
+        self.require_none("a waypoint mission")
+        flight = self._control.waypoint_mission(plan, take_off=take_off)
+        begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._watch = self._background.spawn(self._fly(flight, begun), "waypoint mission")
+        try:
+            await asyncio.shield(begun)
+        except asyncio.CancelledError:
+            self.end("nobody waits for it")
+            raise
+
+    async def _fly(self, flight: WaypointFlight, begun: asyncio.Future[None]) -> None:
+        outcome, level = "the waypoint mission is over", "info"
+        try:
+            async with flight:
+                self._flight = flight
+                self._journal.note(f"a mission of {len(flight.plan.waypoints)} waypoints begins")
+                if not begun.done():
+                    begun.set_result(None)
+                async for event in flight:
+                    self._tell(event)
+        except M100Error as error:
+            outcome, level = f"the waypoint mission ended: {error.seen}", "error"
+            if not begun.done():
+                begun.set_exception(error)
+        except asyncio.CancelledError:
+            outcome, level = "the waypoint mission was stopped", "warning"
+            raise
+        finally:
+            if not begun.done():
+                begun.set_exception(UsageError("control ended before the mission began"))
+                begun.exception()  # nobody may be there to hear it
+            self._flight = self._watch = None
+            self._journal.note(outcome, level)
+
+    def _tell(self, event: MissionEvent) -> None:
+        if isinstance(event, Reached):
+            self._journal.note(f"waypoint {event.index} reached")
+        elif isinstance(event, Aborted):
+            self._journal.note(f"the aircraft broke the mission off: {event.reason}", "warning")
+        if self.on_event is not None and not isinstance(event, MissionProgress):
+            self.on_event(event)
+
+    @property
+    def flight(self) -> WaypointFlight:
+        """The mission.
+
+        Raises:
+            UsageError: None flies.
+        """
+        if self._flight is None:
+            raise UsageError("no waypoint mission flies", remedy="start one")
+        return self._flight
+
+    def end(self, why: str) -> None:
+        """Stop it, and do not wait for the answer: leaving its block sends the stop."""
+        if self._watch is not None:
+            self._journal.note(f"the waypoint mission is stopped: {why}")
+            self._watch.cancel()
+
+    async def ended(self) -> None:
+        """Wait for the end of its stop."""
+        if self._watch is not None:
+            await asyncio.wait([self._watch])
+
+
+def push_of(event: MissionEvent) -> tuple[int, bytes] | None:
+    """The push (0x02/0x04) that tells of an event; None for what only this program knows."""
+    if isinstance(event, Uploaded):
+        return 0, bytes((1, *round(event.estimated_time or 0).to_bytes(2, "little"), 0, 0))
+    if isinstance(event, Finished):
+        return 1, bytes(5)
+    if isinstance(event, Reached):
+        return 2, bytes((event.index, 4, 0, 0, 0))
+    if isinstance(event, ActionsDone):
+        return 2, bytes((event.index, 6, 0, 0, 0))
+    return None

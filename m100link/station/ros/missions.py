@@ -1,0 +1,187 @@
+"""Waypoint missions under the names of DJI's later ``dji_sdk`` node.
+
+``mission_waypoint_upload`` gives the plan to the agent, which checks it as a whole and asks nothing
+of the aircraft yet; ``mission_waypoint_action`` 0 uploads it there and starts it. So a plan that
+cannot be flown is refused at once, and nothing lies in the aircraft that nobody watches. Both need
+control. The mission is stopped when whoever started it loses control.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+
+from m100link.agent.client import AgentClient
+from m100link.agent.messages import Action, MissionTold
+from m100link.errors import UsageError
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+from m100link.protocol.firmware import FIRMWARE_3_1
+from m100link.station.ros.graph import Call, Graph
+from m100link.station.ros.leases import Clients
+from m100link.station.ros.messages import Message
+
+__all__ = ["Missions"]
+
+_STATUS_S = 0.25
+_MOST_POINTS = 99
+_ROS_DEMO_YAW_MODE = 4  # DJI's demo sends it, and means 0
+
+_ACTIONS = (
+    Action.MISSION_START,
+    Action.MISSION_STOP,
+    Action.MISSION_PAUSE,
+    Action.MISSION_RESUME,
+)
+"""By the number that ``mission_waypoint_action`` has for each."""
+
+_KINDS = {"no mission": 0, "waypoint mission": 1, "hotpoint": 2, "follow mission": 3, "IOC": 4}
+"""Numbers of the status push, by the kind that the agent tells."""
+
+
+class Missions:
+    """The topics and services of missions.
+
+    Args:
+        agent: The agent that owns the aircraft.
+        graph: Where they are offered.
+        clients: Who holds the lease.
+    """
+
+    def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
+        self._agent, self._graph, self._clients = agent, graph, clients
+        self._task: Message | None = None  # what was uploaded last, as it came
+        self._speed = 0.0
+        self._status = graph.add_topic("/dji_sdk/mission_status", "dji_sdk/MissionPushInfo")
+        self._event = graph.add_topic("/dji_sdk/mission_event", "dji_sdk/MissionPushInfo")
+        for name, kind, handler in (
+            ("mission_waypoint_upload", "MissionWpUpload", self._upload),
+            ("mission_waypoint_action", "MissionWpAction", self._act),
+            ("mission_waypoint_getInfo", "MissionWpGetInfo", self._info),
+            ("mission_waypoint_getSpeed", "MissionWpGetSpeed", self._get_speed),
+            ("mission_waypoint_setSpeed", "MissionWpSetSpeed", self._set_speed),
+        ):
+            graph.add_service(
+                f"/dji_sdk/{name}", f"dji_sdk/{kind}", clients.answering(name, handler)
+            )
+        agent.on_mission_told.append(self._told)
+        agent.background.spawn(self._keep_telling(), "mission status")
+
+    # -- what is told ----------------------------------------------------------------------------
+
+    async def _keep_telling(self) -> None:
+        while True:
+            await asyncio.sleep(_STATUS_S)
+            state = self._agent.state
+            kind = _KINDS.get(state.mission)
+            if kind is None or not self._status.subscribers:
+                continue  # nobody knows, or nobody wants to
+            index, status = max(0, state.mission_index), max(0, state.mission_status)
+            values = (index, status) if kind == 1 else (status, 0)
+            self._graph.publish(self._status, _push(kind, bytes((*values, 0, 0, 0))), self._now)
+
+    def _told(self, told: MissionTold) -> None:
+        self._graph.publish(self._event, _push(told.event, told.data), self._now)
+
+    @property
+    def _now(self) -> float:
+        return self._agent.now
+
+    # -- what is asked ---------------------------------------------------------------------------
+
+    async def _upload(self, call: Call) -> Message:
+        lease = self._clients.held(call.session)
+        task = call.request["waypoint_task"]
+        mission, points = _commands(task)
+        await self._agent.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
+        for point in points:
+            await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
+        self._task, self._speed = task, mission.idle_speed
+        return _done(WaypointMission.ADDRESS)
+
+    async def _act(self, call: Call) -> Message:
+        number = call.request["action"]
+        if number >= len(_ACTIONS):
+            raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
+        await self._agent.ask(_ACTIONS[number], self._clients.held(call.session))
+        return _done((0x03, 0x12 if number < 2 else 0x13))
+
+    async def _info(self, call: Call) -> Message:
+        return {"waypoint_task": self._uploaded()}
+
+    async def _get_speed(self, call: Call) -> Message:
+        self._uploaded()
+        return {"speed": self._speed, "cmd_set": 0x03, "cmd_id": 0x17}
+
+    def _uploaded(self) -> Message:
+        if self._task is None:
+            raise UsageError("no mission was uploaded through this station")
+        return self._task
+
+    async def _set_speed(self, call: Call) -> Message:
+        speed = call.request["speed"]
+        if not math.isfinite(speed):
+            raise UsageError("speed is a number of m/s")
+        lease = self._clients.held(call.session)
+        outcome = await self._agent.ask(
+            Action.MISSION_SPEED, lease, number=round(max(-1e3, min(1e3, speed)) * 1000)
+        )
+        self._speed = outcome.number / 1000
+        return {"result": True}
+
+
+def _done(address: tuple[int, int]) -> Message:
+    return {"result": True, "cmd_set": address[0], "cmd_id": address[1]}
+
+
+def _push(kind: int, data: bytes) -> Message:
+    return {"type": kind} | {f"data_{place}": value for place, value in enumerate(data[:5], 1)}
+
+
+def _commands(task: Mapping[str, object]) -> tuple[WaypointMission, list[WaypointPoint]]:
+    """The task as the commands that upload it; degrees become radians.
+
+    Raises:
+        UsageError, BadValue: Too many points; a value that the wire does not carry.
+    """
+    given: Message = dict(task)
+    waypoints = given["mission_waypoint"]
+    if not 2 <= len(waypoints) <= _MOST_POINTS:
+        raise UsageError(f"a mission has 2 to {_MOST_POINTS} waypoints, not {len(waypoints)}")
+    mission = WaypointMission(
+        count=len(waypoints),
+        max_speed=given["velocity_range"],
+        idle_speed=given["idle_velocity"],
+        finish_action=given["action_on_finish"],
+        repeat=given["mission_exec_times"],
+        yaw_mode=0 if given["yaw_mode"] == _ROS_DEMO_YAW_MODE else given["yaw_mode"],
+        trace_mode=given["trace_mode"],
+        rc_lost_action=given["action_on_rc_lost"],
+        gimbal_pitch_mode=given["gimbal_pitch_mode"],
+    )
+    return mission, [_point(index, one) for index, one in enumerate(waypoints)]
+
+
+def _point(index: int, given: Message) -> WaypointPoint:
+    action = given["waypoint_action"]
+    return WaypointPoint(
+        index=index,
+        latitude=math.radians(given["latitude"]),
+        longitude=math.radians(given["longitude"]),
+        altitude=given["altitude"],
+        damping=given["damping_distance"],
+        yaw=given["target_yaw"],
+        gimbal_pitch=given["target_gimbal_pitch"],
+        turn_mode=given["turn_mode"],
+        has_action=given["has_action"],
+        action_time_limit=given["action_time_limit"],
+        action_count=action["action_repeat"] & 0x0F,
+        action_repeat=action["action_repeat"] >> 4,
+        actions=tuple(action["command_list"]),
+        parameters=tuple(_signed(value) for value in action["command_parameter"]),
+    )
+
+
+def _signed(value: int) -> int:
+    """The definition says unsigned, the wire signed: angles are negative (facts K11)."""
+    return value - 0x10000 if value >= 0x8000 else value
