@@ -9,28 +9,18 @@ from typing import TYPE_CHECKING, Any
 from m100link.errors import CommandRefused, NotObserved, UsageError
 from m100link.protocol.commands.activation import RATES_HZ, SetTelemetryRates
 from m100link.protocol.items import ITEMS, Item
+from m100link.telemetry.names import ITEM_NAMES, snake
 
 if TYPE_CHECKING:
     from m100link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["ITEM_NAMES", "set_telemetry_rates"]
+__all__ = ["set_telemetry_rates"]
 
 _SETTLING_S = 0.3  # what was on its way, and the ack
 _WATCH_S = 1.2
 _WATCH_SLOW_S = 3.2  # three packages of an item at 1 Hz
 _TOLERANCE = 0.3  # a lossy line still sends at that rate
-
-
-def _snake(record: type[Any]) -> str:
-    words = "".join(f"_{letter}" if letter.isupper() else letter for letter in record.__name__)
-    return words.lower().removeprefix("_")
-
-
-ITEM_NAMES: Mapping[str, Item] = {_snake(item.record): item for item in ITEMS} | {
-    item.name: item for item in ITEMS
-}
-"""Items by the names that may be used: those of :attr:`Aircraft.state`, and those of the wire."""
 
 
 async def set_telemetry_rates(
@@ -68,7 +58,7 @@ def _items(rates_hz: Mapping[str, int]) -> dict[str, tuple[Item, int]]:
         if item is None:
             raise UsageError(
                 f"no telemetry item is called {name!r}",
-                remedy=f"items: {', '.join(dict.fromkeys(map(_snake, _records())))}",
+                remedy=f"items: {', '.join(dict.fromkeys(map(snake, _records())))}",
             )
         if item in (other for other, _ in found.values()):
             raise UsageError(f"two rates were given for one item: {name} is {item.name}")

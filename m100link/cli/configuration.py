@@ -22,8 +22,8 @@ from typing import Any
 from m100link.errors import BadURL, UsageError
 from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
-from m100link.protocol.items import BY_NAME
 from m100link.station.config import Settings
+from m100link.telemetry.names import ITEM_NAMES
 
 __all__ = ["Configuration", "configuration_path", "read_configuration", "shown"]
 
@@ -221,7 +221,7 @@ def _check_name(path: Path, name: str) -> None:
             f"{shown(path)}: an aircraft cannot be called {name!r}",
             remedy="a letter, then letters, digits, - and _",
         )
-    if name in BY_NAME:
+    if name.lower() in ITEM_NAMES:
         raise UsageError(
             f"{shown(path)}: an aircraft cannot be called {name!r}: a telemetry item is",
             remedy="give it another name, such as its place or its number",

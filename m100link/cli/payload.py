@@ -11,7 +11,6 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
-from m100link.aircraft.rates import ITEM_NAMES
 from m100link.cli.common import AppOptions, LinkOptions, Place, Url, out, places, run_async
 from m100link.cli.flight import activate_app
 from m100link.cli.options import Above0, offered
@@ -20,6 +19,7 @@ from m100link.errors import UsageError
 from m100link.protocol.commands.activation import RATES_HZ
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Gimbal
+from m100link.telemetry.names import ITEM_NAMES
 
 __all__ = ["camera", "gimbal", "rates"]
 

@@ -23,6 +23,7 @@ from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, BY_RECORD
+from m100link.telemetry.names import ITEM_NAMES, column_named
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Lossless
 
@@ -77,8 +78,12 @@ def echo(
     if csv and json:
         return complain(UsageError("--csv and --json exclude each other"))
     link = link or LinkOptions()
-    place, names = link.place_among([url or "", *items], BY_NAME.__contains__)
+    place, names = link.place_among([url or "", *items], _is_item)
     return run_async(_echo(place, names, rate, duration, count, csv))
+
+
+def _is_item(word: str) -> bool:
+    return word.lower() in ITEM_NAMES
 
 
 async def _echo(
@@ -259,19 +264,21 @@ def plot(
         link: How to talk to the aircraft.
         duration: Seconds to plot live.
     """
-    known = columns_of(BY_RECORD)
-    if source is not None and source in known:
+    if source is not None and column_named(source):
         fields, source = (source, *fields), None
-    wanted = fields or ("position.height_m",)
-    for field in wanted:
-        if field not in known:
+    wanted = []
+    for field in fields or ("position.height_m",):
+        column = column_named(field)
+        if column is None:
+            known = ", ".join(columns_of(BY_RECORD))
             return complain(
-                UsageError(f"no column is called {field!r}", remedy=f"columns: {', '.join(known)}")
+                UsageError(f"no column is called {field!r}", remedy=f"columns: {known}")
             )
+        wanted.append(column)
     if source is not None and source.endswith(".csv"):
-        return _plot_file(Path(source), wanted)
+        return _plot_file(Path(source), tuple(wanted))
     link = link or LinkOptions()
-    return run_async(_plot_live(link.place(source), wanted, duration))
+    return run_async(_plot_live(link.place(source), tuple(wanted), duration))
 
 
 def _plot_file(path: Path, fields: tuple[str, ...]) -> int:

@@ -9,6 +9,7 @@ from typing import Any
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, BY_RECORD, ITEMS
 from m100link.telemetry.columns import columns_of
+from m100link.telemetry.names import ITEM_NAMES
 
 __all__ = ["columns_of", "items_named", "row"]
 
@@ -24,16 +25,16 @@ def row(record: Any) -> dict[str, Any]:
 
 
 def items_named(names: Iterable[str]) -> list[type[Any]]:
-    """Record classes by item name; all of them when no name is given.
+    """Record classes by the names of items; all of them when no name is given.
 
     Raises:
         UsageError: A name that is not an item; the message lists them.
     """
     found = []
     for name in names:
-        if name not in BY_NAME:
+        if name.lower() not in ITEM_NAMES:
             raise UsageError(
                 f"no telemetry item is called {name!r}", remedy=f"items: {', '.join(BY_NAME)}"
             )
-        found.append(BY_NAME[name].record)
+        found.append(ITEM_NAMES[name.lower()].record)
     return found or [item.record for item in ITEMS]

@@ -12,6 +12,7 @@ from typing import Any
 
 from m100link.errors import LinkError, TelemetryStalled, UsageError
 from m100link.protocol.items import ITEMS, item_of
+from m100link.telemetry.names import column_named
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Subscription
 
@@ -125,16 +126,17 @@ class Table:
         return f"<Table of {len(self.rows)} rows: {', '.join(self.names)}>"
 
     def column(self, name: str) -> list[float]:
-        """The values of one column.
+        """The values of one column, by its name or one of the document's (``vgx``, ``pos.lati``).
 
         Raises:
             UsageError: There is no such column; the message lists them.
         """
-        if name not in self.names:
+        name_here = name if name in self.names else column_named(name)
+        if name_here not in self.names:
             raise UsageError(
                 f"no column is called {name!r}", remedy=f"columns: {', '.join(self.names)}"
             )
-        index = self.names.index(name)
+        index = self.names.index(name_here)
         return [row[index] for row in self.rows]
 
     def to_numpy(self) -> Any:
@@ -152,8 +154,10 @@ class Table:
         return numpy.array(self.rows, dtype=float).reshape(len(self.rows), len(self.names))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the first rows."""
+        """What a notebook shows: the track, if position is among the columns; the first rows."""
         from html import escape  # which few programs need, and brings a table of all entities
+
+        from m100link.telemetry.pictures import track_svg
 
         head = "".join(f"<th>{escape(name)}</th>" for name in self.names)
         body = "".join(
@@ -161,7 +165,10 @@ class Table:
             for row in self.rows[:_SHOWN]
         )
         caption = f"{min(_SHOWN, len(self.rows))} of {len(self.rows)} rows"
-        return f"<table><caption>{caption}</caption><tr>{head}</tr>{body}</table>"
+        places = (f"position.{axis}_deg" for axis in ("latitude", "longitude"))
+        columns = [self.column(place) for place in places if place in self.names]
+        track = track_svg(zip(*columns, strict=True)) if len(columns) == 2 else ""
+        return f"{track}<table><caption>{caption}</caption><tr>{head}</tr>{body}</table>"
 
 
 def _shown(value: float) -> str:

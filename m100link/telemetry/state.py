@@ -20,6 +20,11 @@ _WINDOW_S = 2.5  # long enough for the rate of an item at 1 Hz
 _ARRIVALS = 512  # twice what an item at 100 Hz has in that time
 
 
+def _told(field: tuple[str, object]) -> str:
+    name, value = field
+    return f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
+
+
 @dataclass(frozen=True, slots=True)
 class ItemStatistics:
     """How an item arrives.
@@ -97,6 +102,20 @@ class AircraftState(RecordViews):
         known = {name: value for name, value in self.situation().items() if value is not None}
         age = "no telemetry" if self.newest_age is None else f"{self.newest_age:.2f} s old"
         return f"<AircraftState {age}{''.join(f', {name} {known[name]}' for name in known)}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: every item with its value, age and rate."""
+        from html import escape  # which few programs need, and brings a table of all entities
+
+        rows = []
+        for record, item in BY_RECORD.items():
+            value, age, rate = self.get(record), self.age(record), self.statistics(record).rate_hz
+            told = "" if value is None else escape(", ".join(map(_told, value._asdict().items())))
+            cells = (item.name, told, "never" if age is None else f"{age:.2f} s")
+            known_rate = "" if rate is None else f"{rate:.1f}"
+            rows.append("".join(f"<td>{cell}</td>" for cell in (*cells, known_rate)))
+        head = "".join(f"<th>{title}</th>" for title in ("item", "value", "age", "Hz"))
+        return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
     def update(self, sample: Sample) -> None:
         """Take over what the sample carries."""

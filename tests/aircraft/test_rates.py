@@ -9,12 +9,12 @@ from collections.abc import AsyncIterator
 import pytest
 
 from m100link import AircraftState, CommandNotSupported, CommandRefused, NotObserved, UsageError
-from m100link.aircraft.rates import ITEM_NAMES
 from m100link.protocol.codes import RatesCode
 from m100link.protocol.commands.activation import SetTelemetryRates
 from m100link.protocol.items import ITEMS
 from m100link.sim import LineFaults, VirtualClockEventLoop
 from m100link.sim.commands import Commands
+from m100link.telemetry.names import ITEM_NAMES
 from tests.rig import Rig, rig
 
 pytestmark = pytest.mark.anyio

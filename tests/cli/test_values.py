@@ -9,7 +9,7 @@ import pytest
 from m100link.cli.values import columns_of, items_named, row
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, ITEMS, Item
-from m100link.protocol.records import Battery, FlightStatus, Position, RemoteControl
+from m100link.protocol.records import Attitude, Battery, FlightStatus, Position, RemoteControl
 
 
 def test_a_row_has_the_fields_and_their_views_in_the_units_of_the_api() -> None:
@@ -41,3 +41,9 @@ def test_a_name_that_is_not_an_item_lists_those_that_are() -> None:
     with pytest.raises(UsageError, match="altitude") as caught:
         items_named(["battery", "altitude"])
     assert all(name in caught.value.remedy for name in BY_NAME)
+
+
+def test_items_are_found_by_the_names_of_the_state_and_of_the_document() -> None:
+    assert items_named(["attitude", "Q", "remote_control", "POS"]) == [
+        *(Attitude, Attitude, RemoteControl, Position)
+    ]

@@ -195,6 +195,23 @@ def test_a_notebook_shows_the_first_rows_and_nothing_for_nan() -> None:
     assert "<td>9</td><td></td>" in html
 
 
+def test_a_notebook_shows_the_track_of_a_table_with_positions() -> None:
+    names = ("position.latitude_deg", "position.longitude_deg")
+    table = Table(names, [(22.5, 113.9), (math.nan, math.nan), (22.5001, 113.9)])
+    html = table._repr_html_()
+    assert html.index("<svg") < html.index("<table>")
+    assert "<svg" not in Table(names, [])._repr_html_()
+    assert "<svg" not in Table(names[:1], [(22.5,)])._repr_html_()
+
+
+def test_a_column_is_had_by_the_documents_name() -> None:
+    table = Table(("velocity.north_m_s", "position.height_m", "height"), [(1.0, 2.0, 3.0)])
+    assert table.column("vgx") == table.column("VEL.vgx") == [1.0]
+    assert table.column("height") == [3.0]  # its own name first
+    with pytest.raises(UsageError, match="vgy"):
+        table.column("vgy")
+
+
 def test_an_array_has_a_row_per_package() -> None:
     numpy = pytest.importorskip("numpy", reason="numpy is not installed, nor needed otherwise")
     array = TABLE.to_numpy()

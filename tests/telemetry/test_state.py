@@ -118,3 +118,13 @@ def test_it_shows_itself_at_a_prompt(clock: Clock) -> None:
     state.update(sample(clock.now, battery=(87,)))
     clock.now += 0.25
     assert repr(state) == "<AircraftState 0.25 s old, battery_percent 87>"
+
+
+def test_a_notebook_shows_every_item_with_its_age(clock: Clock, state: AircraftState) -> None:
+    state.update(sample(100.0, battery=(90,), **ATTITUDE))
+    clock.now = 101.5
+    html = state._repr_html_()
+    assert "<td>battery</td><td>percent 90</td><td>1.50 s</td><td></td>" in html
+    assert "<td>quaternion</td><td>q0 1, q1 0, q2 0, q3 0</td>" in html
+    assert "<td>position</td><td></td><td>never</td>" in html
+    assert html.count("<tr>") == 1 + len(ITEMS)
