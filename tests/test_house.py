@@ -218,14 +218,6 @@ TESTED_ELSEWHERE = {
     "sim/orders/ctl.py": ("cli/test_sim.py", "a socket between two processes"),
     "sim/orders/scenario.py": ("sim/orders/test_actions.py", "a scenario is a list of actions"),
     "sim/vehicle/airframe.py": ("sim/vehicle/test_dynamics.py", "numbers that the dynamics uses"),
-    "sim/vehicle/missions/actions.py": (
-        "sim/vehicle/missions/test_waypoints.py",
-        "actions are what a flight does at its points",
-    ),
-    "sim/vehicle/missions/conditions.py": (
-        "sim/vehicle/missions/test_computer.py",
-        "each is the answer to a start",
-    ),
     "sim/vehicle/missions/settings.py": (
         "sim/vehicle/missions/test_plan.py",
         "numbers that the others use",

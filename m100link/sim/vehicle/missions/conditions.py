@@ -52,9 +52,12 @@ class Conditions:
         self._site = site
 
     def control(self) -> MissionCode:
-        """Whether the onboard device holds control, and if not, why."""
+        """Whether the onboard device may fly missions, and if not, why.
+
+        IOC keeps missions out where it leaves control to the onboard device, too.
+        """
         if self._authority.device is Device.ONBOARD:
-            return _OK
+            return MissionCode.IOC_ON if self._authority.assistant.ioc_on else _OK
         obstacle = self._authority.obstacle()
         if obstacle is Obstacle.NOT_IN_F:
             return MissionCode.RC_NOT_IN_F
