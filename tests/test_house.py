@@ -226,6 +226,10 @@ TESTED_ELSEWHERE = {
         "sim/vehicle/missions/test_waypoints.py",
         "seen in the track of a flight",
     ),
+    "sim/vehicle/missions/upload.py": (
+        "sim/vehicle/missions/test_computer.py",
+        "uploads are one part of it",
+    ),
     "sim/vehicle/mobile.py": ("sim/vehicle/test_activation.py", "the app is where activation is"),
     "sim/vehicle/piloting.py": ("sim/vehicle/test_authority.py", "what sticks do to the aircraft"),
     "sim/vehicle/settings.py": ("sim/test_telemetry.py", "numbers that the others use"),

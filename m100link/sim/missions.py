@@ -70,7 +70,7 @@ class MissionCommands:
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self.handlers: dict[type[Command], Callable[[Any], Any]] = {
-            WaypointMission: lambda command: self._missions.upload(command),
+            WaypointMission: lambda command: self._missions.begin_upload(command),
             WaypointPoint: self._add,
             WaypointStartStop: self._start_or_stop,
             WaypointPauseResume: self._pauses(WaypointFlight),
@@ -119,20 +119,22 @@ class MissionCommands:
 
     def _download_mission(self, command: WaypointDownloadMission) -> Any:
         code = self._missions.refusal(WaypointFlight, Order.DOWNLOAD)
-        mission = self._missions.mission
+        mission = self._missions.upload.mission
         return code if mission is None else WaypointMissionAnswer(_OK, mission)
 
     def _download_point(self, command: WaypointDownloadPoint) -> Any:
-        point = self._missions.point(command.index)
+        point = self._missions.upload.points.get(command.index)
         return MissionCode.NO_POINTS if point is None else WaypointDownloadedPoint(_OK, point)
 
     def _set_idle_speed(self, command: WaypointSetIdleSpeed) -> IdleSpeedAnswer:
         code = self._missions.set_idle_speed(command.idle_speed)
-        return IdleSpeedAnswer(code, self._missions.idle_speed)
+        mission = self._missions.upload.mission
+        return IdleSpeedAnswer(code, 0.0 if mission is None else mission.idle_speed)
 
     def _idle_speed(self, command: WaypointGetIdleSpeed) -> IdleSpeedAnswer:
         code = self._missions.refusal(WaypointFlight, Order.SPEED)
-        return IdleSpeedAnswer(code, self._missions.idle_speed)
+        mission = self._missions.upload.mission
+        return IdleSpeedAnswer(code, 0.0 if mission is None else mission.idle_speed)
 
     # --- hotpoint and follow ----------------------------------------------------------------
 

@@ -15,7 +15,6 @@ breaks (facts M9). It ends when the flight controller does something else, whoev
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from m100link.protocol.codes import MissionCode
@@ -24,7 +23,6 @@ from m100link.protocol.commands.missions import (
     IdleStatus,
     MissionStatus,
     Reached,
-    Uploaded,
     WaypointEvent,
 )
 from m100link.sim.vehicle.dynamics import Guidance, ModelVertical
@@ -37,12 +35,7 @@ from m100link.sim.vehicle.missions.hotpoint import (
     HotpointFlight,
     hotpoint_code,
 )
-from m100link.sim.vehicle.missions.plan import (
-    FinishAction,
-    WaypointPlan,
-    mission_code,
-    point_code,
-)
+from m100link.sim.vehicle.missions.plan import FinishAction
 from m100link.sim.vehicle.missions.route import Place, distance
 from m100link.sim.vehicle.missions.site import Site
 from m100link.sim.vehicle.missions.stages import (
@@ -51,6 +44,7 @@ from m100link.sim.vehicle.missions.stages import (
     Order,
     Stage,
 )
+from m100link.sim.vehicle.missions.upload import WaypointUpload
 from m100link.sim.vehicle.missions.waypoints import BEFORE_ACTIONS, WaypointFlight
 
 if TYPE_CHECKING:
@@ -67,6 +61,7 @@ Flown: TypeAlias = WaypointFlight | HotpointFlight | FollowFlight
 _OK = MissionCode.SUCCESS
 _TAKES_OFF = (Maneuver.SPIN_UP, Maneuver.TAKE_OFF)
 _BROKEN_OFF = 1
+_DEAD_ZONE = 0.05
 _NAMES = {0: "none", 1: "waypoint", 2: "hotpoint", 3: "follow"}
 
 
@@ -85,6 +80,7 @@ class MissionComputer:
         is_paused: Whether it is paused.
         is_active: Whether there is anything to do each step: a mission was uploaded or started
             since power-on. Until then nothing here costs time.
+        upload: The waypoint mission that is there, flown or not.
         arrivals: Waypoints reached since power-on, oldest first.
     """
 
@@ -106,6 +102,7 @@ class MissionComputer:
             settings.latitude_deg, settings.longitude_deg, settings.height_limit, settings.missions
         )
         self._conditions = Conditions(flight, settings, authority, self._site)
+        self.upload = WaypointUpload(self._missions, self._site)
         self.arrivals: list[int] = []
         self.power_off()
 
@@ -114,16 +111,15 @@ class MissionComputer:
         self.running: Flown | None = None
         self.is_paused = False
         self.is_active = self._missions.status_when_idle
-        # What was uploaded: 0x03/0x10, the points so far, and the whole when it has passed.
-        self._mission: WaypointMission | None = None
-        self._points: dict[int, WaypointPoint] = {}
-        self._plan: WaypointPlan | None = None
+        self.upload.forget()
         self._events: list[WaypointEvent] = []
         self._next_status = 0.0
         self._idle = IdleStatus()
         self._hover = Guidance()
         # The flight controller takes off for the mission.
         self._is_taking_off = False
+        # The pilot flies meanwhile; the mission waits, paused, for control to come back.
+        self._is_suspended = False
         # Its count when the mission started: one more, and somebody else has taken over.
         self._interruptions = 0
 
@@ -134,51 +130,26 @@ class MissionComputer:
         """How far a waypoint mission is."""
         if isinstance(self.running, WaypointFlight):
             return Stage.PAUSED if self.is_paused else Stage.FLYING
-        if self._plan is not None:
+        if self.upload.plan is not None:
             return Stage.READY
-        return Stage.EMPTY if self._mission is None else Stage.PLANNED
+        return Stage.EMPTY if self.upload.mission is None else Stage.PLANNED
 
-    def upload(self, mission: WaypointMission) -> MissionCode:
-        """Take 0x03/0x10; a former mission is gone, whether this one is legal or not."""
+    def begin_upload(self, mission: WaypointMission) -> MissionCode:
+        """Take 0x03/0x10."""
         code = self._conditions.control() or self._refusal(Order.UPLOAD)
-        if code:
-            return code
-        self._forget_plan()
-        code = mission_code(mission)
         if not code:
-            self._mission = mission
+            code = self.upload.begin(mission)
             self.is_active = True
         return code
 
     def add(self, point: WaypointPoint) -> MissionCode:
-        """Take 0x03/0x11; the last one that was missing brings the check of the whole."""
+        """Take 0x03/0x11."""
         code = self._refusal(Order.ADD)
         if code:
             return code
-        assert self._mission is not None
-        if point.index >= self._mission.count:
-            return MissionCode.INDEX_TOO_LARGE
-        code = point_code(point)
-        if code:
-            return code
-        self._points[point.index] = point
-        if len(self._points) < self._mission.count:
-            return _OK
-        return self._check_plan(self._mission)
-
-    def _check_plan(self, mission: WaypointMission) -> MissionCode:
-        points = tuple(self._points[index] for index in range(mission.count))
-        places = tuple(self._site.place(p.latitude, p.longitude, p.altitude) for p in points)
-        plan = WaypointPlan(mission, points, places)
-        code = plan.check(self._missions, self._home, self._site)
-        if code:
-            self._points.clear()  # all of them have to come again
-            self._plan = None
-            self._events.append(WaypointEvent(Uploaded(valid=0)))
-        else:
-            self._plan = plan
-            seconds = min(0xFFFF, round(plan.estimate()))
-            self._events.append(WaypointEvent(Uploaded(valid=1, estimated_time=seconds)))
+        code, told = self.upload.add(point, self._home)
+        if told is not None:
+            self._events.append(WaypointEvent(told))
         return code
 
     def start(self) -> MissionCode:
@@ -186,54 +157,25 @@ class MissionComputer:
         code = self._refusal(Order.START)
         if code:
             return code
-        assert self._plan is not None
+        plan = self.upload.plan
+        assert plan is not None
         if self.running is not None:
             return MissionCode.OTHER_RUNNING
-        code = self._conditions.waypoints(self._plan)
+        code = self._conditions.waypoints(plan)
         if code:
             return code
-        flight = WaypointFlight(
-            self._plan,
-            self._flight.dynamics,
-            self._settings.airframe,
-            self._payload,
-            self._missions,
-        )
-        return self._begin(flight)
+        motion, airframe = self._flight.dynamics, self._settings.airframe
+        return self._begin(WaypointFlight(plan, motion, airframe, self._payload, self._missions))
 
     def set_idle_speed(self, speed: float) -> MissionCode:
         """Change the speed without the stick, on the way as well."""
-        code = self._refusal(Order.SPEED)
-        if code:
-            return code
-        assert self._mission is not None
-        if not -self._mission.max_speed <= speed <= self._mission.max_speed:
-            return MissionCode.BAD_SPEED
-        self._mission = replace(self._mission, idle_speed=speed)
-        if isinstance(self.running, WaypointFlight):
+        code = self._refusal(Order.SPEED) or self.upload.set_idle_speed(speed)
+        if not code and isinstance(self.running, WaypointFlight):
             self.running.idle_speed = speed
-        return _OK
-
-    @property
-    def idle_speed(self) -> float:
-        """The speed without the stick; 0 without a mission."""
-        return 0.0 if self._mission is None else self._mission.idle_speed
-
-    @property
-    def mission(self) -> WaypointMission | None:
-        """The waypoint mission that is there, flown or not."""
-        return self._mission
-
-    def point(self, index: int) -> WaypointPoint | None:
-        """One of its points."""
-        return self._points.get(index)
+        return code
 
     def _refusal(self, order: Order) -> MissionCode:
         return WAYPOINT_REFUSALS.get((order, self.stage), _OK)
-
-    def _forget_plan(self) -> None:
-        self._mission = self._plan = None
-        self._points = {}
 
     # --- hotpoint and follow ----------------------------------------------------------------
 
@@ -316,6 +258,8 @@ class MissionComputer:
         running = self.running
         if code or running is None:
             return code
+        if self._is_suspended:
+            return self._conditions.control() or MissionCode.UNKNOWN
         if isinstance(running, HotpointFlight) and running.is_out_of_reach:
             return MissionCode.TOO_FAR_FROM_CIRCLE
         self.is_paused = False
@@ -374,9 +318,9 @@ class MissionComputer:
         because = "ends" if reason is None else f"broken off: {reason.meaning}"
         self._log(f"{self.name} mission {because}")
         if isinstance(self.running, WaypointFlight):
-            self._forget_plan()
+            self.upload.forget()
         self.running = None
-        self.is_paused = False
+        self.is_paused = self._is_suspended = False
 
     # --- each step --------------------------------------------------------------------------
 
@@ -391,7 +335,7 @@ class MissionComputer:
             return
         expected = Maneuver.NONE if self._is_taking_off else Maneuver.MISSION
         if flight.maneuver is not expected or flight.interruptions != self._interruptions:
-            self._end(self._why())
+            self._yield_or_end()
             return
         if self._is_taking_off:
             self._is_taking_off = False
@@ -403,6 +347,7 @@ class MissionComputer:
             if reason is MissionCode.BATTERY_LOW:
                 flight.go_home()
             return
+        self._heed_sticks(running)
         if not self.is_paused:
             self._hover = running.guide(self._authority.remote.sticks())
         flight.fly_mission(self._hover)
@@ -410,6 +355,30 @@ class MissionComputer:
             self._take_events(running)
         if running.is_over:
             self._finish(running)
+
+    def _yield_or_end(self) -> None:
+        """Somebody else has taken over: end, or where that was chosen wait for the pilot."""
+        flight, reason = self._flight, self._why()
+        is_pilots = flight.maneuver is Maneuver.NONE and not flight.dynamics.on_ground
+        if not (self._missions.leaving_f_pauses and is_pilots and not self._is_taking_off):
+            self._end(reason)
+        elif not self._conditions.control():
+            self._is_suspended = False
+            self._interruptions = flight.interruptions
+            self._hover_here()
+            flight.fly_mission(self._hover)
+        elif reason is MissionCode.RC_NOT_IN_F:
+            self.is_paused = self._is_suspended = True
+        elif not self._is_suspended:
+            self._end(reason)
+
+    def _heed_sticks(self, running: Flown) -> None:
+        """Pause for the pilot's roll and throttle, where that was chosen."""
+        if self._missions.stick_pauses and not self.is_paused:
+            sticks = self._authority.remote.sticks()
+            is_moved = max(abs(sticks.roll), abs(sticks.throttle)) > _DEAD_ZONE
+            if is_moved and isinstance(running, WaypointFlight):
+                self.pause(WaypointFlight)
 
     def _take_events(self, running: Flown) -> None:
         for told in running.events:

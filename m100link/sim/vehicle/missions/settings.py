@@ -45,6 +45,10 @@ class MissionSettings:
         farthest_start: A mission farther away than this does not start, metres.
         least_battery_percent: At this charge or below, no mission starts.
         low_battery_returns: At the low-battery level a mission is broken off for going home.
+        leaving_f_pauses: When the pilot leaves F, the mission waits, paused, until control has come
+            back and a program resumes it; else it is broken off.
+        stick_pauses: The pilot's roll or throttle stick pauses a waypoint mission. (Pitch is its
+            speed, and yaw its heading where the yaw mode says so.)
         radius_limit: Metres from home that no mission may leave; infinite when not set in the app.
         never_logged_in: Nobody ever logged in to the app: 30 m of height, 50 m around home.
         beginner_mode: The app's beginner mode, in which no mission starts.
@@ -72,6 +76,8 @@ class MissionSettings:
     farthest_start: float = 2_000.0
     least_battery_percent: float = 30.0
     low_battery_returns: bool = True
+    leaving_f_pauses: bool = False
+    stick_pauses: bool = False
     radius_limit: float = math.inf
     never_logged_in: bool = False
     beginner_mode: bool = False

@@ -16,6 +16,7 @@ from m100link.protocol.commands.waypoint import (
     WaypointDownloadMission,
     WaypointMission,
     WaypointPauseResume,
+    WaypointSetIdleSpeed,
     WaypointStartStop,
 )
 from m100link.sim.vehicle.flight import Maneuver
@@ -193,7 +194,7 @@ def test_a_restart_forgets_everything() -> None:
     program.wait(3.0)
     missions = program.vehicle.missions
     assert missions.running is None
-    assert missions.mission is None
+    assert missions.upload.mission is None
     assert not missions.is_active
     assert program.motion.height > 10.0
 
@@ -203,6 +204,66 @@ def test_a_take_off_task_during_a_mission_is_rejected() -> None:
     assert program.ask(StartTask(3, Task.TAKE_OFF)) == TaskStartCode.REJECTED
     assert program.ask(QueryTask(3)) == 1
     assert program.vehicle.missions.running is not None
+
+
+# --- pauses by the pilot --------------------------------------------------------------------
+
+
+def test_the_mode_switch_may_pause_instead() -> None:
+    program = on_the_way(host(leaving_f_pauses=True))
+    program.aircraft.leave_f()
+    program.wait(3.0)
+    missions = program.vehicle.missions
+    assert (missions.running is not None, missions.is_paused) == (True, True)
+    assert program.ask(WaypointPauseResume(1)) == Code.RC_NOT_IN_F
+    program.aircraft.move_stick(roll=0.5)  # meanwhile the pilot flies
+    program.wait(4.0)
+    program.aircraft.release_sticks()
+    assert program.motion.east > 5.0
+    program.aircraft.return_to_f()
+    program.wait(5.0)
+    assert program.motion.speed < 0.1
+    assert program.ask(WaypointPauseResume(1)) == OK
+    track = fly(program)
+    assert math.dist(track[-1], (80, 60, 12)) < 0.6
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        lambda p: p.aircraft.pilot_lands(),
+        lambda p: p.aircraft.rc_lost(),
+        lambda p: p.ask(WaypointStartStop(1)),
+    ],
+    ids=["landing", "RC lost", "stop"],
+)
+def test_a_mission_that_waits_for_the_pilot_may_end(act: Callable[[Host], Any]) -> None:
+    program = on_the_way(host(leaving_f_pauses=True))
+    program.aircraft.leave_f()
+    program.wait(0.5)
+    act(program)
+    program.wait(3.5)
+    assert program.vehicle.missions.running is None
+
+
+@pytest.mark.parametrize("cause", ["released", "the app takes over"])
+def test_others_who_take_over_break_it_off_all_the_same(cause: str) -> None:
+    program = on_the_way(host(leaving_f_pauses=True))
+    ENDINGS[cause][0](program)
+    program.wait(0.2)
+    assert program.vehicle.missions.last.reason == Code.AUTHORITY_NEEDED
+
+
+@pytest.mark.parametrize("stick", ["roll", "throttle"])
+def test_a_stick_may_pause(stick: str) -> None:
+    for chosen in (False, True):
+        program = on_the_way(host(stick_pauses=chosen))
+        program.aircraft.move_stick(pitch=0.2, yaw=0.3)
+        program.wait(0.5)
+        assert not program.vehicle.missions.is_paused
+        program.aircraft.move_stick(**{stick: -0.4})
+        program.wait(0.5)
+        assert program.vehicle.missions.is_paused is chosen
 
 
 # --- uploads --------------------------------------------------------------------------------
@@ -234,6 +295,15 @@ def test_after_a_failed_check_all_points_have_to_come_again() -> None:
     assert isinstance(told, Uploaded)
     assert told.valid == 1
     assert program.ask(WaypointStartStop(0)) == OK
+
+
+def test_a_speed_that_is_set_before_the_start_is_flown() -> None:
+    program = host()
+    upload(program, LONG)
+    assert program.ask(WaypointSetIdleSpeed(9.0)).code == OK
+    assert program.ask(WaypointStartStop(0)) == OK
+    program.wait(14.0)
+    assert program.motion.velocity_north == pytest.approx(9.0, abs=0.3)
 
 
 def test_an_index_beyond_the_count() -> None:

@@ -148,7 +148,7 @@ def test_an_upload_needs_control_and_a_point_only_a_mission() -> None:
     assert upload(program, POINTS) == (OK, [OK] * 4)
     program.aircraft.leave_f()
     assert program.ask(WaypointMission(2, 10.0, 5.0)) == Code.RC_NOT_IN_F
-    assert program.vehicle.missions.mission is not None  # what was there is untouched
+    assert program.vehicle.missions.upload.mission is not None  # what was there is untouched
     assert program.ask(POINTS[0]).code == OK
 
 
