@@ -82,6 +82,13 @@ def test_who_reads_a_frame_does_not_load_the_commands_that_it_does_not_have() ->
     }
 
 
+def test_who_plans_loads_no_commands() -> None:
+    made = "from m100link.missions.plan import WaypointPlan"
+    assert {name.split(".")[1] for name in own(made) if "." in name} == {
+        *("errors", "geodesy", "missions"),
+    }
+
+
 def test_frames_need_few_modules_at_all() -> None:
     assert len(loaded_by("import m100link.wire")) < 65
 

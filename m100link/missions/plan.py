@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 from m100link.errors import BadPlan
 from m100link.geodesy import distance_m
-from m100link.missions import wire
 from m100link.missions.checks import leg_lengths, problems
 from m100link.missions.estimate import HOVER_MINUTES, PlanEstimate, estimate
 from m100link.missions.remarks import remarks
@@ -166,6 +165,12 @@ class WaypointPlan:
         """What is legal and may surprise: values that are ignored, actions that are cut off."""
         return list(remarks(self))
 
+    def _repr_svg_(self) -> str:
+        """What a notebook shows: the way from above, and its heights."""
+        from m100link.missions import picture
+
+        return picture.svg(self)
+
     def to_json(self) -> str:
         """As JSON: ``"format"``, ``"version"`` and the fields by the names that they have here."""
         from m100link.missions import document
@@ -291,6 +296,8 @@ class WaypointPlan:
 
         Values are those that an aircraft reads out of the bytes: a download compares equal.
         """
+        from m100link.missions import wire  # with its commands, which only a flight needs
+
         return wire.to_wire(self)
 
     @classmethod
@@ -303,4 +310,6 @@ class WaypointPlan:
         Raises:
             BadPlan: A point is missing, or the aircraft would refuse it.
         """
+        from m100link.missions import wire
+
         return cls(**wire.from_wire(mission, points))
