@@ -93,6 +93,14 @@ def test_look_around(run: Run) -> None:
     assert [pitch for _, pitch, _ in seen] == pytest.approx([-30, -30, -30, -30, 0], abs=2.0)
 
 
+def test_a_survey_with_photos(run: Run) -> None:
+    first, *lines, last = run("survey_with_photos").splitlines()
+    assert re.match(r"\d+ m in \d:\d\d min, \d+ % of a battery", first)
+    assert lines == [f"photograph {n} of {len(lines)}" for n in range(1, len(lines) + 1)]
+    assert len(lines) > 8
+    assert re.match(r"down \d\.\d m from where it took off", last)
+
+
 def test_every_example_is_tested_here() -> None:
     source = Path(__file__).read_text(encoding="utf-8")
     assert [name for name in PROGRAMS if f'run("{name}"' not in source] == []
