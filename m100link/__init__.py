@@ -306,7 +306,8 @@ __all__ = [
     "sync",
 ]
 
-# Where the names are, in the order of the layers: to look into one loads what it loads anyway.
+# Where the names are, in the order of the layers: to look into one loads what it loads anyway. Only
+# the aircraft stands before what flies, which it loads when control is asked for.
 _ROOMS = (
     "errors",
     "wire",
@@ -322,6 +323,7 @@ _ROOMS = (
     "notifications",
     "activation",
     "geodesy",
+    "aircraft",
     "flight.authority",
     "flight.pacing",
     "flight.tasks",
@@ -334,7 +336,6 @@ _ROOMS = (
     "flight.missions.hotpoint",
     "flight.missions.follow",
     "flight.control",
-    "aircraft",
     "missions.plan",  # last: who flies by setpoints needs no plan
 )
 

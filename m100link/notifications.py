@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from m100link.protocol.command import Notification, encode_code
+from m100link.protocol.command import Address, Notification, encode_code
 from m100link.protocol.commands.monitor import PushTelemetry
+from m100link.protocol.commands.registry import COMMANDS
 
 if TYPE_CHECKING:
     from m100link.link import Link
@@ -55,6 +56,16 @@ class Notifications:
     def subscribe(self, kind: type[N], handler: Callable[[N, float], None]) -> None:
         """Call the handler with each notification of that class and the time of its arrival."""
         self._takers[bytes(kind.ADDRESS)] = partial(self._take, kind, handler)
+
+    def subscribe_at(self, address: Address, handler: Callable[[Any, float], None]) -> None:
+        """The same by the address: its class is loaded when the first one comes."""
+
+        def take_first(frame: Frame, now: float) -> None:
+            kind = cast("type[Notification]", COMMANDS[address])
+            self.subscribe(kind, handler)
+            self._take(kind, handler, frame, now)
+
+        self._takers[bytes(address)] = take_first
 
     def _on_received(self, frame: Frame, now: float) -> None:
         data = frame.data

@@ -18,6 +18,7 @@ import sys
 import textwrap
 import typing
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -266,6 +267,16 @@ def definition(function: Callable[..., Any]) -> ast.FunctionDef | ast.AsyncFunct
     return node
 
 
+@cache
+def names_in(module: str) -> dict[str, Any]:
+    """What a module has, and what it imports for type checkers alone."""
+    names = dict(vars(sys.modules[module]))
+    for node in ast.parse(inspect.getsource(sys.modules[module])).body:
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            exec(compile(ast.Module(node.body, []), module, "exec"), names)
+    return names
+
+
 def without_await(text: str) -> str:
     """A docstring as it reads here."""
     for word, other in (
@@ -336,7 +347,7 @@ class Writer:
         function = member.fget if is_property else member
         bare = inspect.unwrap(function)
         assert isinstance(bare, FunctionType)
-        namespace, node = bare.__globals__, definition(function)
+        namespace, node = names_in(bare.__module__), definition(function)
         assert node.returns is not None
         returned = ast.unparse(node.returns)
         self.note_names(node.returns, namespace)

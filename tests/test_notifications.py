@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import pytest
 
@@ -15,6 +16,8 @@ from m100link.protocol import (
     PushTelemetry,
     profile,
 )
+from m100link.protocol.command import Address
+from m100link.protocol.commands.missions import Reached, WaypointEvent
 from m100link.requests import Requests
 from m100link.session import SessionMode
 from m100link.sim import AircraftSettings, AssistantSettings, VirtualClockEventLoop
@@ -69,6 +72,18 @@ async def test_telemetry_waits_until_its_firmware_is_known() -> None:
     peer.link.push(package)
     await asyncio.sleep(0.1)
     assert values == [b"\0\0"]
+
+
+async def test_a_kind_that_is_known_by_its_address_is_read_when_it_comes() -> None:
+    link, peer, _ = await connected()
+    notifications = Notifications(link, Requests(link, FIRMWARE), lambda *_: None)
+    told: list[Any] = []
+    notifications.subscribe_at(Address(0x02, 0x04), lambda event, now: told.append(event))
+    for index in (3, 4):
+        peer.link.push(WaypointEvent(Reached(index)).encode(FIRMWARE))
+    peer.link.push(b"\x02\x04\x02")
+    await asyncio.sleep(0.1)
+    assert told == [WaypointEvent(Reached(3)), WaypointEvent(Reached(4))]
 
 
 async def test_each_kind_goes_to_its_own_handler() -> None:

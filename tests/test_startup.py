@@ -100,6 +100,17 @@ def test_connecting_waits_with_what_only_some_connections_need() -> None:
     assert not loaded & {"cryptography", "importlib.metadata", "m100link.sim", "rich", "cyclopts"}
 
 
+def test_who_listens_does_not_load_what_flies() -> None:
+    loaded = own("from m100link import connect")
+    flying = {
+        "flight.control",
+        "flight.missions.run",
+        "missions.plan",
+        "protocol.commands.missions",
+    }
+    assert not {name.removeprefix("m100link.") for name in loaded} & flying
+
+
 def test_a_key_loads_the_cipher_when_it_is_used() -> None:
     statement = "from m100link.wire import Cipher, Key; key = Key(bytes(32))"
     assert "cryptography" not in loaded_by(statement)

@@ -9,6 +9,9 @@ from. References are led from the one to the other, and only if exactly one thin
 
 from __future__ import annotations
 
+import ast
+import importlib
+import inspect
 import re
 from typing import Any
 
@@ -97,8 +100,21 @@ def check_public_names(app: Sphinx, env: BuildEnvironment) -> list[str]:
     return []
 
 
+def load_annotations(app: Sphinx) -> None:
+    """Give the aircraft the names of its annotations, which it loads only when they are asked for.
+
+    autodoc asks the module for them, and would leave the names as they are written.
+    """
+    module = importlib.import_module("m100link.aircraft.aircraft")
+    for node in ast.parse(inspect.getsource(module)).body:
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            code = compile(ast.Module(node.body, []), module.__name__, "exec")
+            exec(code, vars(module))
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
+    app.connect("builder-inited", load_annotations)
     # After napoleon (priority 500), which writes the fields.
     app.connect("autodoc-process-docstring", split_fields, priority=900)
     app.connect("autodoc-process-docstring", undo_guessed_types, priority=901)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from m100link.activation import ActivationProgress, activate
 from m100link.aircraft.camera import AircraftCamera
@@ -17,26 +17,19 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
-from m100link.flight.control import Control, PauseAction
-from m100link.flight.guards import Guards
 from m100link.flight.handover import release_authority
 from m100link.flight.lifecycle import BlockClaim
 from m100link.flight.mission_state import MissionState, MissionWatch
-from m100link.flight.missions.download import download_waypoint_plan
 from m100link.flight.sticks import SettingsPace
-from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, task_sequences
-from m100link.flight.virtual_rc import VirtualRc
 from m100link.link import Link, LinkStatistics
-from m100link.missions.plan import WaypointPlan
 from m100link.notifications import Notifications
-from m100link.protocol.command import Push, Request
+from m100link.protocol.command import Address, Push, Request
 from m100link.protocol.commands.activation import (
     Credentials,
     SendToMobile,
     Version,
 )
-from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.requests import Requests
@@ -48,11 +41,22 @@ from m100link.telemetry.stream import TelemetryStream
 from m100link.telemetry.subscription import Hub, Latest, Lossless, Newest, Policy, Subscription
 from m100link.wire.cipher import Cipher
 
+if TYPE_CHECKING:
+    from m100link.flight.control import Control, PauseAction
+    from m100link.flight.guards import Guards
+    from m100link.flight.stop_path import StopAction
+    from m100link.flight.virtual_rc import VirtualRc
+    from m100link.missions.plan import WaypointPlan
+
 __all__ = ["Aircraft"]
 
 _logger = logging.getLogger("m100link.aircraft")
 
 A = TypeVar("A")
+
+# What flies is loaded when control is asked for, before there is any: whoever listens needs none of
+# it. Missions are known by their addresses until the aircraft tells of one.
+_MISSION_STATUS, _WAYPOINT_EVENT = Address(0x02, 0x03), Address(0x02, 0x04)
 
 
 class Aircraft:
@@ -86,8 +90,8 @@ class Aircraft:
         notifications = Notifications(link, self._requests, self._telemetry.receive)
         notifications.subscribe(AuthorityChanged, self._on_authority_changed)
         notifications.subscribe(FromMobile, self._on_from_mobile)
-        notifications.subscribe(MissionStatus, self._missions.on_status)
-        notifications.subscribe(WaypointEvent, self._missions.on_event)
+        notifications.subscribe_at(_MISSION_STATUS, self._missions.on_status)
+        notifications.subscribe_at(_WAYPOINT_EVENT, self._missions.on_event)
         link.on_lost = self._on_lost
 
     def __repr__(self) -> str:
@@ -269,6 +273,8 @@ class Aircraft:
             AuthorityRefused: With cause and remedy.
             NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
         """
+        from m100link.flight.control import Control
+
         return Control(
             self._commander,
             self._claim,
@@ -302,6 +308,8 @@ class Aircraft:
             UsageError: A control block of this program is running; the firmware is unknown.
             NotObserved: Telemetry does not show that it is on.
         """
+        from m100link.flight.virtual_rc import VirtualRc
+
         return VirtualRc(
             self._commander,
             self._claim,
@@ -368,6 +376,8 @@ class Aircraft:
             BadPlan: What is stored is no plan that could be uploaded.
             CommandNotSupported, NotActivated, AckTimeout, LinkError: See each class.
         """
+        from m100link.flight.missions.download import download_waypoint_plan
+
         return await download_waypoint_plan(self._requests)
 
     # -- telemetry and mobile data ---------------------------------------------------------------

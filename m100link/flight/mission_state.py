@@ -10,16 +10,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING, Any
 
-from m100link.protocol.commands.missions import (
-    FollowStatus,
-    HotpointStatus,
-    IdleStatus,
-    IocStatus,
-    MissionStatus,
-    WaypointEvent,
-    WaypointStatus,
-)
+if TYPE_CHECKING:
+    from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
 
 __all__ = ["MissionKind", "MissionState", "MissionWatch"]
 
@@ -68,15 +62,16 @@ class MissionState:
     is_running: bool = False
 
 
-_KINDS: dict[type[object], MissionKind] = {
-    WaypointStatus: MissionKind.WAYPOINT,
-    HotpointStatus: MissionKind.HOTPOINT,
-    FollowStatus: MissionKind.FOLLOW,
-    IdleStatus: MissionKind.NONE,
-    IocStatus: MissionKind.IOC,
-}
+_KINDS = (
+    MissionKind.NONE,
+    MissionKind.WAYPOINT,
+    MissionKind.HOTPOINT,
+    MissionKind.FOLLOW,
+    MissionKind.IOC,
+)
+"""By the first byte of the push."""
 
-Listener = Callable[[MissionStatus | WaypointEvent], None]
+Listener = Callable[["MissionStatus | WaypointEvent"], None]
 
 
 class MissionWatch:
@@ -103,21 +98,21 @@ class MissionWatch:
     @property
     def state(self) -> MissionState:
         """The newest push, read."""
-        told = None if self._status is None else self._status.status
+        told: dict[str, Any] = {} if self._status is None else self._status.raw()
         is_fresh = self._clock() - self.received_at <= BELIEVED_S
         return MissionState(
             kind=self._kind,
-            index=told.index if isinstance(told, WaypointStatus) else None,
-            status=told.status if isinstance(told, WaypointStatus | HotpointStatus) else None,
+            index=told.get("index"),
+            status=told.get("status"),
             since=self._since,
             is_running=self._kind.is_mission and is_fresh,
         )
 
     def on_status(self, push: MissionStatus, now: float) -> None:
         """A status push came (0x02/0x03)."""
-        kind = _KINDS.get(type(push.status))
-        if kind is None:
+        if push.kind >= len(_KINDS):
             return
+        kind = _KINDS[push.kind]
         if self._echo is not None:
             ended, until = self._echo
             if kind is ended and now < until:
