@@ -64,8 +64,9 @@ class StopPlan(NamedTuple):
     """What the stop path does.
 
     Attributes:
-        mission: Stop the mission that the block started, before anything else: while one flies,
-            the aircraft ignores setpoints, and it would fly on behind the block.
+        mission: Stop the mission that the block started: while one flies, the aircraft ignores
+            setpoints, and it would fly on behind the block. Where somebody else took the aircraft,
+            only one that demonstrably flies on.
         explain: Wait for a moment, in silence, for the items that say who took the aircraft.
         neutral: Replace a setpoint that is being sent by its neutral for 0.3 s; otherwise nothing
             more is sent.
@@ -92,8 +93,7 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
     _C.SIGNALLED: _OURS,
     _C.CLOSED: _OURS,
     # Whoever took the aircraft flies it; the release makes sure that it does not come back to us.
-    # A mission is broken off by that, as far as anybody knows: the stop makes sure of it, and is
-    # refused (D1) where it was.
+    # A mission is broken off by that, as far as anybody knows.
     _C.AUTHORITY_LOST: StopPlan(
         mission=True, explain=True, neutral=False, land=False, release=True
     ),

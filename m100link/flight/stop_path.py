@@ -97,8 +97,8 @@ class StopPath:
         """
         failed: Exception | None = None
         steps = (
-            self._stop_mission,
             self._explain,
+            self._stop_mission,
             self._end_setpoints,
             self._land,
             self._disarm,
@@ -117,22 +117,27 @@ class StopPath:
         return self._commander.authority.state is AuthorityState.HELD
 
     async def _stop_mission(self) -> None:
-        """Whether authority is held is for the aircraft to say: the stop is sent in any case.
+        """Whether authority is held is for the aircraft to say: the stop is sent all the same.
+
+        Except where somebody else took the aircraft: they fly it, and a failsafe on its way home is
+        not to be called off. Then only a mission that demonstrably flies on is stopped.
 
         One that is not answered does not keep the other steps from their turn; the landing and the
         release break a mission off as well.
         """
         life = self._life
-        if life.plan.mission:
+        if life.plan.mission and (
+            not life.plan.explain or await self._missions.flies_on(life.failure)
+        ):
             failure = await self._missions.stop()
             life.failure = life.failure or failure
         if not life.plan.mission:  # perhaps only since the line was lost meanwhile
-            name = self._missions.give_up(life.failure)
-            if name and life.failure is not None:
-                life.failure.remedy = (
-                    f"the {name} flies on by itself: take the aircraft by the mode switch, or "
-                    "connect again and stop it"
-                )
+            self._missions.give_up(life.failure, "nobody can be told to stop it")
+        if self._missions.left_in_flight and life.failure is not None:
+            life.failure.remedy = (
+                f"the {self._missions.left_in_flight} flies on by itself: take the aircraft by the "
+                "mode switch, or connect again and stop it"
+            )
 
     async def _explain(self) -> None:
         failure = self._life.failure

@@ -34,7 +34,7 @@ from tests.flight.foreign_missions import (
 APP_ID, KEY = 77, bytes(range(32, 64))
 PERIOD_S = 0.02
 RC, APP, ONBOARD = 0, 1, 2
-STANDBY, IN_AIR, LANDING = 1, 3, 4
+STANDBY, IN_AIR, LANDING, GOING_HOME = 1, 3, 4, 6
 MODE_P, MODE_F = -8000, 8000
 VERSION_NAMES = {
     "1.0": b"SDK v1.0 M100",

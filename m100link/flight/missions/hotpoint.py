@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from m100link.flight.missions.flight import MissionFlight
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.missions.run import MissionRun
 from m100link.flight.missions.waypoint_track import broken_off
-from m100link.geodesy import distance_m
+from m100link.geodesy import bearing_deg, distance_m, normalize_degrees
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands import missions as wire
 from m100link.protocol.commands.hotpoint import (
@@ -246,10 +246,14 @@ class HotpointFlight(MissionFlight):
         _require_rate(rate_deg_s, self._radius)
         self._check(self._radius, rate_deg_s)
 
+        is_turned = direction is not self._is_clockwise and rate_deg_s > 0.0
+        turns = self._turns()
+
         def is_shown() -> bool:
-            seen = self._track.rate_deg_s
-            is_turned = direction is not self._is_clockwise  # which the push does not tell
-            return not is_turned and seen is not None and abs(seen - rate_deg_s) < _RATE_SHOWN_DEG_S
+            seen, turn = self._track.rate_deg_s, next(turns)
+            if is_turned and (turn == 0.0 or (turn > 0.0) is not direction):
+                return False
+            return seen is not None and abs(seen - rate_deg_s) < _RATE_SHOWN_DEG_S
 
         def is_confirmed(circle: HotpointStart) -> bool:
             return (
@@ -258,6 +262,24 @@ class HotpointFlight(MissionFlight):
 
         await self._send(request, is_shown, is_confirmed, wait, timeout)
         self._rate, self._is_clockwise = rate_deg_s, direction
+
+    def _turns(self) -> Iterator[float]:
+        """Degrees flown around the centre since the look before, clockwise positive; 0 is unknown.
+
+        By telemetry: the push does not tell the direction.
+        """
+        before: float | None = None
+        while True:
+            position = known(self._deck.commander.state, Position)
+            there = None
+            if position is not None:
+                place = position.latitude_deg, position.longitude_deg
+                there = bearing_deg(*self._centre, *place)
+            if before is None or there is None:
+                yield 0.0
+            else:
+                yield normalize_degrees(there - before)
+            before = there
 
     async def reset_heading(self) -> None:
         """Turn the nose back to where it is to point. Sent once; nothing shows that it arrived.

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 from typing import TYPE_CHECKING
 
-from m100link.errors import M100Error, MissionRefused, MissionRunning, UsageError
+from m100link.errors import (
+    LinkError,
+    LossReason,
+    M100Error,
+    MissionRefused,
+    MissionRunning,
+    UsageError,
+)
+from m100link.flight.known import known
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.life import RunState
 from m100link.flight.missions.orders import ORDERS, PAUSED_CODES, RESUMED_CODES, STOPPED_CODES
 from m100link.flight.missions.refusal import mission_refused
 from m100link.flight.missions.run import MissionRun
 from m100link.protocol.codes import MissionCode
+from m100link.protocol.records import FlightPhase, FlightStatus
 
 if TYPE_CHECKING:
     from m100link.flight.tasks import Commander
@@ -21,6 +31,8 @@ __all__ = ["MissionKeeper"]
 
 _logger = logging.getLogger("m100link.flight")
 
+_LANDING = (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
+_TOLD_WITHIN_S = 0.5  # two or three pushes are lost, hardly five
 _TOLD_BY_S = 1.0  # after its start, by when the pushes tell of a mission
 
 
@@ -29,9 +41,13 @@ class MissionKeeper:
 
     Args:
         commander: The aircraft.
+
+    Attributes:
+        left_in_flight: The name of a mission that could, or should, not be stopped.
     """
 
     def __init__(self, commander: Commander) -> None:
+        self.left_in_flight = ""
         self._commander = commander
         self._watch = commander.missions
         self._run: MissionRun | None = None  # the newest that this block entered
@@ -179,6 +195,38 @@ class MissionKeeper:
         began_at = run.started_at if run is not None and was_ours else -math.inf
         return self._watch.received_at < began_at + _TOLD_BY_S
 
+    async def flies_on(self, failure: M100Error | None) -> bool:
+        """Whether our mission flies on although somebody else has the aircraft now.
+
+        The pushes tell, within half a second; where nothing is pushed the aircraft is asked. Where
+        it does not say, it is taken to fly on, unless it is seen to land.
+
+        One that was told to fly on without an RC is let fly when nobody is seen to have taken the
+        aircraft: then the RC is lost, and a stop would leave it to hover without a pilot.
+
+        Args:
+            failure: How authority was lost.
+        """
+        run, clock = self._run, self._commander.link.loop.time
+        since, give_up_at = clock(), clock() + _TOLD_WITHIN_S
+        while run is not None and run.owes_a_stop and clock() < give_up_at:
+            if self._watch.received_at > since:
+                break
+            await asyncio.sleep(0.02)
+        else:
+            if run is not None and run.owes_a_stop:
+                await run.ask()
+        if run is None or not run.owes_a_stop:
+            return False
+        is_told = self._watch.received_at > since
+        if is_told and self._watch.state.kind is not run.kind:
+            return False
+        if run.flies_without_rc and getattr(failure, "reason", None) is LossReason.UNKNOWN:
+            self.give_up(failure, "it was told to do so when the RC is lost")
+            return False
+        status = known(self._commander.state, FlightStatus)
+        return is_told or status is None or status.status not in _LANDING
+
     async def stop(self) -> M100Error | None:
         """Stop what this block answers for, if it is owed a stop.
 
@@ -190,20 +238,22 @@ class MissionKeeper:
             return None
         try:
             await run.stop()
+        except LinkError as error:
+            return error  # give_up() says what that means
         except M100Error as error:
             _logger.error("%s", error)
             return error
         return None
 
-    def give_up(self, failure: M100Error | None) -> str:
-        """Nothing can be sent any more.
+    def give_up(self, failure: M100Error | None, why: str) -> None:
+        """What flies is left in flight.
 
-        Returns:
-            The name of the mission that flies on, empty if none does.
+        Args:
+            failure: For whoever waits for its events.
+            why: For the log.
         """
         run = self._run
-        if run is None or not run.is_in_the_air:
-            return ""
-        run.give_up(failure)
-        _logger.error("the %s flies on by itself: nobody can be told to stop it", run.name)
-        return run.name
+        if run is not None and run.is_in_the_air and not self.left_in_flight:
+            self.left_in_flight = run.name
+            run.give_up(failure)
+            _logger.error("the %s flies on by itself: %s", run.name, why)

@@ -73,17 +73,21 @@ class MissionRun:
         deck: What it stands on.
         kind: Which kind of mission.
         track: Reads what the aircraft says of it.
+        flies_without_rc: Whether it was told to fly on when the RC is lost.
 
     Attributes:
-        kind: Which kind of mission.
+        kind, flies_without_rc: As above.
         state: Where it is in its life.
         started_at: When the start was sent, on the event loop's clock; minus infinity before.
         events: For the program.
     """
 
-    def __init__(self, deck: Deck, kind: MissionKind, track: Track) -> None:
+    def __init__(
+        self, deck: Deck, kind: MissionKind, track: Track, *, flies_without_rc: bool = False
+    ) -> None:
         self._deck = deck
         self.kind = kind
+        self.flies_without_rc = flies_without_rc
         self._orders = ORDERS[kind]
         self._track = track
         self._clock = deck.commander.link.loop.time
@@ -419,8 +423,8 @@ class MissionRun:
             await asyncio.sleep(_LOOK_S)
             now = self._clock()
             self._look()
-            if now >= next_progress_at:
-                next_progress_at = now + _PROGRESS_S
+            if now >= next_progress_at - _LOOK_S / 2:
+                next_progress_at += _PROGRESS_S
                 state = self._deck.commander.state
                 self.events.add(self._track.progress(now - self.started_at, state))
             if now - self._pushed_at < _QUIET_S:
@@ -435,7 +439,7 @@ class MissionRun:
                 )
             if now >= next_poll_at:
                 next_poll_at = now + _POLL_S
-                await self._poll()
+                await self.ask()
 
     def _look(self) -> None:
         """What telemetry says: the ground at the end, and what the guards have against it.
@@ -450,7 +454,8 @@ class MissionRun:
         elif self.state in (RunState.FLYING, RunState.PAUSED, RunState.ENDING):
             self._deck.guards.check_mission(self.name)
 
-    async def _poll(self) -> None:
+    async def ask(self) -> None:
+        """Ask the aircraft whether it still flies it, where there is a question for that."""
         if self._track.poll is None or self.state is RunState.RETURNING:
             return
         requests = self._deck.commander.requests

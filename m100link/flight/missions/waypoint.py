@@ -16,7 +16,7 @@ from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.missions.refusal import mission_refused
 from m100link.flight.missions.run import MissionRun
 from m100link.flight.missions.waypoint_track import WaypointTrack
-from m100link.missions.plan import WaypointPlan
+from m100link.missions.plan import OnRCLoss, WaypointPlan
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.waypoint import (
     WaypointPoint,
@@ -63,7 +63,13 @@ class WaypointFlight(MissionFlight):
         progress: UploadListener | None,
     ) -> None:
         self._track = WaypointTrack(plan)
-        super().__init__(deck, keeper, MissionRun(deck, MissionKind.WAYPOINT, self._track))
+        run = MissionRun(
+            deck,
+            MissionKind.WAYPOINT,
+            self._track,
+            flies_without_rc=plan.on_rc_loss is OnRCLoss.CONTINUE,
+        )
+        super().__init__(deck, keeper, run)
         self._make_way = make_way
         self._take_off = take_off
         self._allow_far = allow_far

@@ -27,7 +27,7 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
-from tests.flight.foreign_aircraft import ONBOARD, STANDBY, ForeignInMemory
+from tests.flight.foreign_aircraft import GOING_HOME, LANDING, ONBOARD, STANDBY, ForeignInMemory
 from tests.flight.missions.foreign import assert_rests, foreign, orders, plan
 from tests.rig import NORTH
 
@@ -178,7 +178,7 @@ async def test_a_program_that_swallows_its_cancellation_cannot_keep_it_in_flight
 
 
 @pytest.mark.parametrize("taken_by", ["pilot", "app"])
-async def test_whoever_takes_the_aircraft_ends_it_and_the_stop_makes_sure(taken_by: str) -> None:
+async def test_whoever_takes_the_aircraft_ends_it(taken_by: str) -> None:
     async with foreign() as (there, aircraft):
         task = await begun(there, aircraft)
         there.items.add("device")
@@ -190,20 +190,39 @@ async def test_whoever_takes_the_aircraft_ends_it_and_the_stop_makes_sure(taken_
         with pytest.raises(AuthorityLost) as caught:
             await task
         assert caught.value.reason == ("mode_switch" if taken_by == "pilot" else "app")
-        assert stops(there) == [0xD1], "sent, and refused: authority is not ours"
+        assert stops(there) == [], "whoever took it flies it"
         await assert_rests(there)
 
 
-async def test_an_aircraft_that_flies_its_mission_on_without_authority_is_stopped() -> None:
+@pytest.mark.parametrize("is_pushing", [True, False])
+async def test_an_aircraft_that_flies_its_mission_on_without_authority_is_stopped(
+    is_pushing: bool,
+) -> None:
     """What a lost authority does to a mission is inferred (facts M10)."""
     async with foreign() as (there, aircraft):
         task = await begun(there, aircraft)
         there.missions.break_off = lambda reason: None  # type: ignore[method-assign] # it does not
         there.missions.answers = {0x12: 0}  # nor minds
+        there.missions.is_pushing = is_pushing
         there.leave_f()
         with pytest.raises(AuthorityLost):
             await task
         assert stops(there) == [0]
+
+
+@pytest.mark.parametrize("status", [LANDING, GOING_HOME])
+async def test_a_failsafe_on_its_way_is_not_called_off(status: int) -> None:
+    """The flight status does not tell of going home; the stored mission is gone, and says so."""
+    async with foreign() as (there, aircraft):
+        task = await begun(there, aircraft)
+        there.missions.is_pushing = False
+        there.status = status
+        await asyncio.sleep(0.2)
+        there.leave_f()
+        there.missions.mission = b""
+        with pytest.raises(AuthorityLost):
+            await task
+        assert stops(there) == []
 
 
 async def test_a_pilot_who_is_waited_for_finds_no_mission_that_goes_on() -> None:

@@ -1,0 +1,285 @@
+"""The manual's table of endings, flown with the virtual aircraft; and a long plan on a bad line."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import pytest
+
+from m100link import (
+    Aborted,
+    ActionsDone,
+    Aircraft,
+    AuthorityLost,
+    CircleHeading,
+    Finished,
+    GuardRefused,
+    Guards,
+    LinkLost,
+    MissionAborted,
+    MissionKind,
+    OnRCLoss,
+    Reached,
+    Stay,
+    Stopped,
+    TakePhoto,
+    Target,
+    Waypoint,
+    WaypointPlan,
+)
+from m100link.geodesy import LocalFrame
+from m100link.missions.waypoint import Action
+from m100link.sim import LineFaults
+from tests.rig import NORTH, Rig, rig
+
+pytestmark = pytest.mark.anyio
+
+
+def frame(aircraft: Aircraft) -> LocalFrame:
+    position = aircraft.state.position
+    assert position is not None
+    return LocalFrame(position.latitude_deg, position.longitude_deg)
+
+
+def along(aircraft: Aircraft, *corners: tuple[float, float], **options: Any) -> WaypointPlan:
+    here = frame(aircraft)
+    points = [Waypoint(*here.to_geodetic(*corner), height=10.0) for corner in corners]
+    return WaypointPlan(points, **options)
+
+
+def long_way(aircraft: Aircraft, **options: Any) -> WaypointPlan:
+    """Some minutes of flight."""
+    return along(aircraft, (5.0, 0.0), (100.0, 0.0), (0.0, 0.0), **{"speed": 2.0, **options})
+
+
+async def assert_at_rest(flown: Rig, *, is_on_ground: bool = False) -> None:
+    """No mission flies it, and nobody moves it."""
+    assert flown.virtual.vehicle.missions.running is None
+    await asyncio.sleep(5.0)
+    before = flown.virtual.position
+    await asyncio.sleep(10.0)
+    assert math.dist(before, flown.virtual.position) < 0.3
+    assert (flown.virtual.height == 0.0) is is_on_ground
+
+
+# -- a long plan ----------------------------------------------------------------------------------
+
+
+async def test_fifty_waypoints_with_actions_on_a_line_that_loses_a_tenth() -> None:
+    async with rig(firmware="3.1") as flown:
+        here = frame(flown.aircraft)
+        points = []
+        for index in range(50):
+            row, place = divmod(index, 10)
+            column = place if row % 2 == 0 else 9 - place
+            actions: list[Action] = (
+                [TakePhoto()] if index % 2 else [Stay(0.5), TakePhoto(), Stay(1.5)]
+            )
+            where = here.to_geodetic(row * 6.0, column * 6.0)
+            points.append(Waypoint(*where, height=10.0 + row, actions=actions))
+        plan = WaypointPlan(points, speed=8.0, max_speed=10.0)
+        flown.virtual.set_faults(LineFaults(loss=0.1))
+        guards = Guards(battery_floor_percent=None)
+        async with flown.aircraft.control(guards=guards) as control:
+            async with control.waypoint_mission(plan, take_off=True) as mission:
+                assert await flown.aircraft.download_waypoint_plan() == plan
+                events = [event async for event in mission]
+            flown.virtual.set_faults()
+        assert [e.index for e in events if isinstance(e, Reached)] == list(range(50))
+        acted = [e.index for e in events if isinstance(e, ActionsDone)]
+        assert acted == sorted(set(acted))
+        assert sum(isinstance(event, Finished) for event in events) == 1
+        assert flown.virtual.vehicle.camera.photos == 50, "each action once"
+        await assert_at_rest(flown)
+
+
+# -- the table of the manual ----------------------------------------------------------------------
+
+
+async def fly_on(flown: Rig, guards: Guards | None, **options: Any) -> list[object]:
+    """What the program is told, until it is told no more."""
+    events: list[object] = []
+    async with flown.aircraft.control(guards=guards) as control:
+        plan = long_way(flown.aircraft, **options)
+        async with control.waypoint_mission(plan, take_off=True) as mission:
+            async for event in mission:
+                events.append(event)
+    return events
+
+
+async def begun(
+    flown: Rig, guards: Guards | None = None, **options: Any
+) -> asyncio.Task[list[object]]:
+    task = asyncio.create_task(fly_on(flown, guards, **options))
+    await asyncio.sleep(30.0)
+    assert flown.virtual.vehicle.missions.running is not None
+    return task
+
+
+async def test_the_pilot_takes_it() -> None:
+    async with rig(firmware="3.1") as flown:
+        task = await begun(flown)
+        flown.virtual.leave_f()
+        with pytest.raises(AuthorityLost) as caught:
+            await task
+        assert caught.value.reason == "mode_switch"
+        await assert_at_rest(flown)
+        flown.virtual.return_to_f()
+        await assert_at_rest(flown)
+
+
+async def test_the_app_takes_it() -> None:
+    async with rig(firmware="3.1") as flown:
+        task = await begun(flown)
+        flown.virtual.app_takes_control()
+        with pytest.raises(AuthorityLost):
+            await task
+        await assert_at_rest(flown)
+
+
+async def test_a_program_that_is_gone_leaves_it_in_flight_and_the_next_one_finds_it() -> None:
+    async with rig(firmware="3.1") as flown:
+        task = await begun(flown)
+        flown.virtual.unplug()
+        with pytest.raises(LinkLost) as caught:
+            await task
+        assert "flies on by itself" in caught.value.remedy
+        flown.virtual.replug()
+        before = flown.virtual.position
+        async with flown.virtual.connect() as aircraft:
+            aircraft.use_key(flown.virtual.credentials)
+            await asyncio.sleep(3.0)
+            assert math.dist(before, flown.virtual.position) > 3.0
+            assert aircraft.mission.kind is MissionKind.WAYPOINT
+            assert aircraft.mission.is_running
+            async with aircraft.control() as control:
+                assert await control.stop_mission() is MissionKind.WAYPOINT
+                await asyncio.sleep(2.0)
+                control.send(NORTH.neutral())
+            await assert_at_rest(flown)
+
+
+async def test_the_program_stops_it() -> None:
+    async with rig(firmware="3.1") as flown:
+        async with flown.aircraft.control() as control:
+            plan = long_way(flown.aircraft)
+            async with control.waypoint_mission(plan, take_off=True) as mission:
+                await asyncio.sleep(20.0)
+                await mission.stop()
+                assert isinstance([event async for event in mission][-1], Stopped)
+            await assert_at_rest(flown)
+
+
+async def test_a_low_battery_meets_the_guard_first() -> None:
+    async with rig(firmware="3.1") as flown:
+        guards = Guards(battery_floor_percent=50)  # above the aircraft's own first warning
+        task = await begun(flown, guards)
+        flown.virtual.battery_percent = 49
+        with pytest.raises(GuardRefused):
+            await task
+        await assert_at_rest(flown)
+
+
+async def test_a_low_battery_without_the_guard_brings_it_home() -> None:
+    async with rig(firmware="3.1") as flown:
+        guards = Guards(battery_floor_percent=None)
+        last: object = None
+        with pytest.raises((MissionAborted, AuthorityLost)):
+            async with flown.aircraft.control(guards=guards) as control:
+                plan = long_way(flown.aircraft)
+                async with control.waypoint_mission(plan, take_off=True) as mission:
+                    async for event in mission:
+                        last = event
+                        if isinstance(event, Reached):
+                            flown.virtual.battery_percent = 9
+        assert last is not None
+        await asyncio.sleep(60.0)
+        await assert_at_rest(flown, is_on_ground=True)
+
+
+async def test_a_lost_rc_breaks_it_off_and_the_aircraft_returns() -> None:
+    async with rig(firmware="3.1") as flown:
+        task = await begun(flown)
+        flown.virtual.rc_lost()
+        with pytest.raises((MissionAborted, AuthorityLost)):
+            await task
+        await asyncio.sleep(120.0)
+        await assert_at_rest(flown, is_on_ground=True)
+
+
+async def test_a_lost_rc_may_be_flown_through_by_name() -> None:
+    async with rig(firmware="3.1") as flown:
+        task = await begun(flown, on_rc_loss=OnRCLoss.CONTINUE)
+        flown.virtual.rc_lost()
+        await asyncio.sleep(5.0)
+        assert flown.virtual.vehicle.missions.running is not None
+        with pytest.raises(AuthorityLost) as caught:
+            await task
+        assert "flies on by itself" in caught.value.remedy
+        await asyncio.sleep(180.0)
+        assert math.hypot(*flown.virtual.position) < 1.0, "at its last waypoint, which is home"
+        await assert_at_rest(flown, is_on_ground=True)
+
+
+async def test_telemetry_that_stops_ends_it() -> None:
+    async with rig(firmware="3.1") as flown:
+        task = await begun(flown)
+        flown.virtual.line.stall(to_host=True, to_aircraft=False)
+        with pytest.raises(Exception, match="no telemetry"):
+            await task
+        flown.virtual.line.stall(to_host=False, to_aircraft=False)
+        await assert_at_rest(flown)
+
+
+# -- the other kinds ------------------------------------------------------------------------------
+
+
+async def test_a_circle_keeps_its_radius_and_changes_it() -> None:
+    async with rig(firmware="3.1") as flown:
+        latitude, longitude = frame(flown.aircraft).to_geodetic(30.0, 0.0)
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+            async with control.hotpoint(
+                latitude_deg=latitude,
+                longitude_deg=longitude,
+                height=12.0,
+                radius=20.0,
+                rate_deg_s=10.0,
+                heading=CircleHeading.TO_CENTRE,
+            ) as circle:
+                await asyncio.sleep(25.0)
+                for _ in range(20):
+                    await asyncio.sleep(1.0)
+                    north, east = flown.virtual.position
+                    assert abs(math.hypot(north - 30.0, east) - 20.0) < 0.5
+                assert abs(flown.virtual.height - 12.0) < 0.3
+                await circle.set_radius(25.0)
+                await asyncio.sleep(10.0)
+                north, east = flown.virtual.position
+                assert abs(math.hypot(north - 30.0, east) - 25.0) < 0.5
+                await circle.set_rate(5.0, clockwise=False)
+            await assert_at_rest(flown)
+
+
+async def test_a_target_is_followed_at_its_distance() -> None:
+    async with rig(firmware="3.1") as flown:
+        here = frame(flown.aircraft)
+
+        async def walk() -> Any:
+            for second in range(30):
+                yield Target(*here.to_geodetic(15.0, float(second)))
+                await asyncio.sleep(1.0)
+
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+            await control.climb_to(8.0)
+            async with control.follow_target(walk()) as mission:
+                events = [event async for event in mission]
+            assert isinstance(events[-1], Stopped)
+            assert not [event for event in events if isinstance(event, Aborted)]
+            north, east = flown.virtual.position
+            assert abs(north) < 1.0
+            assert 25.0 < east < 31.0
+            await assert_at_rest(flown)
