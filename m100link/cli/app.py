@@ -73,6 +73,10 @@ VERBS = {
         "plan:app",
         "Look at plans of waypoints, check and convert them; no aircraft is needed.",
     ),
+    "mission": (
+        "mission:app",
+        "Let the aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
+    ),
     "decode": (
         "decode:decode",
         "Decode frames from hex: one stream per argument, or per line of standard input.",

@@ -64,6 +64,7 @@ def track_plot(
     columns: int = 44,
     rows: int = 16,
     names: Sequence[str] = (),
+    marks: Sequence[tuple[Point, str]] = (),
 ) -> list[str]:
     """A track seen from above, equal scales, north up.
 
@@ -72,19 +73,26 @@ def track_plot(
         columns: Width in characters.
         rows: Height in characters.
         names: Of the points, in their order; those for which there is no room are left out.
+        marks: Places beside the track, and the word that stands there; likewise.
     """
     canvas = _Canvas(columns, rows)
-    if not points:
+    everything = [*points, *(place for place, _ in marks)]
+    if not everything:
         return canvas.lines()
-    south, north = _span((p[0] for p in points), 1.0)
-    west, east = _span((p[1] for p in points), 1.0)
+    south, north = _span((p[0] for p in everything), 1.0)
+    west, east = _span((p[1] for p in everything), 1.0)
     scale = min((canvas.width - 3) / (east - west), (canvas.height - 3) / (north - south))
     left = (canvas.width - (east - west) * scale) / 2
     bottom = (canvas.height - (north - south) * scale) / 2
-    dots = [(left + (e - west) * scale, bottom + (n - south) * scale) for n, e in points]
+
+    def dot(place: Point) -> Point:
+        return left + (place[1] - west) * scale, bottom + (place[0] - south) * scale
+
+    dots = [dot(place) for place in points]
     for (x0, y0), (x1, y1) in pairwise(dots):
         canvas.line(x0, y0, x1, y1)
-    for (x, y), name in zip(dots, names, strict=False):
+    named = [*zip(dots, names, strict=False), *((dot(place), word) for place, word in marks)]
+    for (x, y), name in named:
         canvas.write(x, y, name)
     pictured = canvas.lines()
     pictured.append(

@@ -21,7 +21,7 @@ from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.tasks import TaskProgress, describe_situation
 from m100link.protocol.commands.activation import Credentials
 
-__all__ = ["activate_app", "fly", "home", "land", "release", "takeoff"]
+__all__ = ["activate_app", "confirm", "fly", "home", "land", "release", "takeoff"]
 
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
 
@@ -188,7 +188,7 @@ async def _fly(
     credentials = place.credentials()  # what is wrong with them is told before a port is opened
     async with connect(place.url, **place.arguments()) as aircraft:
         if not yes and not place.is_virtual:
-            await _confirm(aircraft, what)
+            await confirm(aircraft, what)
         await activate_app(aircraft, credentials)
         async with aircraft.control(guards=guards) as control:
             await flight(control)
@@ -206,7 +206,7 @@ async def activate_app(aircraft: Aircraft, credentials: Credentials) -> None:
     await aircraft.activate(credentials, progress=tell)
 
 
-async def _confirm(aircraft: Aircraft, what: str) -> None:
+async def confirm(aircraft: Aircraft, what: str) -> None:
     """Ask the person in front of the terminal.
 
     Raises:
