@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+from typing import TextIO
 
 from cyclopts import App, CycloptsError
 
@@ -133,9 +134,17 @@ def application(*, overview: bool = False) -> App:
 app = application()
 
 
+class _ToStandardError(logging.StreamHandler[TextIO]):
+    """To what standard error is now: a live display takes it over, and writes above itself."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.setStream(sys.stderr)
+        super().emit(record)
+
+
 def _show_warnings() -> None:
     """Warnings of the library go to standard error, like everything that is not data."""
-    handler = logging.StreamHandler()
+    handler = _ToStandardError()
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     logger = logging.getLogger("m100link")
     logger.addHandler(handler)

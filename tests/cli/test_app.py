@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import logging
+import sys
+
 import pytest
 
 import m100link
@@ -94,3 +98,14 @@ def test_an_option_is_known_by_its_former_name_and_told_by_todays(
     told = cli(today[0], "--help").out
     assert option in told
     assert former[-1 if "=" in former[-1] else -2].partition("=")[0] + " " not in told
+
+
+def test_a_warning_goes_to_what_standard_error_is_then(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A live display takes it over, and writes above itself."""
+    cli("decode", "aa")
+    shown = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", shown)
+    logging.getLogger("m100link.link").warning("noise on the line")
+    assert shown.getvalue() == "WARNING: noise on the line\n"
