@@ -20,7 +20,7 @@ CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 LINES_PER_FILE = 500
 LINES_PER_FUNCTION = 60  # its docstring not counted
-ROOMS, FLOORS, ARROWS = 21, 10, 91
+ROOMS, FLOORS, ARROWS = 21, 10, 92
 
 
 @cache

@@ -18,6 +18,7 @@ from m100link.agent.connection import Connect
 from m100link.agent.service import Service
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
@@ -88,11 +89,13 @@ class Running:
         return self.fronts.console_path()
 
 
-def _virtual(credentials: Credentials | None) -> VirtualAircraft:
+def _virtual(credentials: Credentials | None, firmware: str | None) -> VirtualAircraft:
     settings = AircraftSettings(noise=1.0)
+    firmware = firmware or FIRMWARE_1_0.name  # what forces a real one chooses this one
     if credentials is None:
-        return VirtualAircraft(settings=settings)
+        return VirtualAircraft(firmware=firmware, settings=settings)
     return VirtualAircraft(
+        firmware=firmware,
         app_id=credentials.app_id,
         key=credentials.key,
         level=credentials.level,
@@ -116,7 +119,7 @@ async def owning(
     credentials = settings.credentials()
     async with AsyncExitStack() as stack:
         if settings.sim:
-            virtual = virtual or _virtual(credentials)
+            virtual = virtual or _virtual(credentials, settings.firmware)
             credentials = virtual.credentials
             driver = Driver(virtual)
             driver.start()

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from m100link import Waypoint, WaypointPlan
 from tests.browser.conftest import (
     Console,
     console_in_browser,
@@ -396,3 +397,19 @@ async def test_a_token_stands_neither_in_the_address_nor_on_a_command_line(
         assert (await other.goto(url)).status == 403  # used already
         assert (await other.goto(f"{page.url}?token={token}")).ok
         assert other.url == page.url
+
+
+async def test_a_mission_from_a_file(browser: Any, tmp_path: Path) -> None:
+    path = tmp_path / "triangle.json"
+    places = [(22.54325, 113.9589), (22.54325, 113.95905), (22.5431, 113.95905)]
+    plan = WaypointPlan([Waypoint(*place, height=6) for place in places], speed=5)
+    plan.write(path)
+    async with console_in_browser(browser, "--firmware", "3.1") as console:
+        page = await airborne(console)
+        await page.set_input_files("#plan-file input", path)
+        await shows(page, "#plan", "3 waypoints")
+        await hold(page, "mission_start")
+        await shows(page, "#mission", "to waypoint 2 of 3")
+        await press(page, "mission_stop")
+        await shows(page, "#mission", "no mission")
+        await until(lambda: is_still(console))

@@ -17,6 +17,7 @@ from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude
 from m100link.station.console.fields import FIELDS, read
+from m100link.station.console.mission import MissionCard
 from m100link.station.console.orders import Orders
 from m100link.station.console.simpanel import sim_panel
 from m100link.station.console.tab import Tab
@@ -51,6 +52,7 @@ class Page:
         self._numbers: dict[str, Any] = {}
         self._buttons: dict[str, Any] = {}
         self._last_event = 0
+        self._mission = MissionCard(agent, tab)
 
     def build(self, key: str, *, has_tiles: bool) -> None:
         """Lay the page out and start its updates."""
@@ -74,6 +76,8 @@ class Page:
                     self._build_track()
                 with ui.column().classes("w-96 shrink-0 gap-2"):
                     self._build_channels()
+                    with _card("Mission"):
+                        self._mission.build(self._mission_button)
                     if self._orders is not None:
                         with _card("Virtual aircraft"):
                             sim_panel(self._orders)
@@ -195,6 +199,9 @@ class Page:
         button.on("held" if hold else "click", clicked)
         self._buttons[name] = button
 
+    def _mission_button(self, name: str, label: str, work: Callable[[], Awaitable[Any]]) -> None:
+        self._button(name, label, work, hold=name == "mission_start")
+
     async def _obtain(self) -> None:
         try:
             await self._tab.obtain()
@@ -235,6 +242,7 @@ class Page:
             note.set_text(reading.note)
             row.classes(add="stale") if reading.is_stale else row.classes(remove="stale")
         self._update_link()
+        self._mission.update()
         self._update_banner()
         self._update_events()
         attitude = telemetry.fresh(Attitude, within=1.0) if telemetry is not None else None
@@ -261,8 +269,11 @@ class Page:
         self._banner.set_text(text)
         self._banner.classes(replace=f"banner grow {kind}")
         is_pilot = tab.has_lease and agent.has_authority
-        for name in ("take_off", "land", "go_home", "simple_task"):
-            _enable(self._buttons[name], is_pilot and not state.task)
+        is_mission = state.mission not in ("", "no mission")
+        for name in ("take_off", "land", "go_home", "simple_task", "mission_start"):
+            _enable(self._buttons[name], is_pilot and not state.task and not is_mission)
+        for name in ("mission_pause", "mission_resume", "mission_stop"):
+            _enable(self._buttons[name], is_pilot and is_mission)
         _enable(self._buttons["release"], tab.has_lease)
         _enable(self._buttons["obtain"], not is_pilot and agent.is_connected)
         _enable(self._buttons["activate"], agent.is_connected)

@@ -19,9 +19,12 @@ from typing import Any
 
 from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, TakeOver
+from m100link.agent.messages import Action
 from m100link.agent.steering import setpoint_of
 from m100link.errors import GuardRefused, M100Error
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
+from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.station.way_time import MAX_LATE, MAX_ROUND_TRIP, MAX_UNHEARD, WayTime
 
 __all__ = ["BEAT_LIFETIME", "Tab"]
@@ -44,6 +47,7 @@ class Tab:
         name: As given; the operator may change it.
         lease: Its lease, in force or not.
         problem: What was refused last, for people.
+        plan: What was uploaded last, None before.
         beats: Beats that were sent on.
         refused: Messages that could not be used.
     """
@@ -53,6 +57,7 @@ class Tab:
         self.name = name
         self.lease: Lease | None = None
         self.problem = ""
+        self.plan: WaypointPlan | None = None
         self.beats = 0
         self.refused = 0
         self._last_number = -1
@@ -122,6 +127,25 @@ class Tab:
     async def simple_task(self, number: int) -> None:
         """Fly a simple task."""
         await self._agent.start_pattern(self.lease, number)
+
+    async def upload_plan(self, content: bytes) -> None:
+        """Give the agent a plan, JSON or QGroundControl's; the aircraft gets it with the start.
+
+        Raises:
+            BadPlan: It cannot be read, or the aircraft would refuse it.
+            LeaseRefused: This tab has no control.
+        """
+        plan = WaypointPlan.parse(content)
+        lease = self._agent.check(self.lease)
+        mission, points = plan.to_wire()
+        await self._agent.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
+        for point in points:
+            await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
+        self.plan = plan
+
+    async def order_mission(self, action: Action) -> None:
+        """Start, pause, resume or stop a mission."""
+        await self._agent.ask(action, self.lease)
 
     async def stop(self) -> None:
         """Stop. Any tab may."""
