@@ -351,6 +351,7 @@ class Changed(MetaPathFinder):
 def changed_bodies(change: Change) -> dict[FunctionType, CodeType] | None:
     """The functions of the module and their bodies with the change; None if that is not all."""
     path = str(ROOT / change.module)
+    gc.unfreeze()  # or those that were there when the tests had been collected are not named
     before = codes(compile(text_of(change.module), path, "exec"))
     after = codes(compile(change.text(), path, "exec"))
     if before is None or after is None or before.keys() != after.keys():
