@@ -101,6 +101,26 @@ def test_a_survey_with_photos(run: Run) -> None:
     assert re.match(r"down \d\.\d m from where it took off", last)
 
 
+def test_an_orbit_with_the_camera_on_its_centre(run: Run) -> None:
+    *lines, last = run("orbit_a_place").splitlines()
+    assert last == "landed"
+    seen = [tuple(map(float, re.findall(r"-?\d+(?:\.\d+)?", line))) for line in lines]
+    assert len(seen) > 20
+    settled = seen[5:]
+    assert [distance for distance, _ in settled] == pytest.approx([20.0] * len(settled), abs=1.0)
+    assert [pitch for _, pitch in settled] == pytest.approx([-37.0] * len(settled), abs=2.0)
+
+
+def test_following_somebody_who_walks(run: Run) -> None:
+    *lines, last = run("follow_a_target").splitlines()
+    distances = [float(line.split(": ")[1].split()[0]) for line in lines]
+    assert len(distances) > 40
+    assert all(7.0 < distance < 14.0 for distance in distances), "it keeps its distance"
+    north, east = map(float, re.findall(r"-?\d+", last))
+    assert abs(north) <= 3.0
+    assert east == pytest.approx(40.0, abs=3.0)
+
+
 def test_every_example_is_tested_here() -> None:
     source = Path(__file__).read_text(encoding="utf-8")
     assert [name for name in PROGRAMS if f'run("{name}"' not in source] == []
