@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator
 
 import m100link
 from tests.flight.foreign_aircraft import APP_ID, KEY
+from tests.flight.missions.foreign import plan
 from tests.rig import NORTH
 
 
@@ -90,7 +91,17 @@ async def in_blocks(aircraft: m100link.Aircraft) -> None:
     del flying
 
 
+async def on_a_mission(aircraft: m100link.Aircraft) -> None:
+    """The aircraft flies; this only looks."""
+    async with aircraft.control() as control:
+        async with control.waypoint_mission(plan(speed=1.0)) as mission:
+            async for _ in mission:
+                pass
+    print("went on behind the block", flush=True)  # noqa: T201 (it must not)
+
+
 PROGRAMS = {
+    "mission": on_a_mission,
     "loop": in_a_loop,
     "generator": in_a_generator,
     "task": in_a_task,
@@ -104,7 +115,7 @@ PROGRAMS = {
 async def fly(program: str, port: str) -> None:
     async with m100link.connect(port) as aircraft:
         await aircraft.activate(m100link.Credentials(app_id=APP_ID, key=KEY))
-        await aircraft.wait_for(lambda state: state.position is not None, timeout=5)
+        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=5)
         await PROGRAMS[program](aircraft)
 
 

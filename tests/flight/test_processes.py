@@ -286,3 +286,55 @@ def test_an_impossible_position_of_the_foreign_aircraft_leaves_no_authority_behi
         asyncio.run(enter(there.name))
         assert there.device == foreign.RC
         assert there.movements == []
+
+
+# -- on a mission, which flies by itself ----------------------------------------------------------
+
+
+@contextmanager
+def mission_flight() -> Iterator[tuple[ForeignAircraft, subprocess.Popen[bytes]]]:
+    """The foreign aircraft on a mission that a process watches."""
+    with foreign_flight("mission", "3.1") as (there, process):
+        deadline = time.monotonic() + PATIENCE
+        while not there.missions.flown_m > 0.5:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        yield there, process
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_the_mission_and_gives_the_foreign_aircraft_back(
+    number: signal.Signals,
+) -> None:
+    with mission_flight() as (there, process):
+        process.send_signal(number)
+        time.sleep(0.05)
+        process.send_signal(number)
+        assert process.wait(timeout=PATIENCE) in (130, -number)
+        last = there.missions.orders[-1]
+        assert (last.number, last.value, last.answer) == (0x12, b"\1", 0)
+        assert not there.missions.flying
+        assert there.device == foreign.RC
+        assert process.stdout is not None
+        assert b"went on" not in process.stdout.read()
+
+
+def test_after_sigkill_the_mission_flies_on_and_the_next_program_finds_and_stops_it() -> None:
+    async def look_and_stop(port: str) -> None:
+        async with m100link.connect(port) as aircraft:
+            aircraft.use_key(m100link.Credentials(app_id=foreign.APP_ID, key=foreign.KEY))
+            await aircraft.wait_for(lambda _: aircraft.mission.is_running, timeout=PATIENCE)
+            assert aircraft.mission.kind is m100link.MissionKind.WAYPOINT
+            async with aircraft.control() as control:
+                with pytest.raises(m100link.MissionRunning):
+                    control.send(NORTH)
+                await control.stop_mission()
+
+    with mission_flight() as (there, process):
+        process.kill()
+        process.wait(timeout=PATIENCE)
+        flown = there.missions.flown_m
+        time.sleep(1.0)
+        assert there.missions.flown_m > flown + 0.5, "nobody told it to stop"
+        asyncio.run(look_and_stop(there.name))
+        assert not there.missions.flying
