@@ -339,8 +339,8 @@ _ROOMS = (
     "missions.plan",  # last: who flies by setpoints needs no plan
 )
 
-# Not looked into: it has the same names again.
-_OTHER_ROOMS = ("sync",)
+# Rooms for users, not looked into for public names: those of the first are the same again.
+_OTHER_ROOMS = ("sync", "sim", "patterns")
 
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name

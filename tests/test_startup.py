@@ -145,6 +145,8 @@ def test_names_are_found_by_all_who_look_for_them() -> None:
 def test_rooms_are_attributes_without_an_import_of_their_own() -> None:
     program = "import m100link; m100link.geodesy.LocalFrame; m100link.protocol.Arm"
     assert "m100link.geodesy" in loaded_by(program)
+    aside = "import m100link; m100link.sim.loop_factory; m100link.patterns.survey"
+    assert {"m100link.sim", "m100link.patterns"} <= loaded_by(aside)
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error_with_its_name() -> None:
