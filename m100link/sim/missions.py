@@ -140,9 +140,7 @@ class MissionCommands:
 
     def _start_hotpoint(self, command: HotpointStart) -> HotpointStartAnswer:
         code = self._missions.start_hotpoint(command)
-        is_nowhere = code in (MissionCode.BAD_NUMBER, MissionCode.BAD_POSITION)
-        radius = 0.0 if is_nowhere else self._missions.largest_radius(command)
-        return HotpointStartAnswer(code, radius)
+        return HotpointStartAnswer(code, self._missions.largest_radius(command))
 
     @property
     def _hotpoint(self) -> HotpointFlight | None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from random import Random
 from typing import Any
 
 import pytest
 
-from m100link.protocol import Setpoint
+from m100link.protocol import RequestAuthority, Setpoint
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Address, Request
 from m100link.protocol.commands.follow import FollowStart, FollowTarget
@@ -345,3 +346,71 @@ def test_whatever_comes_the_first_byte_is_not_success(data: bytes) -> None:
     payload = refusal(data)
     assert payload is not None
     assert payload[0] == 0xC8
+
+
+# --- anything -------------------------------------------------------------------------------
+
+ODD = (math.nan, math.inf, -1.0, 0.0, 300.0, 1e30)
+
+
+def _random_fields(kind: Any, random: Random) -> dict[str, Any]:
+    """Mostly what flies, sometimes what nobody should send."""
+    fields: dict[str, Any] = kind.from_wire(bytes(kind.LAYOUT.size)).raw()
+    latitude, longitude = map(math.radians, (22.5431, 113.9589))
+    index = random.randrange(3)
+    offset = 3e-6 * index
+    usual: dict[str, Any] = {
+        **{"latitude": latitude + offset, "longitude": longitude - offset, "count": 3},
+        **{"index": index, "altitude": random.choice((0, 8, 20)), "repeat": 1},
+        **{"max_speed": 10.0, "idle_speed": random.choice((5.0, 0.0, -3.0)), "damping": 2.0},
+        **{"radius": 10.0, "angular_rate": 15.0, "action_time_limit": 20},
+    }
+    for name, value in fields.items():
+        if isinstance(value, list):
+            fields[name] = tuple(random.randrange(6) for _ in value)
+        elif name.endswith(("_mode", "_action")) or name in ("clockwise", "stop", "start_point"):
+            fields[name] = random.choice((0, 0, 0, 1, 1, 9))
+        elif name in usual and random.random() < 0.97:
+            fields[name] = usual[name] if isinstance(value, float) else int(usual[name])
+        elif isinstance(value, float):
+            fields[name] = random.choice(ODD)
+        else:
+            fields[name] = random.choice((0, 0, 1, 1, 2, 3, 9))
+    return fields
+
+
+def _disturbed(seed: int) -> set[str]:
+    """Send anything while anything happens; the kinds of missions that were flown."""
+    random = Random(seed)
+    program = host(leaving_f_pauses=seed % 2 == 0, hotpoint_acks=seed % 3 == 0)
+    kinds: list[Any] = [kind for kind in COMMANDS.values() if kind.ADDRESS.command_set == 0x03]
+    often = {"waypoint_point": 20, "waypoint_start_stop": 4}
+    weights = [often.get(kind.NAME, 1) for kind in kinds]
+    pilot = program.aircraft
+    if seed % 2:
+        program.take_off()
+        program.motion.place(0.0, 0.0, 12.0)
+    seen = set()
+    for _ in range(250):
+        (kind,) = random.choices(kinds, weights)
+        value = kind.LAYOUT.write(kind(**_random_fields(kind, random)))
+        if random.random() < 0.05:
+            value = random.randbytes(random.randrange(100))
+        program.send(bytes(kind.ADDRESS) + value, session=random.choice((0, 2)))
+        if random.random() < 0.3:
+            program.wait(random.choice((0.05, 1.0, 4.0)), 0.05)
+        if random.random() < 0.02:
+            random.choice((pilot.leave_f, pilot.rc_lost, pilot.pilot_lands))()
+            program.wait(random.choice((0.05, 4.0)), 0.05)
+        elif random.random() < 0.1:
+            pilot.return_to_f()
+            pilot.rc_back()
+            program.ask(RequestAuthority(True))
+        assert all(map(math.isfinite, where(program)))
+        seen.add(program.vehicle.missions.name)
+    return seen
+
+
+def test_whatever_is_sent_and_whatever_happens_nothing_raises() -> None:
+    seen = set().union(*map(_disturbed, range(8)))
+    assert seen == {"no", "waypoint", "hotpoint", "follow"}

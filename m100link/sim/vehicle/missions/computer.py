@@ -37,7 +37,7 @@ from m100link.sim.vehicle.missions.hotpoint import (
 )
 from m100link.sim.vehicle.missions.plan import FinishAction
 from m100link.sim.vehicle.missions.route import Place, distance
-from m100link.sim.vehicle.missions.site import Site
+from m100link.sim.vehicle.missions.site import Site, is_on_earth
 from m100link.sim.vehicle.missions.stages import (
     CIRCLE_REFUSALS,
     WAYPOINT_REFUSALS,
@@ -194,7 +194,9 @@ class MissionComputer:
         return self._begin(HotpointFlight(command, centre, motion, airframe, self._missions))
 
     def largest_radius(self, command: HotpointStart) -> float:
-        """How large a circle around that point may be."""
+        """How large a circle around that point may be; 0 around none."""
+        if not is_on_earth(command.latitude, command.longitude):
+            return 0.0
         home = self._conditions.home
         centre = self._site.place(command.latitude, command.longitude, 0.0)
         left = self._site.radius_limit - distance(home, centre)
@@ -293,8 +295,9 @@ class MissionComputer:
 
     @property
     def flies_without_rc(self) -> bool:
-        """Whether a mission runs that goes on when the remote control is lost."""
-        return self.running is not None and self.running.flies_without_rc
+        """Whether a mission flies that goes on when the remote control is lost."""
+        running = None if self._is_suspended else self.running
+        return running is not None and running.flies_without_rc
 
     def _begin(self, flight: Flown) -> MissionCode:
         self.running = flight

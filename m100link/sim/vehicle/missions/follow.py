@@ -9,6 +9,7 @@ from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.missions import FollowStatus, WaypointEvent
 from m100link.sim.vehicle.dynamics import STEP_S, Guidance, ModelHorizontal, ModelVertical, ModelYaw
 from m100link.sim.vehicle.missions.plan import FinishAction
+from m100link.sim.vehicle.missions.site import Site, is_on_earth
 
 if TYPE_CHECKING:
     from m100link.protocol.commands.follow import FollowStart, FollowTarget
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.dynamics import Dynamics
     from m100link.sim.vehicle.missions.route import Place
     from m100link.sim.vehicle.missions.settings import MissionSettings
-    from m100link.sim.vehicle.missions.site import Site
     from m100link.sim.vehicle.remote import Sticks
 
 __all__ = ["FollowFlight", "follow_code"]
@@ -29,7 +29,7 @@ _MOVING_S = 1.5  # how long the speed between two targets is believed
 
 def follow_code(command: FollowStart, site: Site, here: Place, home: Place) -> MissionCode:
     """What is wrong with 0x03/0x30 by itself and where the aircraft is."""
-    if not _is_on_earth(command):
+    if not is_on_earth(command.latitude, command.longitude):
         return MissionCode.BAD_PARAMETERS
     target = site.place(command.latitude, command.longitude, 0.0)
     checks = (
@@ -45,10 +45,6 @@ def follow_code(command: FollowStart, site: Site, here: Place, home: Place) -> M
         (here.up < _LOWEST, MissionCode.TOO_LOW),
     )
     return next((code for is_wrong, code in checks if is_wrong), MissionCode.SUCCESS)
-
-
-def _is_on_earth(command: FollowStart | FollowTarget) -> bool:
-    return abs(command.latitude) <= math.pi / 2.0 and abs(command.longitude) <= math.pi
 
 
 class FollowFlight:
@@ -116,7 +112,7 @@ class FollowFlight:
 
     def update(self, command: FollowTarget) -> None:
         """The target is there now; what cannot be is ignored."""
-        if not _is_on_earth(command):
+        if not is_on_earth(command.latitude, command.longitude):
             return
         target = self._site.place(command.latitude, command.longitude, 0.0)
         moved = target.north - self._target.north, target.east - self._target.east

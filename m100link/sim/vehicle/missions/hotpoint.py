@@ -11,6 +11,7 @@ from m100link.protocol.commands.missions import HotpointStatus, WaypointEvent
 from m100link.sim.vehicle.dynamics import STEP_S, Guidance, ModelHorizontal, ModelVertical, ModelYaw
 from m100link.sim.vehicle.missions.plan import FinishAction
 from m100link.sim.vehicle.missions.route import Leg, Place
+from m100link.sim.vehicle.missions.site import Site, is_on_earth
 from m100link.sim.vehicle.missions.steering import Nose, Steering, slowed
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.airframe import Airframe
     from m100link.sim.vehicle.dynamics import Dynamics
     from m100link.sim.vehicle.missions.settings import MissionSettings
-    from m100link.sim.vehicle.missions.site import Site
     from m100link.sim.vehicle.remote import Sticks
 
 __all__ = [
@@ -59,7 +59,7 @@ def hotpoint_code(command: HotpointStart, site: Site, here: Place, home: Place) 
     if not all(map(math.isfinite, (*numbers, command.angular_rate))):
         return MissionCode.BAD_NUMBER
     is_null = command.latitude == 0.0 and command.longitude == 0.0
-    if is_null or abs(command.latitude) > math.pi / 2.0 or abs(command.longitude) > math.pi:
+    if is_null or not is_on_earth(command.latitude, command.longitude):
         return MissionCode.BAD_POSITION
     centre = site.place(command.latitude, command.longitude, command.altitude)
     reach = math.hypot(centre.north - home.north, centre.east - home.east) + command.radius

@@ -6,7 +6,6 @@ point arrives (facts W2 to W6): its ack carries the code.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -14,10 +13,10 @@ from typing import TYPE_CHECKING
 from m100link.protocol.codes import MissionCode
 from m100link.sim.vehicle.missions.route import Leg, Place, distance, legs_between
 from m100link.sim.vehicle.missions.settings import MissionSettings
+from m100link.sim.vehicle.missions.site import Site, is_on_earth
 
 if TYPE_CHECKING:
     from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
-    from m100link.sim.vehicle.missions.site import Site
 
 __all__ = [
     "STOP_S",
@@ -77,8 +76,7 @@ def mission_code(mission: WaypointMission) -> MissionCode:
 def point_code(point: WaypointPoint) -> MissionCode:
     """What is wrong with 0x03/0x11 by itself; the index is judged elsewhere."""
     is_legal = (
-        abs(point.latitude) <= math.pi / 2.0
-        and abs(point.longitude) <= math.pi
+        is_on_earth(point.latitude, point.longitude)
         and -200.0 <= point.altitude <= 500.0
         and (point.damping == 0.0 or 0.2 - 1e-6 <= point.damping <= 1000.0)
         and -180 <= point.yaw <= 180

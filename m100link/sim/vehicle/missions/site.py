@@ -8,9 +8,14 @@ from m100link.geodesy import LocalFrame
 from m100link.sim.vehicle.missions.route import Place
 from m100link.sim.vehicle.missions.settings import MissionSettings
 
-__all__ = ["Site"]
+__all__ = ["Site", "is_on_earth"]
 
 _UNKNOWN_APP_HEIGHT, _UNKNOWN_APP_RADIUS = 30.0, 50.0
+
+
+def is_on_earth(latitude: float, longitude: float) -> bool:
+    """Whether there is such a place, in radians; nothing is where a number is not finite."""
+    return abs(latitude) <= math.pi / 2.0 and abs(longitude) <= math.pi
 
 
 class Site:
@@ -47,7 +52,7 @@ class Site:
         self.radius_limit = min(radius, _UNKNOWN_APP_RADIUS) if limited else radius
 
     def place(self, latitude: float, longitude: float, height: float) -> Place:
-        """A place given in radians, as on the wire."""
+        """A place given in radians, as on the wire; one that :func:`is_on_earth`."""
         north, east = self._frame.to_local(math.degrees(latitude), math.degrees(longitude))
         return Place(north, east, height)
 

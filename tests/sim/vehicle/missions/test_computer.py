@@ -238,7 +238,7 @@ def test_the_mode_switch_may_pause_instead() -> None:
     ids=["landing", "RC lost", "stop"],
 )
 def test_a_mission_that_waits_for_the_pilot_may_end(act: Callable[[Host], Any]) -> None:
-    program = on_the_way(host(leaving_f_pauses=True))
+    program = on_the_way(host(leaving_f_pauses=True), rc_lost_action=1)
     program.aircraft.leave_f()
     program.wait(0.5)
     act(program)
