@@ -118,6 +118,7 @@ if TYPE_CHECKING:
         Trace,
         TurnTo,
         Waypoint,
+        WaypointAction,
         WaypointPlan,
     )
     from m100link.protocol import (
@@ -298,6 +299,7 @@ __all__ = [
     "Velocity",
     "Version",
     "Waypoint",
+    "WaypointAction",
     "WaypointFlight",
     "WaypointPlan",
     "__version__",

@@ -19,7 +19,7 @@ from m100link.missions import files
 from m100link.missions.checks import leg_lengths
 from m100link.missions.estimate import HOVER_MINUTES, PlanEstimate
 from m100link.missions.plan import WaypointPlan
-from m100link.missions.waypoint import Action, GimbalPitch, Heading, Stay, TurnTo, Waypoint
+from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
 
 __all__ = ["FileOptions", "app", "read_plan"]
 
@@ -245,7 +245,7 @@ def _there(point: Waypoint) -> str:
     return words
 
 
-def _word(action: Action) -> str:
+def _word(action: WaypointAction) -> str:
     match action:
         case Stay(seconds):
             return f"stay {seconds:g} s"

@@ -14,7 +14,6 @@ from typing import Any
 
 from m100link.errors import BadPlan
 from m100link.missions.waypoint import (
-    Action,
     AtEnd,
     GimbalPitch,
     Heading,
@@ -27,6 +26,7 @@ from m100link.missions.waypoint import (
     Trace,
     TurnTo,
     Waypoint,
+    WaypointAction,
 )
 
 __all__ = ["FORMAT", "VERSION", "from_json", "load_object", "to_json", "values_of"]
@@ -45,12 +45,12 @@ _POINT_FIELDS = tuple(field.name for field in fields(Waypoint) if field.name != 
 _NEEDED = ("latitude_deg", "longitude_deg", "height")
 
 # Actions that are a word, and actions that are an object with one number.
-_WORDS: dict[str, Callable[[], Action]] = {
+_WORDS: dict[str, Callable[[], WaypointAction]] = {
     "take_photo": TakePhoto,
     "start_video": StartVideo,
     "stop_video": StopVideo,
 }
-_NUMBERED: dict[str, Callable[[Any], Action]] = {
+_NUMBERED: dict[str, Callable[[Any], WaypointAction]] = {
     "stay": Stay,
     "turn_to": TurnTo,
     "gimbal_pitch": GimbalPitch,
@@ -91,7 +91,7 @@ def _point_values(point: Waypoint) -> dict[str, Any]:
     }
 
 
-def _action_value(action: Action) -> Any:
+def _action_value(action: WaypointAction) -> Any:
     match action:
         case Stay(number) | TurnTo(number) | GimbalPitch(number):
             name = next(name for name, kind in _NUMBERED.items() if kind is type(action))
@@ -257,7 +257,7 @@ def _waypoint(index: int, found: object) -> Waypoint:
     return Waypoint(**values)
 
 
-def _action(index: int, field: str, value: object) -> Action:
+def _action(index: int, field: str, value: object) -> WaypointAction:
     if isinstance(value, str) and value in _WORDS:
         return _WORDS[value]()
     if isinstance(value, dict) and len(value) == 1:

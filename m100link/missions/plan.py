@@ -23,6 +23,7 @@ from m100link.missions.waypoint import (
     Trace,
     TurnTo,
     Waypoint,
+    WaypointAction,
     as_single,
     as_whole,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "Trace",
     "TurnTo",
     "Waypoint",
+    "WaypointAction",
     "WaypointPlan",
 ]
 

@@ -29,7 +29,6 @@ from m100link.geodesy import distance_m, normalize_degrees
 from m100link.missions.checks import MOST_POINTS, NEAREST_M
 from m100link.missions.qgroundcontrol_items import Item, bad, items_of
 from m100link.missions.waypoint import (
-    Action,
     AtEnd,
     GimbalPitch,
     Heading,
@@ -39,6 +38,7 @@ from m100link.missions.waypoint import (
     TakePhoto,
     TurnTo,
     Waypoint,
+    WaypointAction,
     number,
 )
 
@@ -95,7 +95,7 @@ class _Builder:
     home_altitude: float | None
     points: list[Waypoint] = field(default_factory=list)
     yaws: list[float | None] = field(default_factory=list)
-    waiting: list[Action] = field(default_factory=list)
+    waiting: list[WaypointAction] = field(default_factory=list)
     speed: float | None = None
     at_end: AtEnd | None = None
     begins_with_take_off: bool = False
@@ -200,7 +200,7 @@ class _Builder:
         self.since_photo = length - (begin + (count - 1) * self.spacing)
         return there
 
-    def do(self, action: Action) -> None:
+    def do(self, action: WaypointAction) -> None:
         """An action at the newest waypoint, or at the first one when it comes."""
         if self.points:
             last = self.points[-1]

@@ -15,7 +15,6 @@ from typing import Any
 from m100link.missions.document import FORMAT, VERSION, from_json, values_of
 from m100link.missions.qgroundcontrol_items import FILE_TYPE
 from m100link.missions.waypoint import (
-    Action,
     AtEnd,
     GimbalPitch,
     Heading,
@@ -26,6 +25,7 @@ from m100link.missions.waypoint import (
     TakePhoto,
     TurnTo,
     Waypoint,
+    WaypointAction,
 )
 
 __all__ = ["EXTRA", "document_of", "extra_of", "to_text"]
@@ -105,7 +105,7 @@ def _placed(command: int, point: Waypoint, yaw: float | None, height: float) -> 
     return _item(command, 0, 0, 0, yaw, *place, frame=_RELATIVE) | heights
 
 
-def _action(action: Action, point: Waypoint) -> dict[str, Any]:
+def _action(action: WaypointAction, point: Waypoint) -> dict[str, Any]:
     match action:
         case Stay(seconds):
             return _item(93, seconds, -1, -1, -1)
@@ -119,3 +119,4 @@ def _action(action: Action, point: Waypoint) -> dict[str, Any]:
             return _item(115, heading % 360, 0, 1 if point.turn_clockwise else -1)
         case GimbalPitch(pitch):
             return _item(205, pitch, 0, 0, 0, 0, 0, 2)
+    raise TypeError(f"{action!r} is not an action")

@@ -19,7 +19,6 @@ from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 
 __all__ = [
-    "Action",
     "AtEnd",
     "GimbalPitch",
     "Heading",
@@ -32,6 +31,7 @@ __all__ = [
     "Trace",
     "TurnTo",
     "Waypoint",
+    "WaypointAction",
     "number",
     "single",
 ]
@@ -137,8 +137,14 @@ def as_whole(value: Any) -> Any:
     return int(found) if found is not None and found.is_integer() else value
 
 
+class WaypointAction:
+    """What can be done at a waypoint: the base of six classes, and so the type of their lists."""
+
+    __slots__ = ()
+
+
 @dataclass(frozen=True, slots=True)
-class Stay:
+class Stay(WaypointAction):
     """Hover at the waypoint.
 
     Attributes:
@@ -152,22 +158,22 @@ class Stay:
 
 
 @dataclass(frozen=True, slots=True)
-class TakePhoto:
+class TakePhoto(WaypointAction):
     """Take one photograph."""
 
 
 @dataclass(frozen=True, slots=True)
-class StartVideo:
+class StartVideo(WaypointAction):
     """Start recording video."""
 
 
 @dataclass(frozen=True, slots=True)
-class StopVideo:
+class StopVideo(WaypointAction):
     """Stop recording video."""
 
 
 @dataclass(frozen=True, slots=True)
-class TurnTo:
+class TurnTo(WaypointAction):
     """Turn the nose, in the direction that the waypoint names.
 
     Attributes:
@@ -181,7 +187,7 @@ class TurnTo:
 
 
 @dataclass(frozen=True, slots=True)
-class GimbalPitch:
+class GimbalPitch(WaypointAction):
     """Turn the camera up or down.
 
     Attributes:
@@ -192,10 +198,6 @@ class GimbalPitch:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pitch_deg", as_rounded(self.pitch_deg))
-
-
-Action = Stay | TakePhoto | StartVideo | StopVideo | TurnTo | GimbalPitch
-"""What can be done at a waypoint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +230,7 @@ class Waypoint:
     damping: float = 0.0
     gimbal_pitch_deg: float = 0
     turn_clockwise: bool = True
-    actions: Sequence[Action] = ()
+    actions: Sequence[WaypointAction] = ()
     action_repeat: int = 1
     action_time_limit: float | None = 999
 
@@ -255,7 +257,7 @@ class Waypoint:
         *,
         frame: LocalFrame,
         every: float | None = None,
-        actions: Sequence[Action] = (),
+        actions: Sequence[WaypointAction] = (),
         damping: float = 0.0,
     ) -> list[Self]:
         """Waypoints along a track such as :func:`m100link.patterns.survey` makes.
@@ -310,35 +312,44 @@ class PlanValues(Protocol):
     @property
     def waypoints(self) -> Sequence[Waypoint]:
         """The points, in their order."""
+        ...
 
     @property
     def speed(self) -> float:
         """Along the way, m/s."""
+        ...
 
     @property
     def max_speed(self) -> float:
         """With the pilot's stick, m/s."""
+        ...
 
     @property
     def heading(self) -> Heading:
         """Where the nose points."""
+        ...
 
     @property
     def trace(self) -> Trace:
         """How points are passed."""
+        ...
 
     @property
     def at_end(self) -> AtEnd:
         """What happens after the last."""
+        ...
 
     @property
     def on_rc_loss(self) -> OnRCLoss:
         """What happens without the RC."""
+        ...
 
     @property
     def gimbal_by_waypoint(self) -> bool:
         """Whether the points turn the camera."""
+        ...
 
     @property
     def repeat(self) -> int:
         """How many times it is flown."""
+        ...

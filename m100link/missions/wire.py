@@ -7,12 +7,11 @@ commands of a plan equal those of its download.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 from m100link.errors import BadPlan
 from m100link.missions.waypoint import (
-    Action,
     AtEnd,
     GimbalPitch,
     Heading,
@@ -25,6 +24,7 @@ from m100link.missions.waypoint import (
     Trace,
     TurnTo,
     Waypoint,
+    WaypointAction,
     single,
 )
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
@@ -38,31 +38,36 @@ _NO_TIME_LIMIT = 0xFFFF
 _ROS_DEMO_YAW_MODE = 4
 """DJI's ROS demo sends it; taken as 0."""
 
-# Number of the action on the wire → how it is read; its place is the number.
-_ACTIONS: tuple[Callable[[int], Action], ...] = (
-    lambda milliseconds: Stay(milliseconds / 1000),
-    lambda _: TakePhoto(),
-    lambda _: StartVideo(),
-    lambda _: StopVideo(),
+_ACTIONS: tuple[type[WaypointAction], ...] = (
+    Stay,
+    TakePhoto,
+    StartVideo,
+    StopVideo,
     TurnTo,
     GimbalPitch,
 )
+"""By their numbers on the wire."""
 
 
-def _action_to_wire(action: Action) -> tuple[int, int]:
+def _action_to_wire(action: WaypointAction) -> tuple[int, int]:
+    number = _ACTIONS.index(type(action))
     match action:
         case Stay(seconds):
-            return 0, round(seconds * 1000)
-        case TakePhoto():
-            return 1, 0
-        case StartVideo():
-            return 2, 0
-        case StopVideo():
-            return 3, 0
-        case TurnTo(heading):
-            return 4, int(heading)
-        case GimbalPitch(pitch):
-            return 5, int(pitch)
+            return number, round(seconds * 1000)
+        case TurnTo(degrees) | GimbalPitch(degrees):
+            return number, int(degrees)
+        case _:
+            return number, 0
+
+
+def _action_from_wire(number: int, parameter: int) -> Any:
+    """What is no action is left for the plan to name."""
+    if number >= len(_ACTIONS):
+        return f"action {number}"
+    kind = _ACTIONS[number]
+    if kind is Stay:
+        return Stay(parameter / 1000)
+    return kind(parameter) if kind in (TurnTo, GimbalPitch) else kind()
 
 
 def to_wire(plan: PlanValues) -> tuple[WaypointMission, tuple[WaypointPoint, ...]]:
@@ -154,11 +159,7 @@ def _waypoint(point: WaypointPoint) -> Waypoint:
     coded = zip(point.actions[:count], point.parameters[:count], strict=True)
     limit = point.action_time_limit
     direction = _flag(point.turn_mode)
-    # What is no action is left for the plan to name.
-    actions: list[Any] = [
-        _ACTIONS[code](parameter) if code < len(_ACTIONS) else f"action {code}"
-        for code, parameter in coded
-    ]
+    actions = [_action_from_wire(number, parameter) for number, parameter in coded]
     return Waypoint(
         math.degrees(point.latitude),
         math.degrees(point.longitude),

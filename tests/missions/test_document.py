@@ -22,10 +22,10 @@ from m100link import (
     Waypoint,
     WaypointPlan,
 )
-from m100link.missions.waypoint import Action
+from m100link.missions.waypoint import WaypointAction
 from tests.missions.plans import plans
 
-ACTIONS: list[Action] = [
+ACTIONS: list[WaypointAction] = [
     Stay(2.5),
     TakePhoto(),
     StartVideo(),

@@ -21,7 +21,7 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.geodesy import destination
-from m100link.missions.waypoint import Action
+from m100link.missions.waypoint import WaypointAction
 
 HOME = 52.1, 4.31
 
@@ -39,7 +39,7 @@ def seconds(**values: Any) -> float:
     return replace(PLAN, **values).estimate().duration_s
 
 
-def with_actions(*actions: Action, **values: Any) -> float:
+def with_actions(*actions: WaypointAction, **values: Any) -> float:
     return seconds(waypoints=[at(0), at(100, actions=actions, **values), at(200)]) - SECONDS
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 
 from m100link import AtEnd, BadPlan, Heading, Trace, TurnTo, Waypoint, WaypointPlan
-from m100link.missions.waypoint import Action
+from m100link.missions.waypoint import WaypointAction
 from tests.missions.plans import plans
 
 
@@ -18,7 +18,7 @@ def test_what_was_written_is_read(plan: WaypointPlan) -> None:
     assert WaypointPlan.from_qgroundcontrol(plan.to_qgroundcontrol()) == plan
 
 
-def same_way(action: Action) -> Action:
+def same_way(action: WaypointAction) -> WaypointAction:
     """To the south is 180 and -180."""
     return TurnTo(180) if action == TurnTo(-180) else action
 

@@ -30,7 +30,7 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.geodesy import LocalFrame
-from m100link.missions.waypoint import Action
+from m100link.missions.waypoint import WaypointAction
 from m100link.sim import LineFaults
 from tests.rig import NORTH, Rig, rig
 
@@ -74,7 +74,7 @@ async def test_fifty_waypoints_with_actions_on_a_line_that_loses_a_tenth() -> No
         for index in range(50):
             row, place = divmod(index, 10)
             column = place if row % 2 == 0 else 9 - place
-            actions: list[Action] = (
+            actions: list[WaypointAction] = (
                 [TakePhoto()] if index % 2 else [Stay(0.5), TakePhoto(), Stay(1.5)]
             )
             where = here.to_geodetic(row * 6.0, column * 6.0)
