@@ -100,7 +100,12 @@ class Place:
             err.print("[yellow]warning:[/] --key shows the key to everybody who lists processes")
         credentials = app.credentials()
         if credentials is None:
-            raise UsageError("no app id was given", remedy="give --app-id, or set M100LINK_APP_ID")
+            raise UsageError(
+                "no app id was given",
+                remedy="give --app-id and --key-file, or set M100LINK_APP_ID and "
+                "M100LINK_KEY_FILE, or write both into the file that `m100link config` names; "
+                "those of `m100link sim`: m100link docs simulator",
+            )
         return credentials
 
 
@@ -142,7 +147,8 @@ class LinkOptions:
         if settings.url is None:
             raise UsageError(
                 "no URL says where the aircraft is",
-                remedy="give it as first argument or with --url, or set M100LINK_URL",
+                remedy="give it as first argument or with --url, set M100LINK_URL, or name an "
+                "aircraft in the file that `m100link config` names",
             )
         return Place(settings.url, settings)
 

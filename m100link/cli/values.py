@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 from enum import Enum
 from typing import Any
 
@@ -33,8 +34,11 @@ def items_named(names: Iterable[str]) -> list[type[Any]]:
     found = []
     for name in names:
         if name.lower() not in ITEM_NAMES:
+            near = get_close_matches(name.lower(), ITEM_NAMES, n=2)
+            meant = f"did you mean {' or '.join(near)}? " if near else ""
             raise UsageError(
-                f"no telemetry item is called {name!r}", remedy=f"items: {', '.join(BY_NAME)}"
+                f"no telemetry item is called {name!r}",
+                remedy=f"{meant}items: {', '.join(BY_NAME)}",
             )
         found.append(ITEM_NAMES[name.lower()].record)
     return found or [item.record for item in ITEMS]

@@ -41,6 +41,9 @@ def test_a_name_that_is_not_an_item_lists_those_that_are() -> None:
     with pytest.raises(UsageError, match="altitude") as caught:
         items_named(["battery", "altitude"])
     assert all(name in caught.value.remedy for name in BY_NAME)
+    with pytest.raises(UsageError) as caught:
+        items_named(["Positon"])
+    assert caught.value.remedy.startswith("did you mean position")
 
 
 def test_items_are_found_by_the_names_of_the_state_and_of_the_document() -> None:
