@@ -18,6 +18,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PLACE = "m100link/manual"
 FOLDERS = ("tutorial", "howto", "reference", "explanation")
+PROGRAM = "examples/first_flight.py"  # which a page shows
 
 
 class Manual(BuildHookInterface[Any]):
@@ -29,6 +30,7 @@ class Manual(BuildHookInterface[Any]):
             return
         source = Path(self.root) / "docs"
         suffix = ".md"
+        build_data["force_include"][str(Path(self.root) / PROGRAM)] = f"{PLACE}/{PROGRAM}"
         if importlib.util.find_spec("sphinx") and importlib.util.find_spec("myst_parser"):
             made = tempfile.mkdtemp()
             command = ("-m", "sphinx", "-q", "-b", "text", "-d", f"{made}/.doctrees")

@@ -68,7 +68,7 @@ class _Page:
         console = Console(
             file=io.StringIO(), width=width, force_terminal=in_colour, no_color=not in_colour
         )
-        console.print(Markdown(_plain(self.text), hyperlinks=False))
+        console.print(Markdown(_plain(self.text, self.path.parents[1]), hyperlinks=False))
         assert isinstance(console.file, io.StringIO)
         return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()) + "\n"
 
@@ -188,9 +188,16 @@ _TALK = ("warning", "caution", "note")
 _SILENT = ("testsetup", "toctree")
 
 
-def _plain(text: str) -> str:
-    """MyST as plain Markdown."""
-    return _LINK.sub(_named, _ROLE.sub(r"`\1`", _FENCE.sub(_unfenced, text)))
+def _plain(text: str, root: Path) -> str:
+    """MyST as plain Markdown.
+
+    Args:
+        text: A page.
+        root: The folder of the manual; the examples are in it, or beside it.
+    """
+    return _LINK.sub(
+        _named, _ROLE.sub(r"`\1`", _FENCE.sub(lambda found: _unfenced(found, root), text))
+    )
 
 
 def _named(found: re.Match[str]) -> str:
@@ -199,8 +206,12 @@ def _named(found: re.Match[str]) -> str:
     return text if topic in ("index", text.lower()) else f"{text} (→ {topic})"
 
 
-def _unfenced(found: re.Match[str]) -> str:
+def _unfenced(found: re.Match[str], root: Path) -> str:
     name, argument, body = found.groups()
+    if name == "literalinclude":
+        programs = (one / "examples" / Path(argument).name for one in (root, root.parent))
+        program = next((one for one in programs if one.exists()), None)
+        return f"`{argument}`" if program is None else f"```python\n{program.read_text()}```"
     if name in _SILENT:
         return ""
     if name in _CODE:

@@ -13,6 +13,8 @@ from m100link.cli.manual import _Page, _pages, _plain
 from m100link.cli.outcome import ExitCode
 from tests.cli.conftest import ROOT, CommandLine
 
+NOWHERE = Path("no such folder")
+
 
 def test_every_page_has_a_topic_of_its_own(cli: CommandLine) -> None:
     rows = [line.split("\t") for line in cli("docs").out.splitlines()]
@@ -40,20 +42,29 @@ def test_nothing_is_left_of_what_only_the_builder_understands() -> None:
     for page in pages:
         if page.folder == "project" or page.topic == "index":
             continue
-        text = _plain(page.text)
+        text = _plain(page.text, page.path.parents[1])
         assert not re.search(r"^```\{|\{[\w:]+\}`|^\.\. |\]\([\w./-]*\.md", text, re.MULTILINE), (
             page
         )
 
 
 def test_names_of_the_reference_come_with_what_they_are() -> None:
-    text = _plain("```{eval-rst}\n.. autofunction:: m100link.connect\n   :members:\n```\n")
+    text = _plain("```{eval-rst}\n.. autofunction:: m100link.connect\n   :members:\n```\n", NOWHERE)
     assert "- `m100link.connect`: Connect to an aircraft" in text
-    assert _plain("see {py:exc}`m100link.errors.BadURL`") == "see `errors.BadURL`"
-    assert _plain("[Safety](../explanation/safety.md#x), [why](safety.md)") == (
+    assert _plain("see {py:exc}`m100link.errors.BadURL`", NOWHERE) == "see `errors.BadURL`"
+    assert _plain("[Safety](../explanation/safety.md#x), [why](safety.md)", NOWHERE) == (
         "Safety, why (→ safety)"
     )
-    assert _plain("```{warning}\nOpen\nblades.\n```\n") == "> **Warning.** Open blades.\n"
+    assert _plain("```{warning}\nOpen\nblades.\n```\n", NOWHERE) == "> **Warning.** Open blades.\n"
+
+
+def test_a_program_that_a_page_shows_is_in_it(cli: CommandLine, tmp_path: Path) -> None:
+    assert "async with m100link.connect" in cli("docs", "first-flight").out
+    text = "```{literalinclude} ../../examples/first_flight.py\n:language: python\n```\n"
+    assert _plain(text, tmp_path / "docs") == "`../../examples/first_flight.py`\n"
+    (tmp_path / "examples").mkdir()
+    (tmp_path / "examples/first_flight.py").write_text("fly()\n")
+    assert _plain(text, tmp_path / "docs") == "```python\nfly()\n```\n"
 
 
 def test_a_page_that_is_not_there_names_those_that_are_near(cli: CommandLine) -> None:
