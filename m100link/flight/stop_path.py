@@ -208,10 +208,17 @@ class StopPath:
         except M100Error as error:
             _logger.error("the stop path could not stop the motors: %s", error)
 
+    @property
+    def _lands_by_plan(self) -> bool:
+        """Whether it goes home or lands at the end of a mission, and not by a landing of ours."""
+        return self._missions.lands_by_plan and self._may_be_airborne()
+
     async def _release(self) -> None:
         if not self._life.plan.release:
             return
-        if self._missions.is_detached and self._has_authority:
-            _logger.warning("authority is kept: the mission that was detached would end without it")
+        if self._has_authority and (self._missions.is_detached or self._lands_by_plan):
+            _logger.warning(
+                "authority is kept: what the aircraft flies by itself would end without it"
+            )
             return
         await release_authority(self._commander)

@@ -195,6 +195,14 @@ class MissionKeeper:
         began_at = run.started_at if run is not None and was_ours else -math.inf
         return self._watch.received_at < began_at + _TOLD_BY_S
 
+    @property
+    def lands_by_plan(self) -> bool:
+        """Whether our mission was flown, and the aircraft goes home or lands as planned.
+
+        To give authority back would leave it in the air, as far as anybody knows.
+        """
+        return self._run is not None and self._run.state is RunState.RETURNING
+
     async def flies_on(self, failure: M100Error | None) -> bool:
         """Whether our mission flies on although somebody else has the aircraft now.
 

@@ -12,6 +12,7 @@ from m100link import (
     Aborted,
     ActionsDone,
     Aircraft,
+    AtEnd,
     AuthorityLost,
     CircleHeading,
     Finished,
@@ -29,6 +30,7 @@ from m100link import (
     Waypoint,
     WaypointPlan,
 )
+from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
 from m100link.missions.waypoint import WaypointAction
 from m100link.sim import LineFaults
@@ -170,6 +172,25 @@ async def test_the_program_stops_it() -> None:
                 await mission.stop()
                 assert isinstance([event async for event in mission][-1], Stopped)
             await assert_at_rest(flown)
+
+
+@pytest.mark.parametrize("stop", ["hover", "land"])
+@pytest.mark.parametrize("at_end", [AtEnd.GO_HOME, AtEnd.LAND])
+async def test_a_program_that_leaves_on_the_way_home_does_not_leave_it_in_the_air(
+    at_end: AtEnd, stop: StopAction
+) -> None:
+    async with rig(firmware="3.1") as flown:
+        plan = along(flown.aircraft, (5.0, 0.0), (40.0, 0.0), speed=8.0, at_end=at_end)
+        async with flown.aircraft.control(stop=stop) as control:
+            async with control.waypoint_mission(plan, take_off=True) as mission:
+                async for event in mission:
+                    if isinstance(event, Finished):
+                        break
+            assert flown.virtual.height > 5.0
+        await asyncio.sleep(90.0)
+        await assert_at_rest(flown, is_on_ground=True)
+        if at_end is AtEnd.GO_HOME and stop == "hover":
+            assert math.hypot(*flown.virtual.position) < 2.0
 
 
 async def test_a_low_battery_meets_the_guard_first() -> None:
