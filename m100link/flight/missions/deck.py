@@ -32,19 +32,24 @@ class Track(Protocol):
     @property
     def poll(self) -> Request[Any] | None:
         """What is asked when nothing is pushed; None: nothing can be."""
+        ...
 
     @property
     def ends_by_landing(self) -> bool:
         """Whether the aircraft goes home or lands behind :class:`Finished`."""
+        ...
 
     def take(self, push: MissionStatus | WaypointEvent) -> Sequence[MissionEvent | Over]:
         """A push came."""
+        ...
 
     def polled(self, answer: Any) -> Sequence[MissionEvent | Over]:
         """The answer to ``poll`` came."""
+        ...
 
     def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
         """How far it is."""
+        ...
 
 
 class Block(Protocol):
@@ -53,15 +58,19 @@ class Block(Protocol):
     @property
     def is_open(self) -> bool:
         """Whether the program is in it, and nothing has ended it."""
+        ...
 
     def require_flying(self, what: str) -> None:
         """Raise unless it may send."""
+        ...
 
     def waiting(self, what: str) -> AbstractContextManager[None]:
         """What waits in here ends with it."""
+        ...
 
     def end(self, cause: StopCause, failure: M100Error | None = None) -> None:
         """End it: its stop path begins."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
