@@ -345,9 +345,14 @@ class Control:
         """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers.
 
         A closed loop that is flying in another task ends with :class:`NotObserved`. A program that
-        goes on sending setpoints flies on.
+        goes on sending setpoints flies on. A mission that flies is stopped, whoever started it.
+
+        Raises:
+            MissionRefused, AckTimeout, NoAuthority: A mission may be flying on.
         """
         self._guidance.interrupt()
+        if self.is_flying and self._keeper.flying:
+            await self._missions.stop_mission()
         await self._setpoints.halt()
 
     async def wait_resumable(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
@@ -288,7 +289,7 @@ async def test_a_target_is_followed_at_its_distance() -> None:
     async with rig(firmware="3.1") as flown:
         here = frame(flown.aircraft)
 
-        async def walk() -> Any:
+        async def walk() -> AsyncIterator[Target]:
             for second in range(30):
                 yield Target(*here.to_geodetic(15.0, float(second)))
                 await asyncio.sleep(1.0)

@@ -46,6 +46,25 @@ async def test_a_mission_that_runs_already_is_found_and_setpoints_are_refused() 
         await assert_rests(there)
 
 
+@pytest.mark.parametrize("is_ours", [True, False])
+async def test_control_stop_lets_the_aircraft_hover_whatever_flies_it(is_ours: bool) -> None:
+    async with foreign() as (there, aircraft):
+        if not is_ours:
+            start_from_a_phone(there)
+            await asyncio.sleep(0.5)
+        async with aircraft.control() as control:
+            if is_ours:
+                async with control.waypoint_mission(plan(speed=1.0)) as mission:
+                    await asyncio.sleep(2.0)
+                    await control.stop()
+                    assert mission.is_over
+            else:
+                await control.stop()
+            assert not there.missions.flying
+            control.send(NORTH)
+        await assert_rests(there)
+
+
 async def test_one_that_is_not_ours_is_not_stopped_by_leaving_control() -> None:
     """The release does that, as far as anybody knows; detach_mission() keeps it in flight."""
     async with foreign() as (there, aircraft):
