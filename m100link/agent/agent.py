@@ -22,10 +22,13 @@ from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import UsageError
+from m100link.flight.missions.hotpoint import HotpointFlight
+from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
+from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["LONGEST_KEPT", "Agent"]
@@ -341,6 +344,37 @@ class Agent:
         self._renewed(token)
         await self.holding.require().start_mission(plan, take_off=take_off)
 
+    async def fly_hotpoint(self, token: str, request: HotpointStart) -> None:
+        """Let the aircraft fly around a place by itself; done when it has begun.
+
+        Raises: as :meth:`fly_mission`.
+        """
+        self._renewed(token)
+        await self.holding.require().start_hotpoint(request)
+
+    async def set_hotpoint(
+        self, token: str, *, radius: float | None = None, rate: float | None = None
+    ) -> None:
+        """Change the circle that is flown, or turn the nose back. Sent, and not waited for.
+
+        Args:
+            token: Proof of the lease.
+            radius: m.
+            rate: Degrees per second, clockwise positive.
+
+        Raises:
+            UsageError: Out of range, or no circle is flown.
+            LeaseRefused, NoAuthority, GuardRefused, MissionAborted: See each class.
+        """
+        self._renewed(token)
+        flight = self.holding.require().mission.flight(HotpointFlight)
+        if radius is not None:
+            await flight.set_radius(radius, wait=False)
+        elif rate is not None:
+            await flight.set_rate(abs(rate), clockwise=rate > 0, wait=False)
+        else:
+            await flight.reset_heading()
+
     async def order_mission(self, token: str, what: MissionOrder) -> None:
         """Pause, resume or stop the mission that flies, whoever started it.
 
@@ -357,7 +391,7 @@ class Agent:
             LeaseRefused, NoAuthority, MissionRefused, AckTimeout: See each class.
         """
         self._renewed(token)
-        return await self.holding.require().mission.flight.set_speed(speed)
+        return await self.holding.require().mission.flight(WaypointFlight).set_speed(speed)
 
     async def switch_motors(self, token: str, *, on: bool) -> None:
         """Start or stop the motors on the ground.

@@ -14,8 +14,10 @@ from m100link.agent.mission import FlyingMission
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
 from m100link.flight.control import Control
+from m100link.flight.missions.flight import MissionFlight
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
+from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["Flying", "MissionOrder", "Pattern"]
@@ -221,6 +223,15 @@ class Flying:
         self._last = None
         await self.mission.start(plan, take_off=take_off)
 
+    async def start_hotpoint(self, request: HotpointStart) -> None:
+        """Let the aircraft fly around a place; done when it has begun. Ends a program.
+
+        Raises: as :meth:`m100link.Control.hotpoint`.
+        """
+        self._end_pattern("a hotpoint was asked for")
+        self._last = None
+        await self.mission.circle(request)
+
     async def order_mission(self, what: MissionOrder) -> None:
         """Pause, resume or stop the mission that flies, whoever started it.
 
@@ -229,7 +240,7 @@ class Flying:
         """
         control, own = self._control, self.mission
         if own.is_flying:
-            flight = own.flight
+            flight: MissionFlight = own.flight(MissionFlight)  # type: ignore[type-abstract]
             orders = {"pause": flight.pause, "resume": flight.resume, "stop": flight.stop}
             await orders[what]()
             return

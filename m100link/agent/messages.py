@@ -377,7 +377,11 @@ class Action(Enum):
     MISSION_PLAN = "mission_plan"  # a new plan, of which the points follow
     MISSION_POINT = "mission_point"
     MISSION_START = "mission_start"
-    MISSION_STOP = "mission_stop"
+    HOTPOINT_START = "hotpoint_start"
+    HOTPOINT_RADIUS = "hotpoint_radius"
+    HOTPOINT_RATE = "hotpoint_rate"
+    HOTPOINT_HEADING = "hotpoint_heading"  # back to where it is to point
+    MISSION_STOP = "mission_stop"  # of whatever kind, like the next two
     MISSION_PAUSE = "mission_pause"
     MISSION_RESUME = "mission_resume"
     MISSION_SPEED = "mission_speed"
@@ -393,7 +397,8 @@ class Ask:
         id: Comes back in each outcome; 0 asks for none.
         action: What.
         fence: Number of the lease it is asked under; 0 for none.
-        number: Of the simple task; 1 to take off before a mission; a speed in mm/s.
+        number: Of the simple task; 1 to take off before a mission; a speed in mm/s, a
+            radius in mm, a rate in thousandths of a degree per second (clockwise positive).
         data: For the app on the pilot's phone; else the value of a command, as on the wire.
         text: Why, for people (halt).
     """

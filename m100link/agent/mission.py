@@ -1,11 +1,14 @@
-"""A waypoint mission for a front: its plan in pieces, and the mission while it flies."""
+"""Missions for fronts: a plan in pieces, and the mission while it flies."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
+from typing import TypeVar
 
 from m100link.agent.background import BackgroundTasks
+from m100link.agent.fault import MessageError
 from m100link.agent.journal import Journal
 from m100link.errors import M100Error, MissionRunning, UsageError
 from m100link.flight.control import Control
@@ -18,11 +21,25 @@ from m100link.flight.missions.events import (
     Reached,
     Uploaded,
 )
+from m100link.flight.missions.flight import MissionFlight
+from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.missions.plan import WaypointPlan
+from m100link.protocol.command import Command
+from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+from m100link.protocol.firmware import FIRMWARE_3_1
 
-__all__ = ["FlyingMission", "MissionListener", "StagedPlan", "push_of"]
+__all__ = ["FlyingMission", "MissionListener", "StagedPlan", "push_of", "read_command"]
+
+C = TypeVar("C", bound=Command)
+F = TypeVar("F", bound=MissionFlight)
+
+_NAMES: dict[object, str] = {
+    MissionFlight: "mission",
+    WaypointFlight: "waypoint mission",
+    HotpointFlight: "hotpoint",
+}
 
 MissionListener = Callable[[MissionEvent], None]
 """Told of each event, progress excepted."""
@@ -92,7 +109,7 @@ class FlyingMission:
         self._control = control
         self._journal = journal
         self._background = background
-        self._flight: WaypointFlight | None = None
+        self._flight: MissionFlight | None = None
         self._watch: asyncio.Task[None] | None = None
         self.on_event: MissionListener | None = None
 
@@ -109,7 +126,7 @@ class FlyingMission:
         """
         if self.is_flying:
             raise MissionRunning(
-                f"{what} was asked for while a waypoint mission flies; nothing was sent",
+                f"{what} was asked for while a mission flies; nothing was sent",
                 cause="the aircraft ignores movement during missions",
                 remedy="stop or pause the mission",
             )
@@ -121,30 +138,53 @@ class FlyingMission:
         """
         self.require_none("a waypoint mission")
         flight = self._control.waypoint_mission(plan, take_off=take_off)
+        await self._begin(flight, f"mission of {len(plan.waypoints)} waypoints")
+
+    async def circle(self, request: HotpointStart) -> None:
+        """Let it fly around a place; done when the aircraft has begun.
+
+        Raises: as :meth:`m100link.Control.hotpoint`.
+        """
+        self.require_none("a hotpoint")
+        for problem in request.problems():
+            raise problem.error(request.NAME)
+        flight = self._control.hotpoint(
+            latitude_deg=math.degrees(request.latitude),
+            longitude_deg=math.degrees(request.longitude),
+            height=request.altitude,
+            radius=request.radius,
+            rate_deg_s=request.angular_rate,
+            clockwise=bool(request.clockwise),
+            start=CircleStart(request.start_point),
+            heading=CircleHeading(request.yaw_mode),
+        )
+        await self._begin(flight, f"circle of {request.radius:g} m")
+
+    async def _begin(self, flight: MissionFlight, what: str) -> None:
         begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._watch = self._background.spawn(self._fly(flight, begun), "waypoint mission")
+        self._watch = self._background.spawn(self._fly(flight, what, begun), "mission")
         try:
             await asyncio.shield(begun)
         except asyncio.CancelledError:
             self.end("nobody waits for it")
             raise
 
-    async def _fly(self, flight: WaypointFlight, begun: asyncio.Future[None]) -> None:
-        outcome, level = "the waypoint mission is over", "info"
+    async def _fly(self, flight: MissionFlight, what: str, begun: asyncio.Future[None]) -> None:
+        outcome, level = f"the {what} is over", "info"
         try:
             async with flight:
                 self._flight = flight
-                self._journal.note(f"a mission of {len(flight.plan.waypoints)} waypoints begins")
+                self._journal.note(f"a {what} begins")
                 if not begun.done():
                     begun.set_result(None)
                 async for event in flight:
                     self._tell(event)
         except M100Error as error:
-            outcome, level = f"the waypoint mission ended: {error.seen}", "error"
+            outcome, level = f"the {what} ended: {error.seen}", "error"
             if not begun.done():
                 begun.set_exception(error)
         except asyncio.CancelledError:
-            outcome, level = "the waypoint mission was stopped", "warning"
+            outcome, level = f"the {what} was stopped", "warning"
             raise
         finally:
             if not begun.done():
@@ -161,21 +201,20 @@ class FlyingMission:
         if self.on_event is not None and not isinstance(event, MissionProgress):
             self.on_event(event)
 
-    @property
-    def flight(self) -> WaypointFlight:
+    def flight(self, kind: type[F]) -> F:
         """The mission.
 
         Raises:
-            UsageError: None flies.
+            UsageError: None of that kind flies.
         """
-        if self._flight is None:
-            raise UsageError("no waypoint mission flies", remedy="start one")
+        if not isinstance(self._flight, kind):
+            raise UsageError(f"no {_NAMES[kind]} flies", remedy="start one")
         return self._flight
 
     def end(self, why: str) -> None:
         """Stop it, and do not wait for the answer: leaving its block sends the stop."""
         if self._watch is not None:
-            self._journal.note(f"the waypoint mission is stopped: {why}")
+            self._journal.note(f"the mission is stopped: {why}")
             self._watch.cancel()
 
     async def ended(self) -> None:
@@ -195,3 +234,15 @@ def push_of(event: MissionEvent) -> tuple[int, bytes] | None:
     if isinstance(event, ActionsDone):
         return 2, bytes((event.index, 6, 0, 0, 0))
     return None
+
+
+def read_command(kind: type[C], value: bytes) -> C:
+    """A command of a front, which may have been written by anybody.
+
+    Raises:
+        MessageError: It is not one.
+    """
+    try:
+        return kind.parse(value, FIRMWARE_3_1)
+    except ValueError as error:
+        raise MessageError(f"not a command: {error}") from None

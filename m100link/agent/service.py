@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from m100link.agent.agent import Agent
 from m100link.agent.carriers import Channel
@@ -42,17 +42,18 @@ from m100link.agent.messages import (
     Telemetry,
 )
 from m100link.agent.mission import StagedPlan, push_of
+from m100link.agent.mission import read_command as read
 from m100link.agent.patterns import pattern
 from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
 from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.events import MissionEvent
 from m100link.protocol.codes import ActivationCode
-from m100link.protocol.command import Command
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
-from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES
+from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.sample import Sample
 
 __all__ = ["MAX_SETPOINT_AGE", "STATE_INTERVAL", "Service"]
@@ -69,8 +70,6 @@ _MAX_ASKS = 64
 _MAX_NOTE = 200
 _NOTES_PER_S, _MAX_NOTES = 5.0, 20.0
 _LEVELS = ("info", "warning", "error")
-
-C = TypeVar("C", bound=Command)
 
 _NONE = MissionKind.NONE
 _Result = tuple[str, int]
@@ -216,18 +215,6 @@ class Service:
             dropped_writes=link.dropped_writes if link else 0,
             mismatches=aircraft.telemetry_mismatches if aircraft is not None else 0,
         )
-
-
-def _read(kind: type[C], value: bytes) -> C:
-    """A command of a front, which may have been written by anybody.
-
-    Raises:
-        MessageError: It is not one.
-    """
-    try:
-        return kind.parse(value, FIRMWARE_3_1)
-    except ValueError as error:
-        raise MessageError(f"not a command: {error}") from None
 
 
 def _fault(error: M100Error | None) -> Fault | None:
@@ -442,8 +429,8 @@ class _Front:
             Action.RELEASE: lambda: agent.release(token),
             Action.PATTERN: lambda: self._start_pattern(token, ask.number),
             Action.STOP: agent.stop,
-            Action.GIMBAL_ANGLES: lambda: agent.move_gimbal(token, _read(GimbalAngle, ask.data)),
-            Action.GIMBAL_RATES: lambda: agent.move_gimbal(token, _read(GimbalSpeed, ask.data)),
+            Action.GIMBAL_ANGLES: lambda: agent.move_gimbal(token, read(GimbalAngle, ask.data)),
+            Action.GIMBAL_RATES: lambda: agent.move_gimbal(token, read(GimbalSpeed, ask.data)),
             Action.TAKE_PHOTO: lambda: agent.use_camera(token, AircraftCamera.take_photo),
             Action.START_VIDEO: lambda: agent.use_camera(token, AircraftCamera.start_video),
             Action.STOP_VIDEO: lambda: agent.use_camera(token, AircraftCamera.stop_video),
@@ -454,6 +441,10 @@ class _Front:
             Action.MISSION_START: lambda: agent.fly_mission(
                 token, self._plan_of(ask).require(), take_off=ask.number == 1
             ),
+            Action.HOTPOINT_START: lambda: agent.fly_hotpoint(token, read(HotpointStart, ask.data)),
+            Action.HOTPOINT_RADIUS: lambda: agent.set_hotpoint(token, radius=ask.number / 1000),
+            Action.HOTPOINT_RATE: lambda: agent.set_hotpoint(token, rate=ask.number / 1000),
+            Action.HOTPOINT_HEADING: lambda: agent.set_hotpoint(token),
             Action.MISSION_STOP: lambda: agent.order_mission(token, "stop"),
             Action.MISSION_PAUSE: lambda: agent.order_mission(token, "pause"),
             Action.MISSION_RESUME: lambda: agent.order_mission(token, "resume"),
@@ -474,9 +465,9 @@ class _Front:
         self._agent.desk.check(self._token(ask.fence), self._agent.now)
         if ask.action is Action.MISSION_PLAN:
             self._staged_under = ask.fence
-            self._staged.begin(_read(WaypointMission, ask.data))
+            self._staged.begin(read(WaypointMission, ask.data))
         else:
-            self._plan_of(ask).add(_read(WaypointPoint, ask.data))
+            self._plan_of(ask).add(read(WaypointPoint, ask.data))
 
     def _plan_of(self, ask: Ask) -> StagedPlan:
         """The plan that came under this lease: nobody flies what somebody else left.

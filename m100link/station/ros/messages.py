@@ -78,6 +78,8 @@ uint8 has_action, uint16 action_time_limit, dji_sdk/MissionWaypointAction waypoi
 dji_sdk/MissionWaypointTask: float32 velocity_range, float32 idle_velocity, \
 uint8 action_on_finish, uint8 mission_exec_times, uint8 yaw_mode, uint8 trace_mode, \
 uint8 action_on_rc_lost, uint8 gimbal_pitch_mode, dji_sdk/MissionWaypoint[] mission_waypoint
+dji_sdk/MissionHotpointTask: float64 latitude, float64 longitude, float64 altitude, \
+float64 radius, float32 angular_speed, uint8 is_clockwise, uint8 start_point, uint8 yaw_mode
 """
 
 _SERVICE_DEFINITIONS = """
@@ -94,6 +96,16 @@ dji_sdk/MissionWpAction: uint8 action -> bool result, uint8 cmd_set, uint8 cmd_i
 dji_sdk/MissionWpGetInfo: -> dji_sdk/MissionWaypointTask waypoint_task
 dji_sdk/MissionWpGetSpeed: -> float32 speed, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
 dji_sdk/MissionWpSetSpeed: float32 speed -> bool result
+dji_sdk/MissionHpUpload: dji_sdk/MissionHotpointTask hotpoint_task -> bool result, \
+uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionHpAction: uint8 action -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionHpGetInfo: -> dji_sdk/MissionHotpointTask hotpoint_task, uint8 cmd_set, \
+uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionHpUpdateRadius: float32 radius -> bool result, uint8 cmd_set, uint8 cmd_id, \
+uint32 ack_data
+dji_sdk/MissionHpUpdateYawRate: float32 yaw_rate, uint8 direction -> bool result, \
+uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionHpResetYaw: -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
 dji_sdk/CameraAction: uint8 camera_action -> bool result
 dji_sdk/QueryDroneVersion: -> uint32 version, string hardware
 dji_sdk/SetLocalPosRef: -> bool result

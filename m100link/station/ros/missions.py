@@ -1,9 +1,10 @@
-"""Waypoint missions under the names of DJI's later ``dji_sdk`` node.
+"""Waypoint missions and hotpoints under the names of DJI's later ``dji_sdk`` node.
 
 ``mission_waypoint_upload`` gives the plan to the agent, which checks it as a whole and asks nothing
 of the aircraft yet; ``mission_waypoint_action`` 0 uploads it there and starts it. So a plan that
 cannot be flown is refused at once, and nothing lies in the aircraft that nobody watches. Both need
-control. The mission is stopped when whoever started it loses control.
+control. The mission is stopped when whoever started it loses control. A hotpoint waits here for its
+start in the same way.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Mapping
 from m100link.agent.client import AgentClient
 from m100link.agent.messages import Action, MissionTold
 from m100link.errors import UsageError
+from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.station.ros.graph import Call, Graph
@@ -24,6 +26,7 @@ from m100link.station.ros.messages import Message
 __all__ = ["Missions"]
 
 _STATUS_S = 0.25
+_CIRCLE = "hotpoint"
 _MOST_POINTS = 99
 _ROS_DEMO_YAW_MODE = 4  # DJI's demo sends it, and means 0
 
@@ -60,6 +63,12 @@ class Missions:
             ("mission_waypoint_getInfo", "MissionWpGetInfo", self._info),
             ("mission_waypoint_getSpeed", "MissionWpGetSpeed", self._get_speed),
             ("mission_waypoint_setSpeed", "MissionWpSetSpeed", self._set_speed),
+            ("mission_hotpoint_upload", "MissionHpUpload", self._upload_circle),
+            ("mission_hotpoint_action", "MissionHpAction", self._act_circle),
+            ("mission_hotpoint_getInfo", "MissionHpGetInfo", self._circle_info),
+            ("mission_hotpoint_updateRadius", "MissionHpUpdateRadius", self._set_radius),
+            ("mission_hotpoint_updateYawRate", "MissionHpUpdateYawRate", self._set_rate),
+            ("mission_hotpoint_resetYaw", "MissionHpResetYaw", self._reset_heading),
         ):
             graph.add_service(
                 f"/dji_sdk/{name}", f"dji_sdk/{kind}", clients.answering(name, handler)
@@ -129,9 +138,69 @@ class Missions:
         self._speed = outcome.number / 1000
         return {"result": True}
 
+    # -- hotpoint --------------------------------------------------------------------------------
 
-def _done(address: tuple[int, int]) -> Message:
-    return {"result": True, "cmd_set": address[0], "cmd_id": address[1]}
+    async def _upload_circle(self, call: Call) -> Message:
+        self._clients.held(call.session)
+        given = call.request["hotpoint_task"]
+        request = HotpointStart(
+            latitude=math.radians(given["latitude"]),
+            longitude=math.radians(given["longitude"]),
+            altitude=given["altitude"],
+            radius=given["radius"],
+            angular_rate=given["angular_speed"],
+            clockwise=given["is_clockwise"],
+            start_point=given["start_point"],
+            yaw_mode=given["yaw_mode"],
+        )
+        call.session.data[_CIRCLE] = given, request.value(FIRMWARE_3_1)
+        return _done(HotpointStart.ADDRESS)
+
+    def _circle(self, call: Call) -> tuple[Message, bytes]:
+        found: tuple[Message, bytes] | None = call.session.data.get(_CIRCLE)
+        if found is None:
+            raise UsageError("this client has uploaded no hotpoint", remedy="upload it first")
+        return found
+
+    async def _act_circle(self, call: Call) -> Message:
+        number = call.request["action"]
+        if number >= len(_ACTIONS):
+            raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
+        lease = self._clients.held(call.session)
+        if number == 0:
+            await self._agent.ask(Action.HOTPOINT_START, lease, data=self._circle(call)[1])
+        else:
+            await self._agent.ask(_ACTIONS[number], lease)
+        return _done((0x03, (0x20, 0x21, 0x22, 0x22)[number]))
+
+    async def _circle_info(self, call: Call) -> Message:
+        return {"hotpoint_task": self._circle(call)[0]} | _done((0x03, 0x26), with_result=False)
+
+    async def _set_radius(self, call: Call) -> Message:
+        await self._change(call, Action.HOTPOINT_RADIUS, call.request["radius"])
+        return _done((0x03, 0x24))
+
+    async def _set_rate(self, call: Call) -> Message:
+        rate = call.request["yaw_rate"]
+        signed = rate if call.request["direction"] else -rate
+        await self._change(call, Action.HOTPOINT_RATE, signed)
+        return _done((0x03, 0x23))
+
+    async def _reset_heading(self, call: Call) -> Message:
+        await self._change(call, Action.HOTPOINT_HEADING, 0.0)
+        return _done((0x03, 0x25))
+
+    async def _change(self, call: Call, action: Action, value: float) -> None:
+        """Sent; nobody acknowledges it (facts K15)."""
+        if not math.isfinite(value):
+            raise UsageError("that is not a number")
+        lease = self._clients.held(call.session)
+        await self._agent.ask(action, lease, number=round(max(-1e4, min(1e4, value)) * 1000))
+
+
+def _done(address: tuple[int, int], *, with_result: bool = True) -> Message:
+    told: Message = {"cmd_set": address[0], "cmd_id": address[1]}
+    return {"result": True} | told if with_result else told
 
 
 def _push(kind: int, data: bytes) -> Message:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
@@ -158,11 +159,11 @@ async def test_while_it_flies_setpoints_and_tasks_are_refused_and_it_flies_on(ri
     page.publish("/sdk_request_ctrl", x=1, y=0, z=0, w=0)
     page.publish("/sdk_request_ctrl", x=0, y=0, z=0, w=0)  # letting go says nothing
     refused = await answer(rig, page, "drone_task_control", task=6)
-    assert "while a waypoint mission flies" in refused["values"]
-    assert any("while a waypoint mission flies" in text for text in page.statuses())
+    assert "while a mission flies" in refused["values"]
+    assert any("while a mission flies" in text for text in page.statuses())
     await anyio.sleep(2.0)
     assert is_flying(rig)
-    assert "while a waypoint mission flies" in (await act(rig, page, START))["values"]
+    assert "while a mission flies" in (await act(rig, page, START))["values"]
 
 
 @pytest.mark.parametrize("how", ["leaves", "closes", "stop button", "halt"])
@@ -256,3 +257,72 @@ async def test_actions_are_read_with_their_signs(rig: Rig) -> None:
     received = rig.aircraft.autopilot.received_commands
     point = next(one.command for one in received if isinstance(one.command, WaypointPoint))
     assert (point.has_action, point.action_count, point.parameters[0]) == (1, 2, -60)
+
+
+# -- hotpoint -------------------------------------------------------------------------------------
+
+
+def circle(rig: Rig, **values: Any) -> dict[str, Any]:
+    settings = rig.aircraft.vehicle.settings
+    frame = LocalFrame(settings.latitude_deg, settings.longitude_deg)
+    latitude, longitude = frame.to_geodetic(20.0, 0.0)
+    return {
+        "latitude": latitude,
+        "longitude": longitude,
+        "altitude": 10.0,
+        "radius": 10.0,
+        "angular_speed": 15.0,
+        "is_clockwise": 1,
+        "start_point": 4,
+        "yaw_mode": 1,
+    } | values
+
+
+def distance(rig: Rig) -> float:
+    north, east = rig.aircraft.position
+    return math.hypot(north - 20.0, east)
+
+
+async def test_a_circle_is_flown_changed_and_stopped(rig: Rig) -> None:
+    page = await rig.airborne()
+    page.subscribe("/dji_sdk/mission_status")
+    uploaded = await answer(rig, page, "mission_hotpoint_upload", hotpoint_task=circle(rig))
+    assert uploaded == DONE | {"cmd_id": 0x20}
+    info = await answer(rig, page, "mission_hotpoint_getInfo")
+    assert info["hotpoint_task"] == circle(rig)
+    assert rig.front.state.mission in ("", "no mission")
+    started = await answer(rig, page, "mission_hotpoint_action", action=START)
+    assert started == DONE | {"cmd_id": 0x20}
+    await rig.until(lambda: rig.front.state.mission_status == 1)
+    await anyio.sleep(5.0)
+    assert distance(rig) == pytest.approx(10.0, abs=1.0)
+    assert (2, 1, 0) in told(page, "mission_status")
+    for service, values in (
+        ("updateRadius", {"radius": 20.0}),
+        ("updateYawRate", {"yaw_rate": 8.0, "direction": 0}),
+        ("resetYaw", {}),
+    ):
+        assert (await answer(rig, page, f"mission_hotpoint_{service}", **values))["result"] is True
+    await rig.until(lambda: abs(distance(rig) - 20.0) < 1.0)
+    beyond = await answer(rig, page, "mission_hotpoint_updateRadius", radius=600.0)
+    assert beyond["result"] is False
+    assert (
+        "no waypoint mission flies"
+        in (await answer(rig, page, "mission_waypoint_setSpeed", speed=2.0))["values"]
+    )
+    stopped = await answer(rig, page, "mission_hotpoint_action", action=STOP)
+    assert stopped == DONE | {"cmd_id": 0x21}
+    await rig.until(lambda: rig.front.state.mission == "no mission")
+
+
+async def test_a_circle_that_cannot_be_is_refused(rig: Rig) -> None:
+    page = await rig.airborne()
+    nothing = await answer(rig, page, "mission_hotpoint_action", action=START)
+    assert "no hotpoint" in nothing["values"]
+    for values in ({"radius": 4.0}, {"start_point": 9}, {"altitude": 3.0}):
+        task = circle(rig, **values)
+        refused = await answer(rig, page, "mission_hotpoint_upload", hotpoint_task=task)
+        assert refused["result"] is False, values
+    await answer(rig, page, "mission_hotpoint_upload", hotpoint_task=circle(rig, radius=400.0))
+    assert (await answer(rig, page, "mission_hotpoint_action", action=START))["result"] is False
+    assert rig.front.state.mission in ("", "no mission")
