@@ -244,12 +244,15 @@ class SetpointLoop:
         """Go from the setpoint to its neutral, and from there to silence, when it is time."""
         if self._setpoint is None:
             return
-        if now >= self._silent_at:
+        if now < self._expires_at:
+            return
+        neutral = self._setpoint.neutral()
+        if self._setpoint != neutral:
+            self.expired += 1
+            self._setpoint = neutral
+            self._period = _PERIOD
+            if now >= self._silent_at:  # the process stood still: the aircraft flies on by it
+                self._silent_at = now + NEUTRAL_TIME
+            _logger.warning("a setpoint was not renewed in time: sending neutral")
+        elif now >= self._silent_at:
             self._setpoint = self._frame = None  # what is owed stays so
-        elif now >= self._expires_at:
-            neutral = self._setpoint.neutral()
-            if self._setpoint != neutral:
-                self.expired += 1
-                self._setpoint = neutral
-                self._period = _PERIOD
-                _logger.warning("a setpoint was not renewed in time: sending neutral")

@@ -183,9 +183,21 @@ async def test_a_program_blocked_beyond_the_lifetime_sends_neutral_not_the_old_s
     assert late
 
 
-async def test_blocked_beyond_everything_it_stays_silent(rig: Rig) -> None:
+async def test_blocked_beyond_everything_it_sends_neutral_and_nothing_old(rig: Rig) -> None:
     rig.set(NORTH)
     await asyncio.sleep(0.05)
+    loop = rig.loop
+    assert isinstance(loop, VirtualClockEventLoop)
+    loop._jumping.now += 10.0
+    count = len(rig.frames)
+    await asyncio.sleep(1.0)
+    assert {setpoint for _, setpoint in rig.frames[count:]} == {NORTH.neutral()}
+    assert rig.frames[-1][0] - rig.frames[count][0] <= NEUTRAL_TIME
+
+
+async def test_blocked_in_its_neutral_it_stays_silent(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=0.05)
+    await asyncio.sleep(0.1)
     loop = rig.loop
     assert isinstance(loop, VirtualClockEventLoop)
     loop._jumping.now += 10.0

@@ -497,3 +497,29 @@ async def test_a_process_that_stands_still_on_its_way_out_sends_a_neutral_all_th
             loop.call_later(after, stand_still)
         assert flown.is_neutral(flown.moves[-1])
         assert flown.is_released
+
+
+@pytest.mark.parametrize(
+    ("stands_still", "neutrals"), [(0.1, 15), (0.25, 12), (0.6, 15), (5.0, 15)]
+)
+async def test_a_process_that_stands_still_in_flight_sends_the_neutral_all_the_same(
+    stands_still: float, neutrals: int
+) -> None:
+    """Of what expired meanwhile; how long an aircraft flies on by it is not known."""
+    async with rig() as flown:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualClockEventLoop)
+
+        def stand_still() -> None:
+            loop._jumping.now += stands_still
+
+        async with flown.aircraft.control(guards=Guards(stale_telemetry_s=None)) as control:
+            await control.take_off()
+            await flown.fly(control, 0.5)
+            control.send(NORTH, lifetime=0.2)
+            flown.moves.clear()
+            loop.call_later(0.011, stand_still)
+            await asyncio.sleep(6.0)
+            are_neutral = [flown.is_neutral(move) for move in flown.moves]
+            assert sum(are_neutral) == pytest.approx(neutrals, abs=1)
+            assert are_neutral == sorted(are_neutral)
