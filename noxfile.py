@@ -106,36 +106,42 @@ def sphinx(builder: str) -> tuple[str, ...]:
     return "sphinx-build", *options, "-b", builder, *places
 
 
+def marked(mark: str, folder: str = "tests") -> list[str]:
+    """Files with tests of a mark: to read all of them would take each process ten seconds."""
+    files = sorted(Path(folder).rglob("test_*.py"))
+    return [str(path) for path in files if f"pytest.mark.{mark}" in path.read_text("utf-8")]
+
+
 OWN_SESSIONS = ("--ignore=tests/interop", "--ignore=tests/browser")
 CHECKED = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
 PROGRAMS = sorted(str(path) for path in Path("examples").glob("*.py"))
 
 # In the order in which `nox` begins them: what takes longest, first.
 KINDS = {
-    "browser": Kind(
-        {"browser": [pytest(*workers(2), "tests/browser")]}, groups=("test", "browser")
-    ),
     "tests": Kind(
         {
-            "tests": [pytest(*OWN_SESSIONS, *workers(2), "-m", "not pty")],
+            "tests": [pytest(*workers(2), "-m", "not pty", *OWN_SESSIONS)],
             # They keep real time and mostly wait.
-            "tests (pty)": [pytest(*OWN_SESSIONS, *workers(2), "-m", "pty")],
+            "tests (pty)": [pytest(*workers(3), "-m", "pty", *marked("pty"))],
         },
         groups=("test",),
     ),
+    "browser": Kind(
+        {"browser": [pytest(*workers(2), "tests/browser")]}, groups=("test", "browser")
+    ),
+    # Each in real time; they mostly wait, too.
+    "examples": Kind({program: [("python", "-W", "error", program)] for program in PROGRAMS}),
     # Beside rosbridge_suite's own library it has a session to itself.
     "interop": Kind(
         {"interop": [pytest("--ignore=tests/interop/test_rosbridge_library.py", "tests/interop")]},
         groups=("test", "interop"),
     ),
     "types": Kind(
-        {"types": [("mypy", *CHECKED), ("pyright",)]},
+        {"mypy": [("mypy", *CHECKED)], "pyright": [("pyright",)]},
         groups=("types", "test", "docs", "bench", "browser", "interop"),
     ),
     # m100link.testing needs pytest.
     "docs": Kind({"docs": [sphinx("html"), sphinx("doctest")]}, groups=("docs", "test")),
-    # Each in real time; they mostly wait, too.
-    "examples": Kind({program: [("python", "-W", "error", program)] for program in PROGRAMS}),
     "lint": Kind(
         {"lint": [("ruff", "check", "."), ("ruff", "format", "--check", "."), ("lint-imports",)]},
         groups=("lint",),
@@ -256,17 +262,16 @@ def install(session: nox.Session, *requirements: str) -> None:
         session.install(*requirements)
 
 
-# What flies in real time, or needs every processor, has the machine to itself.
-ALONE = ("tests (pty)", "browser", "tests")
+# These fly in real time and mostly wait; what needs every processor begins when they have ended.
+WAITING = ("tests (pty)", *PROGRAMS)
 
 
 def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) -> None:
     """Run commands and print what each said when it ends; fail at the end."""
     ended: dict[str, tuple[bool, float]] = {}
-    together = {title: lines for title, lines in commands.items() if title not in ALONE}
-    for stage in ({title: commands[title]} for title in ALONE if title in commands):
+    for is_waiting in (True, False):
+        stage = {title: c for title, c in commands.items() if (title in WAITING) is is_waiting}
         run_together(session, stage, ended)
-    run_together(session, together, ended)
     for title, (is_good, seconds) in ended.items():
         session.log(f"{'passed' if is_good else 'FAILED'} {seconds:4.0f} s  {title}")
     failed = [title for title, (is_good, _) in ended.items() if not is_good]
@@ -281,7 +286,7 @@ def run_together(
 ) -> None:
     """Run commands side by side; most of these wait for aircraft, or are short."""
     started: list[subprocess.Popen[str]] = []
-    with concurrent.futures.ThreadPoolExecutor(1 + (os.cpu_count() or 1)) as pool:
+    with concurrent.futures.ThreadPoolExecutor(2 + (os.cpu_count() or 1)) as pool:
         running = {
             pool.submit(run_lines, session, started, lines): title
             for title, lines in commands.items()
