@@ -36,8 +36,8 @@ from tests.mutation_trials import Trials
 EXPLAINED = Path(__file__).with_name("mutation_survivors.toml")
 
 FLIGHT = (
-    "control block lifecycle setpoints signals stop_path cancellation watchdog orbit pacing guards "
-    "known handover authority tasks loops path"
+    "control steering block lifecycle setpoints signals stop_path cancellation watchdog orbit "
+    "pacing guards known handover authority tasks loops path"
 )
 
 
