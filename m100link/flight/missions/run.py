@@ -43,7 +43,7 @@ from m100link.flight.missions.orders import ORDERS, PAUSED_CODES, RESUMED_CODES,
 from m100link.flight.missions.refusal import mission_refused
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Request
-from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
+from m100link.protocol.commands.missions import MissionStatus, Uploaded, WaypointEvent
 from m100link.protocol.records import FlightPhase, FlightStatus
 
 if TYPE_CHECKING:
@@ -342,6 +342,8 @@ class MissionRun:
         raise StopAsyncIteration
 
     def _on_push(self, push: MissionStatus | WaypointEvent) -> None:
+        if self.state is RunState.READY and not isinstance(getattr(push, "event", None), Uploaded):
+            return  # of a mission before
         self._apply(self._track.take(push))
         if self._deck.watch.state.kind is self.kind:
             self._pushed_at, self._is_pushed = self._clock(), True

@@ -93,10 +93,8 @@ class WaypointTrack:
             case wire.Uploaded() if told.valid:
                 self.estimated_time = float(told.estimated_time)
             case wire.Reached():
-                self._is_seen = True
                 yield from self._reach(told.index, told.status)
             case wire.Finished():
-                self._is_seen = True
                 yield from self._finish()
 
     def _fly_to(self, index: int) -> Iterator[MissionEvent]:
@@ -138,8 +136,10 @@ class WaypointTrack:
         """The event "finished". It may come at the end of each run (facts W18, inferred).
 
         One run too many believed would leave an aircraft in flight that nobody stops: so it counts
-        when no run is to come by our own count, and otherwise the status will tell.
+        on the last waypoint, when no run is to come by our own count; otherwise the status tells.
         """
+        if self.index != self._last and self._reached < self._last:
+            return  # repeated or late: that of a mission before
         if self._runs_left:
             yield from self._pass(self._last)
             return

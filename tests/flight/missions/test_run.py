@@ -27,7 +27,14 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
-from tests.flight.foreign_aircraft import GOING_HOME, LANDING, ONBOARD, STANDBY, ForeignInMemory
+from tests.flight.foreign_aircraft import (
+    GOING_HOME,
+    LANDING,
+    ONBOARD,
+    STANDBY,
+    ForeignInMemory,
+    frame,
+)
 from tests.flight.missions.foreign import assert_rests, foreign, orders, plan
 from tests.rig import NORTH
 
@@ -321,6 +328,31 @@ async def test_a_start_that_is_not_answered_is_stopped() -> None:
                 pytest.fail("entered")
         assert stops(there)[0] == 0
         del there._write
+        await assert_rests(there)
+
+
+@pytest.mark.parametrize("moment", ["start", "flight"])
+@pytest.mark.parametrize("at_end", [AtEnd.HOVER, AtEnd.GO_HOME])
+async def test_finished_of_a_mission_before_does_not_leave_it_in_flight(
+    moment: str, at_end: AtEnd
+) -> None:
+    late = frame(b"\x02\x04\1\0\0\0\0\0") + frame(b"\x02\x03\0\1\0\0\0\0")
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        start = there.missions._start
+
+        def start_late(status: int) -> int:
+            there._write(late)
+            return start(status)
+
+        if moment == "start":
+            there.missions._start = start_late  # type: ignore[method-assign] # see above
+        async with control.waypoint_mission(plan(speed=1.0, at_end=at_end)) as mission:
+            await asyncio.sleep(1.0)
+            if moment == "flight":
+                there._write(late[:24])
+            await asyncio.sleep(1.0)
+            assert not mission.is_over
+        assert not there.missions.flying
         await assert_rests(there)
 
 

@@ -120,3 +120,18 @@ def test_what_the_aircraft_has_stored_tells_the_end_where_nothing_is_pushed() ->
 
 def test_an_index_that_no_plan_has_is_not_believed() -> None:
     assert told(WaypointTrack(plan()), reached(200), status(255)) == []
+
+
+def test_finished_far_from_the_last_waypoint_is_that_of_a_mission_before() -> None:
+    assert told(WaypointTrack(plan()), FINISHED, idle()) == []
+    track = WaypointTrack(plan())
+    assert told(track, status(1), FINISHED, status(1), FINISHED) == []
+    assert Finished() in told(track, status(3), FINISHED, FINISHED)
+
+
+def test_an_event_of_before_does_not_make_an_old_status_the_end() -> None:
+    assert told(WaypointTrack(plan()), reached(3, 6), idle()) == [
+        *(Reached(index, is_inferred=True) for index in range(3)),
+        Reached(3),
+        ActionsDone(3),
+    ]
