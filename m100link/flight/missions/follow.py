@@ -195,6 +195,12 @@ class FollowFlight(MissionFlight):
                 sent_at = clock()
                 self.set_target(target)
                 await asyncio.sleep(sent_at + _INTERVAL_S - clock())
+        except asyncio.CancelledError as error:
+            task = asyncio.current_task()
+            if task is None or task.cancelling():
+                raise
+            failure = M100Error("the source of targets was cancelled")  # within, by somebody else
+            failure.__cause__ = error
         except M100Error as error:
             failure = error
         except Exception as error:  # noqa: BLE001 (of the source: the program gets it, wrapped)

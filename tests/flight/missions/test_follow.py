@@ -77,6 +77,22 @@ async def test_leaving_the_block_ends_the_feeding() -> None:
         await assert_rests(there)
 
 
+async def test_a_source_in_which_something_was_cancelled_ends_it() -> None:
+    async def source() -> AsyncIterator[Target]:
+        yield Target(*spot(10.0, 0.0))
+        inner = asyncio.create_task(asyncio.sleep(100.0))
+        asyncio.get_running_loop().call_later(2.0, inner.cancel)
+        await inner
+
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        with pytest.raises(M100Error, match="was cancelled"):
+            async with asyncio.timeout(10.0), control.follow_target(source()) as mission:
+                async for _ in mission:
+                    pass
+        assert orders(there, 0x31) == [(0x31, 0)]
+        await assert_rests(there)
+
+
 async def empty() -> AsyncIterator[Target]:
     targets: list[Target] = []
     for target in targets:
