@@ -132,6 +132,8 @@ class MissionKeeper:
             elif code not in STOPPED_CODES:
                 raise mission_refused(f"the stop of the {kind.value}", code)
         self._detached = None
+        if self._run is not None and self._run.state is RunState.DETACHED:
+            self._run = None
         return stopped
 
     async def order_any(self, what: str) -> MissionKind:

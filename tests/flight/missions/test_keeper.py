@@ -119,3 +119,15 @@ async def test_one_that_was_detached_and_has_ended_leaves_an_ordinary_end() -> N
             assert not there.missions.flying
             control.send(NORTH)
         assert there.device != ONBOARD
+
+
+async def test_one_that_was_detached_and_then_stopped_does_not_keep_authority() -> None:
+    async with foreign() as (there, aircraft):
+        there.missions.is_pushing = False
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(plan(speed=1.0)) as mission:
+                await asyncio.sleep(1.0)
+                mission.detach()
+            await control.stop_mission()
+        assert there.device != ONBOARD
+        await assert_rests(there)
