@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from m100link.errors import (
     AckTimeout,
@@ -46,13 +46,11 @@ from m100link.protocol.command import Request
 from m100link.protocol.commands.missions import MissionStatus, Uploaded, WaypointEvent
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-if TYPE_CHECKING:
-    pass
-
 __all__ = ["AUTHORITY_CODES", "MissionRun"]
 
 _logger = logging.getLogger("m100link.flight")
 
+_START_S = 0.5  # for the ack of one transmission of a start
 _LOOK_S = 0.2  # between two looks at guards, pushes and telemetry
 _PROGRESS_S = 1.0
 _QUIET_S = 2.0  # without a push, after which the aircraft is asked instead
@@ -145,13 +143,15 @@ class MissionRun:
         self.started_at = self._pushed_at = self._clock()
         requests = self._deck.commander.requests
         try:
-            answer = await requests.execute(request, timeout=0.5, tries=3, refusal=MissionRefused)
+            answer = await requests.execute(
+                request, timeout=_START_S, tries=3, refusal=MissionRefused
+            )
         except (CommandRefused, KeyRejected, UsageError):  # after any other error nobody knows
-            self.feed(RunInput.REFUSED)
+            self._refused()
             raise
         code = MissionCode(code_of(answer))
         if code is not MissionCode.SUCCESS:
-            self.feed(RunInput.REFUSED)
+            self._refused()
             raise mission_refused(f"the start of the {self.name}", code)
         self.feed(RunInput.STARTED)
         _logger.info("%s started: the aircraft flies it by itself", self.name)
@@ -160,6 +160,11 @@ class MissionRun:
         self._apply(early)
         self._watching = asyncio.create_task(self._watch(), name=f"m100link {self.name}")
         return answer
+
+    def _refused(self) -> None:
+        """The aircraft says no. Not to a repetition: the transmission before may have begun it."""
+        if self._clock() - self.started_at < _START_S:
+            self.feed(RunInput.REFUSED)
 
     # -- orders ----------------------------------------------------------------------------------
 

@@ -1,0 +1,33 @@
+"""Where nobody can be sure that a mission has ended, it is stopped."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from m100link import MissionRefused
+from tests.flight.missions.foreign import assert_rests, foreign
+from tests.flight.missions.test_run import SLOW, lose_short_acks, stops
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_a_start_that_was_executed_and_then_refused_as_a_repetition_is_stopped() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        start = there.missions._start
+
+        def start_unheard(status: int) -> int:
+            if not there.missions.flying:
+                lose_short_acks(there)
+                asyncio.get_running_loop().call_later(0.1, there._stored.clear)
+            else:
+                del there._write
+            return start(status)
+
+        there.missions._start = start_unheard  # type: ignore[method-assign] # see above
+        with pytest.raises(MissionRefused):
+            async with control.waypoint_mission(SLOW):
+                pytest.fail("entered")
+        assert stops(there) == [0]
+        await assert_rests(there)
