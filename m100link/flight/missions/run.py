@@ -243,7 +243,7 @@ class MissionRun:
         """
         if self.feed(RunInput.STOP):
             self._is_seen_over = False
-            self._stopping = Errand(self._send_stop, lambda: None)
+            self._stopping = Errand(self._send_stop, self._given_up)
             self._stopping.begin()
         if self.state is RunState.STOPPING and self._stopping is not None:
             await self._stopping.ended()
@@ -273,6 +273,10 @@ class MissionRun:
             self.feed(RunInput.NOT_STOPPED)
             raise mission_refused(f"the stop of the {self.name}", code)
         self._end(RunInput.STOPPED)
+
+    def _given_up(self) -> None:
+        """The stop is not under way any more; unless it ended otherwise, it was not heard."""
+        self.feed(RunInput.NOT_STOPPED)
 
     async def end_by_program(self, failure: M100Error | None) -> None:
         """What feeds it has ended, well or not: stop it, and tell the program why.

@@ -31,3 +31,21 @@ async def test_a_start_that_was_executed_and_then_refused_as_a_repetition_is_sto
                 pytest.fail("entered")
         assert stops(there) == [0]
         await assert_rests(there)
+
+
+async def test_a_stop_that_was_given_up_is_sent_again_at_the_end() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(SLOW) as mission:
+                await asyncio.sleep(2.0)
+                there.is_deaf = True
+                stopping = asyncio.create_task(mission.stop())
+                for _ in range(3):  # as a loop that is being closed does
+                    await asyncio.sleep(0.01)
+                    for task in asyncio.all_tasks() - {asyncio.current_task(), stopping}:
+                        if "_send_stop" in repr(task.get_coro()):
+                            task.cancel()
+                await asyncio.wait([stopping])
+                there.is_deaf = False
+            assert stops(there) == [0]
+        await assert_rests(there)
