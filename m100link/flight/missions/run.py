@@ -10,6 +10,7 @@ from typing import Any
 
 from m100link.errors import (
     AckTimeout,
+    BadAck,
     CommandRefused,
     KeyRejected,
     M100Error,
@@ -472,7 +473,7 @@ class MissionRun:
         requests = self._deck.commander.requests
         try:
             answer = await requests.execute(self._track.poll, timeout=0.3, tries=2)
-        except AckTimeout as error:
+        except (AckTimeout, BadAck, CommandRefused, KeyRejected) as error:
             _logger.debug("nobody knows how far the %s is: %s", self.name, error)
             return
         self._apply(self._track.polled(answer))

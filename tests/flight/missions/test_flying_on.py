@@ -6,9 +6,9 @@ import asyncio
 
 import pytest
 
-from m100link import MissionRefused
+from m100link import AuthorityLost, MissionRefused
 from tests.flight.missions.foreign import assert_rests, foreign
-from tests.flight.missions.test_run import SLOW, lose_short_acks, stops
+from tests.flight.missions.test_run import SLOW, begun, lose_short_acks, stops
 
 pytestmark = pytest.mark.anyio
 
@@ -49,3 +49,23 @@ async def test_a_stop_that_was_given_up_is_sent_again_at_the_end() -> None:
                 there.is_deaf = False
             assert stops(there) == [0]
         await assert_rests(there)
+
+
+@pytest.mark.parametrize("answer", [b"", b"\0\0\0", b"\x01\xff", b"\0\xff"])
+async def test_an_answer_that_says_nothing_does_not_keep_the_stop_from_being_sent(
+    answer: bytes,
+) -> None:
+    async with foreign() as (there, aircraft):
+        task = await begun(there, aircraft)
+        execute = there._execute
+
+        def garble(group: int, number: int, value: bytes) -> bytes | None:
+            return answer if (group, number) == (3, 0x14) else execute(group, number, value)
+
+        there._execute = garble  # type: ignore[method-assign] # see above
+        there.missions.break_off = lambda reason: None  # type: ignore[method-assign] # it does not
+        there.missions.answers, there.missions.is_pushing = {0x12: 0}, False
+        there.leave_f()
+        with pytest.raises(AuthorityLost):
+            await task
+        assert stops(there) == [0]
