@@ -300,6 +300,7 @@ class DjiSdk:
         for name, kind, handler in (
             ("activation", "Activation", self._activate),
             ("sdk_control_authority", "SDKControlAuthority", self._authority),
+            ("sdk_permission_control", "SDKPermissionControl", self._permission),
             ("drone_task_control", "DroneTaskControl", self._task),
             ("query_drone_version", "QueryDroneVersion", self._version),
             ("set_local_pos_ref", "SetLocalPosRef", self._set_origin),
@@ -327,6 +328,10 @@ class DjiSdk:
             if not self._agent.has_authority:
                 self._clients.let_go(call.session)
         return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
+
+    async def _permission(self, call: Call) -> Message:
+        await self._authority(call)
+        return {"result": True}
 
     async def _task(self, call: Call) -> Message:
         number = call.request["task"]

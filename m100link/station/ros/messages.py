@@ -106,6 +106,19 @@ uint32 ack_data
 dji_sdk/MissionHpUpdateYawRate: float32 yaw_rate, uint8 direction -> bool result, \
 uint8 cmd_set, uint8 cmd_id, uint32 ack_data
 dji_sdk/MissionHpResetYaw: -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
+dji_sdk/MissionStart: -> bool result
+dji_sdk/MissionPause: uint8 pause -> bool result
+dji_sdk/MissionCancel: -> bool result
+dji_sdk/MissionWpDownload: -> dji_sdk/MissionWaypointTask waypoint_task
+dji_sdk/MissionHpDownload: -> dji_sdk/MissionHotpointTask hotpoint_task
+dji_sdk/MissionHpSetSpeed: float32 speed, uint8 direction -> bool result
+dji_sdk/MissionHpSetRadius: float32 radius -> bool result
+dji_sdk/SDKPermissionControl: uint8 control_enable -> bool result
+dji_sdk/CameraActionControl: uint8 camera_action -> bool result
+dji_sdk/GimbalAngleControl: int16 yaw, int16 roll, int16 pitch, int16 duration, \
+bool absolute_or_incremental, bool yaw_cmd_ignore, bool roll_cmd_ignore, bool pitch_cmd_ignore \
+-> bool result
+dji_sdk/GimbalSpeedControl: int16 yaw_rate, int16 roll_rate, int16 pitch_rate -> bool result
 dji_sdk/CameraAction: uint8 camera_action -> bool result
 dji_sdk/QueryDroneVersion: -> uint32 version, string hardware
 dji_sdk/SetLocalPosRef: -> bool result

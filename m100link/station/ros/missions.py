@@ -1,4 +1,4 @@
-"""Waypoint missions and hotpoints under the names of DJI's later ``dji_sdk`` node.
+"""Waypoint missions and hotpoints under the names of DJI's later ``dji_sdk`` node, and of 3.1's.
 
 ``mission_waypoint_upload`` gives the plan to the agent, which checks it as a whole and asks nothing
 of the aircraft yet; ``mission_waypoint_action`` 0 uploads it there and starts it. So a plan that
@@ -26,7 +26,7 @@ from m100link.station.ros.messages import Message
 __all__ = ["Missions"]
 
 _STATUS_S = 0.25
-_CIRCLE = "hotpoint"
+_CIRCLE, _LATEST = "hotpoint", "latest upload"
 _MOST_POINTS = 99
 _ROS_DEMO_YAW_MODE = 4  # DJI's demo sends it, and means 0
 
@@ -69,6 +69,16 @@ class Missions:
             ("mission_hotpoint_updateRadius", "MissionHpUpdateRadius", self._set_radius),
             ("mission_hotpoint_updateYawRate", "MissionHpUpdateYawRate", self._set_rate),
             ("mission_hotpoint_resetYaw", "MissionHpResetYaw", self._reset_heading),
+            ("mission_start", "MissionStart", self._start),
+            ("mission_pause", "MissionPause", self._pause),
+            ("mission_cancel", "MissionCancel", self._cancel),
+            ("mission_waypoint_download", "MissionWpDownload", self._info),
+            ("mission_waypoint_get_speed", "MissionWpGetSpeed", self._get_speed),
+            ("mission_waypoint_set_speed", "MissionWpSetSpeed", self._set_speed),
+            ("mission_hotpoint_download", "MissionHpDownload", self._circle_download),
+            ("mission_hotpoint_set_speed", "MissionHpSetSpeed", self._set_circle_speed),
+            ("mission_hotpoint_set_radius", "MissionHpSetRadius", self._set_circle_radius),
+            ("mission_hotpoint_reset_yaw", "MissionHpResetYaw", self._reset_heading),
         ):
             graph.add_service(
                 f"/dji_sdk/{name}", f"dji_sdk/{kind}", clients.answering(name, handler)
@@ -106,6 +116,7 @@ class Missions:
         for point in points:
             await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
         self._task, self._speed = task, mission.idle_speed
+        call.session.data[_LATEST] = Action.MISSION_START
         return _done(WaypointMission.ADDRESS)
 
     async def _act(self, call: Call) -> Message:
@@ -114,6 +125,25 @@ class Missions:
             raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
         await self._agent.ask(_ACTIONS[number], self._clients.held(call.session))
         return _done((0x03, 0x12 if number < 2 else 0x13))
+
+    async def _start(self, call: Call) -> Message:
+        """Start what that client uploaded last: this service does not say which kind."""
+        if call.session.data.get(_LATEST) is not Action.HOTPOINT_START:
+            return await self._order(call, Action.MISSION_START)
+        return await self._order(call, Action.HOTPOINT_START, self._circle(call)[1])
+
+    async def _pause(self, call: Call) -> Message:
+        wanted = call.request["pause"]
+        if wanted > 1:
+            raise UsageError("pause is 0 (pause) or 1 (resume)")
+        return await self._order(call, Action.MISSION_RESUME if wanted else Action.MISSION_PAUSE)
+
+    async def _cancel(self, call: Call) -> Message:
+        return await self._order(call, Action.MISSION_STOP)
+
+    async def _order(self, call: Call, action: Action, data: bytes = b"") -> Message:
+        await self._agent.ask(action, self._clients.held(call.session), data=data)
+        return {"result": True}
 
     async def _info(self, call: Call) -> Message:
         return {"waypoint_task": self._uploaded()}
@@ -154,6 +184,7 @@ class Missions:
             yaw_mode=given["yaw_mode"],
         )
         call.session.data[_CIRCLE] = given, request.value(FIRMWARE_3_1)
+        call.session.data[_LATEST] = Action.HOTPOINT_START
         return _done(HotpointStart.ADDRESS)
 
     def _circle(self, call: Call) -> tuple[Message, bytes]:
@@ -176,15 +207,28 @@ class Missions:
     async def _circle_info(self, call: Call) -> Message:
         return {"hotpoint_task": self._circle(call)[0]} | _done((0x03, 0x26), with_result=False)
 
+    async def _circle_download(self, call: Call) -> Message:
+        return {"hotpoint_task": self._circle(call)[0]}
+
+    async def _set_circle_radius(self, call: Call) -> Message:
+        await self._set_radius(call)
+        return {"result": True}
+
+    async def _set_circle_speed(self, call: Call) -> Message:
+        await self._turn(call, call.request["speed"])
+        return {"result": True}
+
     async def _set_radius(self, call: Call) -> Message:
         await self._change(call, Action.HOTPOINT_RADIUS, call.request["radius"])
         return _done((0x03, 0x24))
 
     async def _set_rate(self, call: Call) -> Message:
-        rate = call.request["yaw_rate"]
+        await self._turn(call, call.request["yaw_rate"])
+        return _done((0x03, 0x23))
+
+    async def _turn(self, call: Call, rate: float) -> None:
         signed = rate if call.request["direction"] else -rate
         await self._change(call, Action.HOTPOINT_RATE, signed)
-        return _done((0x03, 0x23))
 
     async def _reset_heading(self, call: Call) -> Message:
         await self._change(call, Action.HOTPOINT_HEADING, 0.0)

@@ -1,4 +1,4 @@
-"""Gimbal, camera and motors under the names of DJI's later ``dji_sdk`` node.
+"""Gimbal, camera and motors under the names of DJI's later ``dji_sdk`` node, and of 3.1's.
 
 Gimbal and camera need no control authority. They need the lease, or that nobody holds it: whoever
 flies also looks where it flies. Nothing answers these commands, so ``result`` says "sent".
@@ -12,7 +12,7 @@ from m100link.agent.client import AgentClient
 from m100link.agent.messages import Action
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.commands.control import Arm
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.station.ros.graph import Call, Graph, Listener
 from m100link.station.ros.leases import Clients
@@ -23,6 +23,11 @@ __all__ = ["Payload"]
 _CAMERA = (Action.TAKE_PHOTO, Action.START_VIDEO, Action.STOP_VIDEO)
 """By the number that ``camera_action`` has for each."""
 
+_KEPT = {
+    "yaw": GimbalAngleMode.KEEP_YAW,
+    "roll": GimbalAngleMode.KEEP_ROLL,
+    "pitch": GimbalAngleMode.KEEP_PITCH,
+}
 _SHORTEST_S = 0.1
 
 
@@ -41,6 +46,9 @@ class Payload:
         graph.add_topic("/dji_sdk/gimbal_speed_cmd", "geometry_msgs/Vector3Stamped", self._on_rates)
         for name, kind, handler in (
             ("camera_action", "CameraAction", self._camera),
+            ("camera_action_control", "CameraActionControl", self._camera),
+            ("gimbal_angle_control", "GimbalAngleControl", self._angles),
+            ("gimbal_speed_control", "GimbalSpeedControl", self._rates),
             ("drone_arm_control", "DroneArmControl", self._arm),
         ):
             graph.add_service(
@@ -77,6 +85,39 @@ class Payload:
             self._clients.complain(session, error)
         else:
             self._send(session, Action.GIMBAL_RATES, data)
+
+    async def _angles(self, call: Call) -> Message:
+        """Tenths of a degree and of a second."""
+        asked = call.request
+        mode = GimbalAngleMode(asked["absolute_or_incremental"])
+        for axis, bit in _KEPT.items():
+            if asked[f"{axis}_cmd_ignore"]:
+                mode |= bit
+        command = GimbalAngle(
+            yaw_deg=asked["yaw"] / 10.0,
+            roll_deg=asked["roll"] / 10.0,
+            pitch_deg=asked["pitch"] / 10.0,
+            mode=mode,
+            duration_s=max(_SHORTEST_S, asked["duration"] / 10.0),
+        )
+        return await self._turn(call, Action.GIMBAL_ANGLES, command)
+
+    async def _rates(self, call: Call) -> Message:
+        """Tenths of a degree per second; one call turns it for half a second."""
+        asked = call.request
+        command = GimbalSpeed(
+            yaw_deg_s=asked["yaw_rate"] / 10.0,
+            roll_deg_s=asked["roll_rate"] / 10.0,
+            pitch_deg_s=asked["pitch_rate"] / 10.0,
+        )
+        return await self._turn(call, Action.GIMBAL_RATES, command)
+
+    async def _turn(
+        self, call: Call, action: Action, command: GimbalAngle | GimbalSpeed
+    ) -> Message:
+        data = command.value(FIRMWARE_3_1)
+        await self._agent.ask(action, self._clients.lease(call.session), data=data)
+        return {"result": True}
 
     def _send(self, session: Listener, action: Action, data: bytes) -> None:
         async def send() -> None:

@@ -12,10 +12,11 @@ import anyio
 import pytest
 
 from m100link.geodesy import LocalFrame
+from m100link.protocol.commands.hotpoint import HotpointSetRate
 from m100link.protocol.commands.waypoint import WaypointPoint, WaypointStartStop
 from m100link.sim.virtual import VirtualAircraft
 from tests.station.conftest import FakeClient, Rig
-from tests.station.ros.test_payload import answer
+from tests.station.ros.test_payload import answer, sent
 
 pytestmark = pytest.mark.anyio
 
@@ -326,3 +327,71 @@ async def test_a_circle_that_cannot_be_is_refused(rig: Rig) -> None:
     await answer(rig, page, "mission_hotpoint_upload", hotpoint_task=circle(rig, radius=400.0))
     assert (await answer(rig, page, "mission_hotpoint_action", action=START))["result"] is False
     assert rig.front.state.mission in ("", "no mission")
+
+
+async def test_the_services_of_the_node_for_3_1_fly_it_too(rig: Rig) -> None:
+    page = await rig.airborne()
+    done = {"result": True}
+    assert "no mission" in (await answer(rig, page, "mission_waypoint_download"))["values"]
+    await upload(rig, page)
+    info = await answer(rig, page, "mission_waypoint_getInfo")
+    assert await answer(rig, page, "mission_waypoint_download") == info
+    assert await answer(rig, page, "mission_start") == done
+    await rig.until(lambda: is_flying(rig))
+    await rig.until(lambda: rig.aircraft.position[0] > 5.0)
+    # As in DJI's node 0 pauses, although the field is called pause.
+    assert await answer(rig, page, "mission_pause", pause=0) == done
+    await anyio.sleep(4.0)
+    held = rig.aircraft.position
+    await anyio.sleep(3.0)
+    assert rig.aircraft.position == pytest.approx(held, abs=0.3)
+    assert await answer(rig, page, "mission_waypoint_set_speed", speed=2.0) == done
+    assert (await answer(rig, page, "mission_waypoint_get_speed"))["speed"] == 2.0
+    assert await answer(rig, page, "mission_pause", pause=1) == done
+    await rig.until(lambda: rig.aircraft.position[0] > held[0] + 2.0)
+    assert "pause is 0" in (await answer(rig, page, "mission_pause", pause=2))["values"]
+    assert await answer(rig, page, "mission_cancel") == done
+    await rig.until(lambda: not is_flying(rig))
+
+
+@pytest.mark.parametrize("service", ["mission_start", "mission_pause", "mission_cancel"])
+async def test_those_services_need_control(rig: Rig, service: str) -> None:
+    page = await rig.airborne()
+    await upload(rig, page)
+    failed = await answer(rig, rig.client("second"), service)
+    assert failed["result"] is False
+    assert "has control" in failed["values"]
+    assert starts(rig) == 0
+
+
+async def test_control_is_obtained_and_released_by_the_name_of_that_node(rig: Rig) -> None:
+    page = rig.client()
+    for wanted in (1, 0):
+        done = await answer(rig, page, "sdk_permission_control", control_enable=wanted)
+        assert done == {"result": True}
+        assert rig.agent.holding.has_authority is bool(wanted)
+    failed = await answer(rig, page, "sdk_permission_control", control_enable=2)
+    assert "control_enable is 1" in failed["values"]
+
+
+async def test_a_circle_by_the_names_of_that_node(rig: Rig) -> None:
+    page = await rig.airborne()
+    done = {"result": True}
+    await upload(rig, page)
+    await answer(rig, page, "mission_hotpoint_upload", hotpoint_task=circle(rig))
+    downloaded = await answer(rig, page, "mission_hotpoint_download")
+    assert downloaded == {"hotpoint_task": circle(rig)}
+    assert await answer(rig, page, "mission_start") == done  # what was uploaded last
+    await rig.until(lambda: rig.front.state.mission_status == 1)
+    assert await answer(rig, page, "mission_hotpoint_set_radius", radius=20.0) == done
+    slower = await answer(rig, page, "mission_hotpoint_set_speed", speed=8.0, direction=0)
+    assert slower == done
+    [rate] = sent(rig, HotpointSetRate)
+    assert (rate.angular_rate, rate.clockwise) == (8.0, 0)
+    assert (await answer(rig, page, "mission_hotpoint_reset_yaw"))["result"] is True
+    await rig.until(lambda: abs(distance(rig) - 20.0) < 1.0)
+    assert await answer(rig, page, "mission_pause", pause=0) == done
+    await rig.until(lambda: rig.front.state.mission_status == 2)
+    assert await answer(rig, page, "mission_pause", pause=1) == done
+    assert await answer(rig, page, "mission_cancel") == done
+    await rig.until(lambda: rig.front.state.mission == "no mission")

@@ -159,3 +159,55 @@ async def test_older_firmware_says_that_it_has_none() -> None:
         refused = await answer(rig, page, "camera_action", camera_action=0)
         assert refused == {"result": False}
         assert any("does not know take_photo" in text for text in page.statuses())
+
+
+async def test_the_services_of_the_node_for_3_1_take_tenths(rig: Rig) -> None:
+    page = rig.client()
+    angles = {"yaw": 300, "roll": 50, "pitch": -450, "duration": 20, "roll_cmd_ignore": True}
+    done = {"result": True}
+    asked = angles | {"absolute_or_incremental": True}
+    assert await answer(rig, page, "gimbal_angle_control", **asked) == done
+    await anyio.sleep(2.5)
+    [command] = sent(rig, GimbalAngle)
+    assert (command.angles_deg, command.mode, command.duration_s) == ((30, 0, -45), 0b0101, 2.0)
+    gimbal = rig.aircraft.vehicle.gimbal
+    assert (gimbal.yaw, gimbal.roll, gimbal.pitch) == pytest.approx((30, 0, -45), abs=0.1)
+    kept = {"roll_cmd_ignore": False, "yaw_cmd_ignore": True, "pitch_cmd_ignore": True}
+    assert await answer(rig, page, "gimbal_angle_control", **angles | kept) == done
+    assert await answer(rig, page, "gimbal_angle_control", roll=-50) == done
+    modes = [(one.mode, one.duration_s) for one in sent(rig, GimbalAngle)[1:]]
+    assert modes == [(0b1010, 2.0), (0, 0.1)]
+    unmoved = {f"{axis}_cmd_ignore": True for axis in ("yaw", "roll", "pitch")}
+    assert "no angle" in (await answer(rig, page, "gimbal_angle_control", **unmoved))["values"]
+    rates = {"yaw_rate": 400, "roll_rate": 10, "pitch_rate": -200}
+    assert await answer(rig, page, "gimbal_speed_control", **rates) == done
+    [speed] = sent(rig, GimbalSpeed)
+    assert speed.raw() == {"yaw": 400, "roll": 10, "pitch": -200, "flags": 0x80}
+    assert await answer(rig, page, "camera_action_control", camera_action=0) == done
+    assert rig.aircraft.vehicle.camera.photos == 1
+
+
+@pytest.mark.parametrize(
+    ("service", "values", "words"),
+    [
+        ("gimbal_angle_control", {"pitch": 450}, "pitch"),
+        ("gimbal_angle_control", {"duration": 300}, "duration"),
+        ("gimbal_speed_control", {"roll_rate": 1801}, "roll speed"),
+    ],
+)
+async def test_those_services_refuse_what_the_gimbal_does_not_have(
+    rig: Rig, service: str, values: dict[str, int], words: str
+) -> None:
+    failed = await answer(rig, rig.client(), service, **values)
+    assert failed["result"] is False
+    assert words in failed["values"]
+    assert sent(rig, GimbalAngle) == sent(rig, GimbalSpeed) == []
+
+
+async def test_those_services_leave_the_camera_to_whoever_flies(rig: Rig) -> None:
+    await rig.open("first")
+    for service in ("gimbal_angle_control", "gimbal_speed_control", "camera_action_control"):
+        failed = await answer(rig, rig.client("second"), service)
+        assert "first" in failed["values"]
+    assert sent(rig, GimbalAngle) == sent(rig, GimbalSpeed) == []
+    assert rig.aircraft.vehicle.camera.photos == 0
