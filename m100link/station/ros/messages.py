@@ -1,9 +1,11 @@
 """The ROS message and service types that the station speaks, and checks of values against them.
 
 Types are written as ROS writes them, one field after the other; ``[<=16]`` bounds what clients may
-send in an array. A value is checked field by field: what is missing gets its default, what is
-unknown or of the wrong type or size is an error that names the field. Values live in Python form: a
-dict per message, ``bytes`` for ``uint8[]``, NaN for the JSON ``null`` of a float.
+send in an array. Where generations of DJI's node differ, ``[15..16]`` takes the shorter array, too,
+and ``uint16|int16`` negative values; told is the longer array of the first type. A value is checked
+field by field: what is missing gets its default, what is unknown or of the wrong type or size is an
+error that names the field. Values live in Python form: a dict per message, ``bytes`` for
+``uint8[]``, NaN for the JSON ``null`` of a float.
 """
 
 from __future__ import annotations
@@ -70,8 +72,8 @@ dji_sdk/Gimbal: std_msgs/Header header, int32 ts, uint8 mode, float32 yaw, float
 float32 roll
 dji_sdk/MissionPushInfo: uint8 type, uint8 data_1, uint8 data_2, uint8 data_3, uint8 data_4, \
 uint8 data_5
-dji_sdk/MissionWaypointAction: uint8 action_repeat, uint8[16] command_list, \
-uint16[16] command_parameter
+dji_sdk/MissionWaypointAction: uint8 action_repeat, uint8[15..16] command_list, \
+uint16|int16[15..16] command_parameter
 dji_sdk/MissionWaypoint: float64 latitude, float64 longitude, float32 altitude, \
 float32 damping_distance, int16 target_yaw, int16 target_gimbal_pitch, uint8 turn_mode, \
 uint8 has_action, uint16 action_time_limit, dji_sdk/MissionWaypointAction waypoint_action
@@ -188,12 +190,16 @@ class Field:
         type: Type of the value, or of the elements of an array.
         length: None for a single value, 0 for an array of any length, else the exact length.
         bound: Elements that an array of any length may have when a client sends it.
+        least: Elements that an array of exact length has at least when a client sends it.
+        also: Type of the elements that do not fit the type; empty for none.
     """
 
     name: str
     type: str
     length: int | None
     bound: int = _MAX_ARRAY
+    least: int = 0
+    also: str = ""
 
     @property
     def is_bytes(self) -> bool:
@@ -295,8 +301,11 @@ def _fields(text: str) -> tuple[Field, ...]:
         kind, name = part.split()
         kind, bracket, size = kind.rstrip("]").partition("[")
         bound = int(size[2:]) if size.startswith("<=") else _MAX_ARRAY
+        shorter, _, size = size.rpartition("..")
         length = int(size) if size.isdecimal() else 0
-        fields.append(Field(name, kind, length if bracket else None, bound))
+        kind, _, also = kind.partition("|")
+        least = int(shorter or length)
+        fields.append(Field(name, kind, length if bracket else None, bound, least, also))
     return tuple(fields)
 
 
@@ -366,11 +375,16 @@ def _read(field: Field, value: Any, path: str) -> Any:
         raise BadMessage(f"{path} has more than {most} elements")
     if field.is_bytes:
         value = _read_bytes(value, path)
-    if field.length and len(value) != field.length:
+    if len(value) < field.least:
         raise BadMessage(f"{path} has {len(value)} elements, it takes {field.length}")
     if field.is_bytes:
         return value
-    return [_read_scalar(field.type, one, f"{path}[{i}]") for i, one in enumerate(value)]
+    return [_read_scalar(_kind(field, one), one, f"{path}[{i}]") for i, one in enumerate(value)]
+
+
+def _kind(field: Field, value: Any) -> str:
+    is_below = field.also and isinstance(value, int | float) and value < 0
+    return field.also if is_below else field.type
 
 
 _NO_BYTES = "{} is neither base64 nor a list of bytes"

@@ -28,6 +28,7 @@ __all__ = ["Missions"]
 _STATUS_S = 0.25
 _CIRCLE, _LATEST = "hotpoint", "latest upload"
 _MOST_POINTS = 99
+_MOST_ACTIONS = 15  # of the 16 places that the wire has
 _ROS_DEMO_YAW_MODE = 4  # DJI's demo sends it, and means 0
 
 _ACTIONS = (
@@ -276,7 +277,7 @@ def _commands(task: Mapping[str, object]) -> tuple[WaypointMission, list[Waypoin
 
 
 def _point(index: int, given: Message) -> WaypointPoint:
-    action = given["waypoint_action"]
+    count, times, actions, parameters = _actions(given["waypoint_action"])
     return WaypointPoint(
         index=index,
         latitude=math.radians(given["latitude"]),
@@ -288,11 +289,37 @@ def _point(index: int, given: Message) -> WaypointPoint:
         turn_mode=given["turn_mode"],
         has_action=given["has_action"],
         action_time_limit=given["action_time_limit"],
-        action_count=action["action_repeat"] & 0x0F,
-        action_repeat=action["action_repeat"] >> 4,
-        actions=tuple(action["command_list"]),
-        parameters=tuple(_signed(value) for value in action["command_parameter"]),
+        action_count=count,
+        action_repeat=times,
+        actions=actions,
+        parameters=parameters,
     )
+
+
+def _actions(given: Message) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
+    """How many actions, how often, and the two lists at the length of the wire.
+
+    DJI's nodes of 2016 and later say "15 actions" whatever comes, and send ``action_repeat`` as the
+    runs: 15 is taken as far as the list is filled, since the rest are stays of no time. The later
+    definition's comment, and what that node tells of a mission, has the number in the lower and the
+    runs in the upper four bits: a value that has upper bits is read so.
+    """
+    actions = tuple(given["command_list"])
+    parameters = tuple(_signed(value) for value in given["command_parameter"])
+    times, count = divmod(given["action_repeat"], 16)
+    if not times:
+        times = count
+        filled = (
+            place
+            for place, pair in enumerate(zip(actions, parameters, strict=False), 1)
+            if any(pair)
+        )
+        count = min(_MOST_ACTIONS, max(filled, default=0))
+    return count, times, _padded(actions), _padded(parameters)
+
+
+def _padded(values: tuple[int, ...]) -> tuple[int, ...]:
+    return values + (0,) * (_MOST_ACTIONS + 1 - len(values))
 
 
 def _signed(value: int) -> int:

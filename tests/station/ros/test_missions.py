@@ -374,6 +374,35 @@ async def test_control_is_obtained_and_released_by_the_name_of_that_node(rig: Ri
     assert "control_enable is 1" in failed["values"]
 
 
+@pytest.mark.parametrize(
+    ("repeat", "size", "count", "times"),
+    [
+        (1, 16, 3, 1),  # as DJI's nodes read it: every action, once
+        (1, 15, 3, 1),
+        (0, 15, 3, 0),
+        (15, 16, 3, 15),
+        (0x12, 16, 2, 1),  # as the later definition says: the number, and the runs above it
+        (0x23, 16, 3, 2),
+    ],
+)
+async def test_how_many_actions_there_are(
+    rig: Rig, repeat: int, size: int, count: int, times: int
+) -> None:
+    page = await rig.airborne()
+    action = {
+        "action_repeat": repeat,
+        "command_list": [5, 4, 1, *[0] * (size - 3)],
+        "command_parameter": [-60, 0x10000 - 90, *[0] * (size - 2)],
+    }
+    points = [waypoint(rig, 15, 0, has_action=1, waypoint_action=action), waypoint(rig, 0, 15)]
+    assert (await upload(rig, page, mission_waypoint=points))["result"] is True
+    await act(rig, page, START)
+    await rig.until(lambda: bool(sent(rig, WaypointPoint)))
+    point = sent(rig, WaypointPoint)[0]
+    assert (point.action_count, point.action_repeat) == (count, times)
+    assert list(zip(point.actions, point.parameters, strict=True))[:2] == [(5, -60), (4, -90)]
+
+
 async def test_a_circle_by_the_names_of_that_node(rig: Rig) -> None:
     page = await rig.airborne()
     done = {"result": True}
