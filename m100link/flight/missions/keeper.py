@@ -33,6 +33,7 @@ _logger = logging.getLogger("m100link.flight")
 
 _LANDING = (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
 _TOLD_WITHIN_S = 0.5  # two or three pushes are lost, hardly five
+_GOES_ON_S = 3.0  # after its end, until when what is pushed of its kind is taken for ours
 _TOLD_BY_S = 1.0  # after its start, by when the pushes tell of a mission
 
 
@@ -244,16 +245,24 @@ class MissionKeeper:
             Why it may be flying on, None when it does not.
         """
         run = self._run
-        if run is None or not run.owes_a_stop:
+        if run is None or not (run.owes_a_stop or self._flies_all_the_same(run)):
             return None
         try:
-            await run.stop()
+            await (run.stop() if run.owes_a_stop else self.stop_any())
         except LinkError as error:
             return error  # give_up() says what that means
         except M100Error as error:
             _logger.error("%s", error)
             return error
         return None
+
+    def _flies_all_the_same(self, run: MissionRun) -> bool:
+        """Whether the pushes went on to tell of ours when something had said that it is over."""
+        state = self._watch.state
+        if run.state is not RunState.OVER or not state.is_running or state.kind is not run.kind:
+            return False
+        # One that began later is somebody else's.
+        return state.since is not None and state.since < run.ended_at + _GOES_ON_S
 
     def give_up(self, failure: M100Error | None, why: str) -> None:
         """What flies is left in flight.

@@ -78,6 +78,7 @@ class MissionRun:
         kind, flies_without_rc: As above.
         state: Where it is in its life.
         started_at: When the start was sent, on the event loop's clock; minus infinity before.
+        ended_at: When it was taken for over; minus infinity before.
         events: For the program.
     """
 
@@ -93,7 +94,7 @@ class MissionRun:
         self.state = RunState.READY
         self.events = Events()
         self._is_told = False  # the program was told why it was broken off
-        self.started_at = -math.inf
+        self.started_at = self.ended_at = -math.inf
         self._pushed_at = 0.0  # when a push told of this mission last, or it was started
         self._is_pushed = False  # whether one ever did
         # What the pushes said while a stop was under way, for the case that nobody answers it.
@@ -396,6 +397,7 @@ class MissionRun:
         """It does not fly any more."""
         if not self.feed(how):
             return
+        self.ended_at = self._clock()
         if how is RunInput.STOPPED:
             self.events.add(Stopped())
         self.events.end(failure)

@@ -6,9 +6,18 @@ import asyncio
 
 import pytest
 
-from m100link import AuthorityLost, MissionRefused
+from m100link import AuthorityLost, MissionAborted, MissionRefused, MissionRunning
+from tests.flight.foreign_aircraft import MODE_F, ONBOARD, frame
 from tests.flight.missions.foreign import assert_rests, foreign
-from tests.flight.missions.test_run import SLOW, begun, lose_short_acks, stops
+from tests.flight.missions.test_keeper import start_from_a_phone
+from tests.flight.missions.test_run import (
+    SLOW,
+    assert_stopped,
+    begun,
+    lose_short_acks,
+    stops,
+)
+from tests.rig import NORTH
 
 pytestmark = pytest.mark.anyio
 
@@ -68,4 +77,45 @@ async def test_an_answer_that_says_nothing_does_not_keep_the_stop_from_being_sen
         there.leave_f()
         with pytest.raises(AuthorityLost):
             await task
+        assert stops(there) == [0]
+
+
+async def test_one_that_is_pushed_on_after_its_end_is_stopped_with_the_block() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            with pytest.raises(MissionAborted):
+                async with control.waypoint_mission(SLOW):
+                    await asyncio.sleep(2.0)
+                    there._write(frame(b"\x02\x03\0\1\1\xd9\0\0"))
+                    await asyncio.sleep(2.0)
+            with pytest.raises(MissionRunning):
+                control.send(NORTH)
+        await assert_stopped(there)
+
+
+async def test_one_that_outlives_a_pause_by_the_pilot_is_stopped_with_the_block() -> None:
+    """That a lost authority ends it is inferred (facts M10); its stop was refused meanwhile."""
+    async with foreign() as (there, aircraft):
+        async with aircraft.control(on_pause="wait") as control:
+            async with control.waypoint_mission(SLOW):
+                await asyncio.sleep(2.0)
+                there.missions.break_off = lambda reason: None  # type: ignore[method-assign] # not it
+                there.leave_f()
+                await asyncio.sleep(1.0)
+            there.mode, there.device = MODE_F, ONBOARD
+            await control.wait_resumable()
+            control.resume()
+            await asyncio.sleep(2.0)
+        assert stops(there) == [0xD1, 0]
+        await assert_rests(there)
+
+
+async def test_a_mission_that_somebody_began_after_ours_is_not_stopped() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(SLOW):
+                await asyncio.sleep(2.0)
+            await asyncio.sleep(5.0)
+            start_from_a_phone(there)
+            await asyncio.sleep(2.0)
         assert stops(there) == [0]
