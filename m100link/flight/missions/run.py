@@ -153,7 +153,8 @@ class MissionRun:
             raise
         code = MissionCode(code_of(answer))
         if code is not MissionCode.SUCCESS:
-            self._refused()
+            if code.is_known:  # what another one means nobody knows: perhaps that it flies
+                self._refused()
             raise mission_refused(f"the start of the {self.name}", code)
         self.feed(RunInput.STARTED)
         _logger.info("%s started: the aircraft flies it by itself", self.name)

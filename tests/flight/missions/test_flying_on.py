@@ -42,6 +42,22 @@ async def test_a_start_that_was_executed_and_then_refused_as_a_repetition_is_sto
         await assert_rests(there)
 
 
+async def test_a_start_that_is_answered_by_a_code_without_meaning_is_stopped() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        execute = there._execute
+
+        def misname(group: int, number: int, value: bytes) -> bytes | None:
+            answer = execute(group, number, value)
+            return b"\x42" if (group, number, value) == (3, 0x12, b"\0") else answer
+
+        there._execute = misname  # type: ignore[method-assign] # a firmware with codes of its own
+        with pytest.raises(MissionRefused):
+            async with control.waypoint_mission(SLOW):
+                pytest.fail("entered")
+        assert stops(there) == [0]
+        await assert_rests(there)
+
+
 async def test_a_stop_that_was_given_up_is_sent_again_at_the_end() -> None:
     async with foreign() as (there, aircraft):
         async with aircraft.control() as control:
