@@ -274,6 +274,6 @@ def test_a_key_on_the_command_line_is_warned_of_and_not_repeated(cli: CommandLin
 def test_an_app_that_the_server_does_not_know(cli: CommandLine, key_file: Path) -> None:
     outcome = cli("activate", "sim://", "--app-id", "7", "--key-file", str(key_file))
     assert outcome.status == ExitCode.ACTIVATION
-    assert "the server refused (code 6, attempt 1)" in outcome.err
+    assert "the server refused (code 6, attempt 2)" in outcome.err
     assert "check app id and key" in outcome.err
     assert key_file.read_text().strip() not in outcome.err

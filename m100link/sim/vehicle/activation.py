@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.activation import Activate
 from m100link.protocol.firmware import FirmwareProfile
@@ -16,14 +18,18 @@ _SERVER_CODES = {
     Refusal.LEVEL: ActivationCode.LEVEL_TOO_HIGH,
 }
 
+_MOST_ASKED = 16
+"""Apps that the server is asked about at once; ids that nobody knows may come without end."""
+
 
 class Activation:
     """What this aircraft knows about apps: who is active, who was allowed before.
 
     The first request of an app that this aircraft does not know is answered 3 while the server is
     asked through the mobile app; the next one, ``server_delay`` or more later, is answered 0. An
-    app that was allowed once is remembered, over power-off too, and needs neither phone nor
-    Internet again.
+    app that the server does not know is answered 3 at first as well, as DJI's own test of it
+    expects (facts-later-commands 4), then 6. An app that was allowed once is remembered, over
+    power-off too, and needs neither phone nor Internet again.
 
     Attributes:
         active: The grant in force, None before activation.
@@ -80,21 +86,29 @@ class Activation:
         if not self._app.has_internet:
             return ActivationCode.NO_INTERNET
         verdict = self._server.judge(request.app_id, self._serial_number, level)
+        is_asked = not isinstance(verdict, Refusal) or verdict is Refusal.UNKNOWN_APP
+        if is_asked and now < self._answer_at(request.app_id, now):
+            return ActivationCode.NEW_DEVICE
         if isinstance(verdict, Refusal):
             self.last_refusal = verdict
             self._asking.pop(request.app_id, None)
             return _SERVER_CODES[verdict]
-        answer_at = self._asking.get(request.app_id)
-        if answer_at is None:
-            self._asking[request.app_id] = now + self._delay
-            return ActivationCode.NEW_DEVICE
-        if now < answer_at:
-            return ActivationCode.NEW_DEVICE
         del self._asking[request.app_id]
         self._server.activate(request.app_id, self._serial_number, level)
         self.known[request.app_id] = self._server_grant(verdict)
         self.active = verdict
         return ActivationCode.SUCCESS
+
+    def _answer_at(self, app_id: int, now: float) -> float:
+        """When the server answers; it is asked now if it was not before."""
+        answer_at = self._asking.get(app_id)
+        if answer_at is None:
+            if len(self._asking) >= _MOST_ASKED:
+                del self._asking[next(iter(self._asking))]
+            # The request that asks never gets the answer, however fast the server is.
+            self._asking[app_id] = now + self._delay
+            return math.inf
+        return answer_at
 
     def allow(self, app_id: int) -> None:
         """Know an app as one that the server allowed before: its next request is answered 0.

@@ -93,7 +93,27 @@ def test_code_5_app_without_internet() -> None:
 
 def test_code_6_server_refuses_an_unknown_app_id() -> None:
     host = Host()
+    assert host.ask(host.activation(app_id=4711)) == ActivationCode.NEW_DEVICE
+    host.wait(5.0)
     assert host.ask(host.activation(app_id=4711)) == ActivationCode.SERVER_REFUSED
+
+
+def test_an_unknown_app_gets_3_as_in_djis_own_test_though_another_is_active() -> None:
+    host = Host()
+    host.ask(host.activation())
+    host.wait(5.0)
+    assert host.ask(host.activation()) == ActivationCode.SUCCESS
+    assert host.ask(host.activation(app_id=1000000)) == ActivationCode.NEW_DEVICE
+    assert host.ask(host.activation()) == ActivationCode.SUCCESS
+
+
+def test_unknown_apps_without_end_are_not_all_remembered() -> None:
+    host = Host()
+    for app_id in range(20_000, 20_040):
+        host.ask(host.activation(app_id=app_id))
+    host.wait(5.0)
+    assert host.ask(host.activation(app_id=20_039)) == ActivationCode.SERVER_REFUSED
+    assert host.ask(host.activation(app_id=20_000)) == ActivationCode.NEW_DEVICE
 
 
 def test_code_6_server_refuses_everybody() -> None:
