@@ -112,9 +112,9 @@ async def test_a_refusal_names_the_waypoint_and_nothing_flies() -> None:
             async with control.waypoint_mission(plan()):
                 pytest.fail("entered")
         assert (caught.value.code, caught.value.point) == (0xE1, 0)
-        there.missions.answers = {0x12: 0x77}
+        there.missions.answers = {0x12: 0xC9}
         with pytest.raises(MissionRefused) as caught:
             async with control.waypoint_mission(plan()):
                 pytest.fail("entered")
-        assert caught.value.code == 0x77
+        assert caught.value.code == 0xC9
         control.send(NORTH)
