@@ -12,7 +12,7 @@ from m100link.errors import AuthorityLost, M100Error, TaskRefused
 from m100link.flight.authority import AuthorityState
 from m100link.flight.handover import explained_loss, release_authority
 from m100link.flight.known import known
-from m100link.flight.lifecycle import Lifecycle
+from m100link.flight.lifecycle import Lifecycle, StopCause
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.motors import is_on_ground, switch_motors
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
@@ -162,6 +162,12 @@ class StopPath:
         """
         if self._action != "land" or self._missions.is_detached:
             return
+        if self._missions.is_of_another:
+            _logger.warning(
+                "stop='land' did not land: a %s flies that this block did not start",
+                self._missions.flying,
+            )
+            return
         deadline = self._clock() + _LANDING_DEADLINE_S
         while self._life.plan.land and self._has_authority and self._may_be_airborne():
             try:
@@ -214,7 +220,7 @@ class StopPath:
         return self._missions.lands_by_plan and self._may_be_airborne()
 
     async def _release(self) -> None:
-        if not self._life.plan.release:
+        if not self._life.plan.release or self._leaves_another_in_flight():
             return
         if self._has_authority and (self._missions.is_detached or self._lands_by_plan):
             _logger.warning(
@@ -222,3 +228,19 @@ class StopPath:
             )
             return
         await release_authority(self._commander)
+
+    def _leaves_another_in_flight(self) -> bool:
+        """Whether authority is kept because the release would break off somebody else's mission.
+
+        Also when the block could not be entered: the program that is gone may have obtained what
+        this one would give back.
+        """
+        may_have_it = self._has_authority or self._life.cause is StopCause.NOT_ENTERED
+        if not may_have_it or not self._missions.is_of_another:
+            return False
+        _logger.warning(
+            "authority is not given back: a %s flies that this block did not start, and would be "
+            "broken off; stop_mission() ends it, or the pilot's mode switch",
+            self._missions.flying,
+        )
+        return True

@@ -53,6 +53,8 @@ class MissionKeeper:
         self._watch = commander.missions
         self._run: MissionRun | None = None  # the newest that this block entered
         self._detached: MissionKind | None = None  # somebody else's, left in flight by name
+        # From then on what flies is to end; what is told of first long after is another one.
+        self._stop_asked_at = -math.inf
 
     # -- one at a time ---------------------------------------------------------------------------
 
@@ -119,6 +121,7 @@ class MissionKeeper:
             kind = self._run.kind
             await self._run.stop()
             return kind
+        self._stop_asked_at = self._commander.link.loop.time()
         state = self._watch.state
         kinds = [state.kind] if state.is_running else list(ORDERS)
         stopped = MissionKind.NONE
@@ -197,6 +200,20 @@ class MissionKeeper:
         # A push of before the start says nothing about what flies since.
         began_at = run.started_at if run is not None and was_ours else -math.inf
         return self._watch.received_at < began_at + _TOLD_BY_S
+
+    @property
+    def is_of_another(self) -> bool:
+        """Whether a mission flies that this block neither started nor told to stop.
+
+        A phone, a program that is gone or a block before this one started it. A block that is only
+        left is no order to break it off.
+        """
+        run, state = self._run, self._watch.state
+        if not state.is_running or state.since is None:
+            return False
+        if run is not None and (run.is_in_the_air or self._flies_all_the_same(run)):
+            return False
+        return state.since >= self._stop_asked_at + _GOES_ON_S
 
     @property
     def lands_by_plan(self) -> bool:

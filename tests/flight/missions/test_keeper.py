@@ -7,8 +7,9 @@ import struct
 
 import pytest
 
-from m100link import MissionKind, MissionRunning, UsageError
+from m100link import AckTimeout, MissionKind, MissionRunning, UsageError
 from m100link.flight.authority import AuthorityState
+from m100link.flight.stop_path import StopAction
 from tests.flight.foreign_aircraft import ONBOARD, ForeignInMemory
 from tests.flight.missions.foreign import assert_rests, foreign, orders, plan
 from tests.rig import NORTH
@@ -66,7 +67,6 @@ async def test_control_stop_lets_the_aircraft_hover_whatever_flies_it(is_ours: b
 
 
 async def test_one_that_is_not_ours_is_not_stopped_by_leaving_control() -> None:
-    """The release does that, as far as anybody knows; detach_mission() keeps it in flight."""
     async with foreign() as (there, aircraft):
         start_from_a_phone(there)
         await asyncio.sleep(0.5)
@@ -131,3 +131,63 @@ async def test_one_that_was_detached_and_then_stopped_does_not_keep_authority() 
             await control.stop_mission()
         assert there.device != ONBOARD
         await assert_rests(there)
+
+
+@pytest.mark.parametrize("stop", ["hover", "land"])
+async def test_what_was_refused_beside_a_mission_of_somebody_else_does_not_end_it(
+    stop: StopAction, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with foreign() as (there, aircraft):
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        with pytest.raises(MissionRunning):
+            async with aircraft.control(stop=stop) as control:
+                await control.take_off()
+        await asyncio.sleep(2.0)
+        assert there.missions.flying
+        assert there.device == ONBOARD
+        assert not there.tasks
+        assert "authority is not given back" in caplog.text
+
+
+async def test_a_detached_mission_is_not_broken_off_by_a_later_block() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(plan(speed=1.0)) as mission:
+                mission.detach()
+        await asyncio.sleep(2.0)
+        async with aircraft.control():
+            pass
+        await asyncio.sleep(2.0)
+        assert there.missions.flying
+        assert aircraft.authority.state is AuthorityState.HELD
+
+
+async def test_a_block_that_could_not_be_entered_does_not_give_back_what_another_obtained() -> None:
+    async with foreign() as (there, aircraft):
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        async with aircraft.control():
+            pass
+        execute = there._execute
+
+        def unheard(group: int, number: int, value: bytes) -> bytes | None:
+            answer = execute(group, number, value)
+            return None if (group, number, value) == (1, 0, b"\1") else answer
+
+        there._execute = unheard  # type: ignore[method-assign] # the ack is lost
+        with pytest.raises(AckTimeout):
+            async with aircraft.control():
+                pytest.fail("entered")
+        assert there.missions.flying
+        assert there.device == ONBOARD
+
+
+async def test_one_of_somebody_else_that_was_told_to_stop_in_vain_does_not_keep_authority() -> None:
+    async with foreign() as (there, aircraft):
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        there.missions.answers = {0x12: 0xD4}  # none is running, it says, and pushes that one is
+        async with aircraft.control() as control:
+            assert await control.stop_mission() is MissionKind.NONE
+        assert there.device != ONBOARD
