@@ -147,8 +147,8 @@ class LinkOptions:
         if settings.url is None:
             raise UsageError(
                 "no URL says where the aircraft is",
-                remedy="give it as first argument or with --url, set M100LINK_URL, or name an "
-                "aircraft in the file that `m100link config` names",
+                remedy="give it as argument (after PLAN in `mission fly`) or with --url, set "
+                "M100LINK_URL, or name an aircraft in the file that `m100link config` names",
             )
         return Place(settings.url, settings)
 

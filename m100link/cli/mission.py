@@ -88,8 +88,8 @@ def fly(
         max_radius: Distance from here that is not exceeded, m.
         yes: Do not ask.
     """
+    found = read_plan(plan, file)  # first: it tells of arguments that are exchanged
     place = (link or LinkOptions()).place(url, app)
-    found = read_plan(plan, file)
     guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
 
     async def flight(aircraft: Aircraft, control: Control) -> None:

@@ -92,13 +92,32 @@ def read_plan(path: str, options: FileOptions | None = None) -> WaypointPlan:
 
     Raises:
         BadPlan: It is none, or cannot be read.
+        UsageError: It names an aircraft.
     """
+    if _names_an_aircraft(path):
+        raise UsageError(
+            f"the plan is {path!r}, which names an aircraft",
+            remedy="did you exchange PLAN and URL? First the file: m100link mission fly PLAN URL",
+        )
     options = options or FileOptions()
     leave_out = [int(name) if name.isdecimal() else name for name in options.leave_out]
     how: dict[str, Any] = {"home_altitude": options.home_altitude, "leave_out": leave_out}
     if path != "-":
         return WaypointPlan.read(path, **how)
     return WaypointPlan.parse(sys.stdin.buffer.read(), **how)
+
+
+def _names_an_aircraft(word: str) -> bool:
+    """Whether a word that should be a file is a URL, a port, or a name of the configuration."""
+    if "://" in word or word.startswith("sim:"):
+        return True
+    if Path(word).exists():
+        return Path(word).is_char_device()
+    if word.startswith("/dev/"):
+        return True
+    from m100link.cli.configuration import read_configuration
+
+    return word in read_configuration().aircraft
 
 
 @app.command

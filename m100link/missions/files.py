@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from pathlib import Path
 
 from m100link.errors import BadPlan
@@ -19,13 +20,18 @@ def read(path: str | Path) -> bytes:
     """What a file holds.
 
     Raises:
-        BadPlan: It cannot be read, or is far too large for a plan.
+        BadPlan: It cannot be read, is a device, or is far too large for a plan.
     """
+    found = b""
     try:
-        with Path(path).open("rb") as file:
-            found = file.read(_LARGEST + 1)
+        is_device = stat.S_ISCHR(Path(path).stat().st_mode)
+        if not is_device:  # a serial port would be read for ever
+            with Path(path).open("rb") as file:
+                found = file.read(_LARGEST + 1)
     except (OSError, ValueError) as error:
         raise _unusable(path, "read", error) from error
+    if is_device:
+        raise BadPlan(f"{os.fspath(path)!r} is a device, not a file", remedy="name a file")
     if len(found) > _LARGEST:
         raise BadPlan(f"{os.fspath(path)} is too large for a plan", remedy="16 MiB at most")
     return found

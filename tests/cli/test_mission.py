@@ -134,6 +134,8 @@ SIM = "sim://?firmware=3.1"
         (("download", SIM), ExitCode.REFUSED, "0xEA"),
         (("download", SIM, "--output", "PLAN"), ExitCode.USAGE, "is there already"),
         (("stop",), ExitCode.USAGE, "no URL says where"),
+        (("fly", "PLAN"), ExitCode.USAGE, "after PLAN in `mission fly`"),
+        (("fly", SIM, "plan.json"), ExitCode.USAGE, "did you exchange PLAN and URL?"),
     ],
 )
 def test_what_cannot_be_is_said(

@@ -199,6 +199,24 @@ def test_a_terminal_without_unicode_and_a_reader_that_leaves(file: str) -> None:
     assert lines[-1] == "0"
 
 
+@pytest.mark.parametrize("verb", ["check", "show", "convert"])
+@pytest.mark.parametrize("where", ["PORT", "sim://", "/dev/ttyUSB99", "/dev/ttyUSB9:921600", "lab"])
+def test_an_aircraft_in_place_of_a_plan_is_not_read(
+    cli: CommandLine, configuration_file: Path, verb: str, where: str
+) -> None:
+    configuration_file.write_text('[aircraft.lab]\nurl = "sim://"\n', encoding="utf-8")
+    ours, port = os.openpty()
+    try:
+        word = os.ttyname(port) if where == "PORT" else where
+        outcome = cli("plan", verb, word, *(("-",) if verb == "convert" else ()))
+    finally:
+        os.close(ours)
+        os.close(port)
+    assert outcome.status == ExitCode.USAGE
+    assert f"the plan is {word!r}, which names an aircraft" in outcome.err
+    assert "did you exchange PLAN and URL?" in outcome.err
+
+
 # -- convert --------------------------------------------------------------------------------------
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -35,9 +36,23 @@ def test_what_cannot_be_read_or_written_says_why(tmp_path: Path) -> None:
         PLAN.write(tmp_path)
 
 
-def test_what_is_far_too_large_is_not_read() -> None:
+def test_what_is_far_too_large_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "large"
+    with path.open("wb") as file:
+        file.truncate(17 * 1024 * 1024)
     with pytest.raises(BadPlan, match="too large for a plan"):
-        WaypointPlan.read("/dev/zero")
+        WaypointPlan.read(path)
+
+
+def test_a_port_is_not_waited_for() -> None:
+    ours, port = os.openpty()
+    try:
+        for device in (os.ttyname(port), "/dev/zero"):
+            with pytest.raises(BadPlan, match="is a device, not a file"):
+                WaypointPlan.read(device)
+    finally:
+        os.close(ours)
+        os.close(port)
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "null", '{"fileType": "plan"}', b"\xff"])
