@@ -22,13 +22,15 @@ from m100link.cli.canvas import Point, track_plot
 from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
 from m100link.cli.flight import activate_app, confirm
 from m100link.cli.options import Above0
-from m100link.cli.outcome import print_json
+from m100link.cli.outcome import ExitCode, print_json
 from m100link.cli.plan import FileOptions, read_plan
+from m100link.cli.terminal import ReaderGone
 from m100link.errors import UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.events import (
+    Finished,
     MissionEvent,
     MissionProgress,
     Reached,
@@ -38,8 +40,8 @@ from m100link.flight.missions.events import (
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.geodesy import LocalFrame
 from m100link.missions import files
-from m100link.missions.plan import WaypointPlan
-from m100link.protocol.records import Position
+from m100link.missions.plan import AtEnd, WaypointPlan
+from m100link.protocol.records import FlightPhase, Position
 from m100link.telemetry.subscription import Latest
 
 __all__ = ["app"]
@@ -92,11 +94,14 @@ def fly(
     place = (link or LinkOptions()).place(url, app)
     guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
 
+    left: list[Callable[[], str]] = []
+
     async def flight(aircraft: Aircraft, control: Control) -> None:
         show = _Show(found, aircraft)
         mission = control.waypoint_mission(
             found, take_off=take_off, allow_far=allow_far, progress=show.uploading
         )
+        left.append(lambda: show.stopped(mission))
         async with show.watching(), mission:
             async for event in mission:
                 show.tell(event, mission)
@@ -104,9 +109,19 @@ def fly(
 
     async def run() -> int:
         what = _announcement(found, place, take_off=take_off)
-        return await _with_control(place, flight, what=None if yes else what, guards=guards)
+        try:
+            return await _with_control(place, flight, what=None if yes else what, guards=guards)
+        except (asyncio.CancelledError, ReaderGone) as error:
+            # Told when the control block has ended: with Ctrl-C that is what stops the mission.
+            gone = "output closed: " if isinstance(error, ReaderGone) else ""
+            for words in left:
+                err.print(gone + words(), markup=False, soft_wrap=True)
+            raise
 
-    return run_async(run())
+    try:
+        return run_async(run())
+    except ReaderGone:  # elsewhere that is success; here it ended a flight
+        return ExitCode.FAILED
 
 
 def _announcement(plan: WaypointPlan, place: Place, *, take_off: bool) -> str:
@@ -131,9 +146,11 @@ class _Show:
             (self._frame.to_local(point.latitude_deg, point.longitude_deg), str(index))
             for index, point in enumerate(plan.waypoints)
         ]
+        self._lands = plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
         self._aircraft = aircraft
         self._track: list[Point] = []
         self._reached = -1
+        self._has_begun = self._is_finished = False
         self._line = "uploading"
         self._live = (
             Live(console=out, refresh_per_second=4, transient=True) if sys.stdout.isatty() else None
@@ -170,6 +187,8 @@ class _Show:
 
     def tell(self, event: MissionEvent, mission: WaypointFlight) -> None:
         """Something happened."""
+        self._has_begun = True
+        self._is_finished = self._is_finished or isinstance(event, Finished)
         if isinstance(event, Reached):
             self._reached = event.index
         total, done = len(self._places), self._reached + 1
@@ -199,6 +218,25 @@ class _Show:
         return track_plot(
             self._track, columns=width, rows=min(16, width // 3), marks=[*here, *self._places]
         )
+
+    def stopped(self, mission: WaypointFlight) -> str:
+        """What became of a mission that this program left before its end."""
+        state = self._aircraft.state
+        status, position = state.flight_status, state.position
+        if self._has_begun and not mission.is_over:
+            if self._is_finished and self._lands:
+                return "every waypoint was flown; the aircraft lands, as planned"
+            return "the stop was not confirmed, the mission may fly on: m100link mission stop"
+        words = "mission not started"
+        if self._is_finished:
+            words = "mission finished"
+        elif self._has_begun:
+            reached = f"after waypoint {self._reached}"
+            words = f"mission stopped {reached if self._reached >= 0 else 'before waypoint 0'}"
+        if status is not None and status.status == FlightPhase.STANDBY:
+            return f"{words}; the aircraft stands on the ground"
+        height = "" if position is None else f" at {position.height_m:.1f} m"
+        return f"{words}; the aircraft hovers{height}: m100link land"
 
     def end(self) -> None:
         """The track stays in the terminal."""

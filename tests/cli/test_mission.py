@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -102,8 +103,26 @@ def test_a_program_that_is_killed_leaves_it_in_flight_for_the_next_one(
 def test_ctrl_c_stops_it(later: Simulator, app: list[str], long: str) -> None:
     flying = begin(long, later.port, *app)
     flying.send_signal(signal.SIGINT)
-    flying.communicate(timeout=PATIENCE)
+    said = flying.communicate(timeout=PATIENCE)[1]
     assert flying.returncode == ExitCode.INTERRUPTED
+    assert re.search(
+        r"mission stopped after waypoint 0; the aircraft hovers at [23]\.\d m: m100link land\n",
+        said,
+    )
+    assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
+
+
+def test_output_that_nobody_reads_stops_it_and_is_not_success(
+    later: Simulator, app: list[str], long: str
+) -> None:
+    flying = begin(long, later.port, *app)
+    assert flying.stdout is not None
+    assert flying.stderr is not None
+    flying.stdout.close()
+    said = flying.stderr.read()
+    flying.stderr.close()
+    assert flying.wait(PATIENCE) == ExitCode.FAILED
+    assert "output closed: mission stopped after waypoint 0; the aircraft hovers at " in said
     assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
 
 
