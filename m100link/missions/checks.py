@@ -237,12 +237,15 @@ def _problems_of_actions(index: int, waypoint: Waypoint, trace: Trace) -> Iterat
 
 def _problems_of_action(index: int, field: str, action: object) -> Iterator[BadPlan]:
     if type(action) not in _PARAMETERS:
+        made = action.__name__ if isinstance(action, type) and action in _PARAMETERS else ""
         yield BadPlan(
-            f"waypoint {index}: {field} is {_shown(action)}",
+            f"waypoint {index}: {field} is {f'the class {made}' if made else _shown(action)}",
             point=index,
             field=field,
             value=action,
-            remedy="one of Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch",
+            remedy=f"an action is made by calling it: {made}(…)"
+            if made
+            else "one of Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch",
         )
         return
     parameter = _PARAMETERS[type(action)]

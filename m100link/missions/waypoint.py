@@ -280,15 +280,39 @@ class Waypoint:
             damping: Of each corner, m.
 
         Raises:
-            UsageError: ``every`` is not more than 0.
+            UsageError: ``every`` is not more than 0, a point is not three numbers, or ``frame`` is
+                not a frame.
         """
-        places = [(float(north), float(east), float(up)) for north, east, up in track]
+        if not isinstance(frame, LocalFrame):
+            raise UsageError(
+                f"frame is {frame!r}",
+                remedy="m100link.geodesy.LocalFrame(latitude_deg, longitude_deg), or "
+                "control.local_frame()",
+            )
+        places = _places(track)
         if every is not None:
             places = _divided(places, every)
         return [
             cls(*frame.to_geodetic(north, east), height, damping=damping, actions=actions)
             for north, east, height in places
         ]
+
+
+def _places(track: Iterable[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+    """The points of a track, each three numbers."""
+    if not isinstance(track, Iterable):
+        raise UsageError(f"the track is {track!r}", remedy="points (north, east, height) in metres")
+    made = []
+    for index, point in enumerate(track):
+        try:
+            north, east, up = point
+            made.append((float(north), float(east), float(up)))
+        except (TypeError, ValueError):
+            raise UsageError(
+                f"point {index} of the track is {point!r}",
+                remedy="metres north and east in the frame, and height: (0, 30, 12)",
+            ) from None
+    return made
 
 
 def _divided(

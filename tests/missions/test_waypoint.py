@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import math
 from struct import pack, unpack
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link import GimbalPitch, Stay, TakePhoto, TurnTo, UsageError, Waypoint
+from m100link import (
+    BadPlan,
+    GimbalPitch,
+    Stay,
+    TakePhoto,
+    TurnTo,
+    UsageError,
+    Waypoint,
+    WaypointPlan,
+)
 from m100link.geodesy import LocalFrame
 from m100link.missions.waypoint import as_single, number
 
@@ -84,6 +94,27 @@ def test_legs_are_divided_evenly(every: float, count: int) -> None:
 def test_a_track_cannot_be_divided_into_nothing(every: float) -> None:
     with pytest.raises(UsageError, match="apart"):
         Waypoint.along([(0, 0, 1), (9, 0, 1)], frame=LocalFrame(0, 0), every=every)
+
+
+@pytest.mark.parametrize("track", [[(0, 0), (1, 1)], [(0, 0, "x")], [5], 5])
+def test_a_track_of_something_else_is_told(track: Any) -> None:
+    with pytest.raises(UsageError, match=r"track is ") as caught:
+        Waypoint.along(track, frame=LocalFrame(0, 0))
+    assert "height" in caught.value.remedy
+
+
+def test_a_place_is_not_a_frame() -> None:
+    frame: Any = (52.1, 4.31)
+    with pytest.raises(UsageError, match="frame is") as caught:
+        Waypoint.along([(0, 0, 1)], frame=frame)
+    assert "LocalFrame" in caught.value.remedy
+
+
+@pytest.mark.parametrize("action", [TakePhoto, Stay])
+def test_the_class_of_an_action_is_not_one(action: Any) -> None:
+    with pytest.raises(BadPlan, match=f"is the class {action.__name__}") as caught:
+        WaypointPlan([Waypoint(0, 0, 1, actions=[action]), Waypoint(0, 0.001, 1)])
+    assert f"{action.__name__}(…)" in caught.value.remedy
 
 
 def test_a_whole_number_is_one_however_it_is_written() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Awaitable, Callable
 
+from m100link.errors import UsageError
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.deck import Deck
 from m100link.flight.missions.follow import FollowFlight, TargetSource
@@ -79,6 +80,11 @@ class Missions:
             AckTimeout, LinkError: See each class. A start that may have been heard is stopped.
             MissionAborted: While it flew the aircraft broke it off, with its reason.
         """
+        if not isinstance(plan, WaypointPlan):
+            raise UsageError(
+                f"the plan is {plan!r}",
+                remedy='a WaypointPlan: WaypointPlan.read("plan.json") reads a file',
+            )
         return WaypointFlight(
             self._deck,
             self._keeper,

@@ -19,6 +19,7 @@ from m100link import (
     Stopped,
     Uploaded,
     Uploading,
+    UsageError,
 )
 from tests.flight.missions.foreign import assert_rests, foreign, orders, plan
 from tests.rig import NORTH
@@ -44,6 +45,14 @@ async def test_a_plan_is_uploaded_flown_and_told_of_in_order() -> None:
         assert mission.is_over
         control.send(NORTH)  # the aircraft is the program's again
     assert orders(there, 0x12) == [(0x12, 0)], "a mission that has ended needs no stop"
+
+
+async def test_a_name_of_a_file_is_not_a_plan() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        with pytest.raises(UsageError, match=r"the plan is 'plan\.json'") as caught:
+            control.waypoint_mission("plan.json")  # type: ignore[arg-type] # what is asked
+        assert "WaypointPlan.read" in caught.value.remedy
+    assert not there.missions.flying
 
 
 async def test_leaving_the_block_stops_it() -> None:
