@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["download_waypoint_plan"]
 
 _TIMEOUT_S, _TRIES = 0.5, 6
+_WHEN = "download it while it flies: the aircraft forgets a mission at its end"
 
 
 async def download_waypoint_plan(requests: Requests) -> WaypointPlan:
@@ -24,8 +25,9 @@ async def download_waypoint_plan(requests: Requests) -> WaypointPlan:
     what = "the download of the waypoint mission"
     execute = partial(requests.execute, timeout=_TIMEOUT_S, tries=_TRIES, refusal=MissionRefused)
     head = await execute(WaypointDownloadMission())
-    if head.code is MissionCode.SUCCESS and head.mission.count == 0:
-        raise mission_refused(what, MissionCode.NO_MISSION)
+    is_empty = head.code is MissionCode.SUCCESS and head.mission.count == 0
+    if is_empty or head.code is MissionCode.NO_MISSION:
+        raise mission_refused(what, MissionCode.NO_MISSION, remedy=_WHEN)
     if head.code is not MissionCode.SUCCESS:
         raise mission_refused(what, head.code)
     points = []

@@ -14,13 +14,16 @@ _REMEDIES = {
 """What to do about it here, where a program is asked and not a pilot."""
 
 
-def mission_refused(what: str, code: MissionCode, *, point: int | None = None) -> MissionRefused:
+def mission_refused(
+    what: str, code: MissionCode, *, point: int | None = None, remedy: str = ""
+) -> MissionRefused:
     """The refusal of an order, with what the code says.
 
     Args:
         what: The order, in words.
         code: What the aircraft answered.
         point: The waypoint that it is about, counted from 0.
+        remedy: What to do about it, if what the code says does not fit the order.
     """
     where = "" if point is None else f", waypoint {point}"
     return MissionRefused(
@@ -29,5 +32,5 @@ def mission_refused(what: str, code: MissionCode, *, point: int | None = None) -
         code=int(code),
         point=point,
         cause=code.cause,
-        remedy=_REMEDIES.get(code, code.remedy),
+        remedy=remedy or _REMEDIES.get(code, code.remedy),
     )

@@ -32,6 +32,7 @@ async def test_download_equals_upload(uploaded: WaypointPlan, loss: float) -> No
         with pytest.raises(MissionRefused) as caught:
             await aircraft.download_waypoint_plan()
         assert caught.value.code == 0xEA
+        assert "while it flies" in caught.value.remedy
 
 
 async def test_a_waypoint_that_is_missing_is_named() -> None:
