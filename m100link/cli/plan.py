@@ -43,7 +43,7 @@ class FileOptions:
 
     Attributes:
         leave_out: What of it may be left out: an item's number in MAVLink (530), a name (geoFence,
-            rallyPoints); may be given several times.
+            rallyPoints); several with commas between them, or given several times.
         home_altitude: Of the take-off point above sea level, m, for heights that count from there.
     """
 
@@ -100,7 +100,8 @@ def read_plan(path: str, options: FileOptions | None = None) -> WaypointPlan:
             remedy="did you exchange PLAN and URL? First the file: m100link mission fly PLAN URL",
         )
     options = options or FileOptions()
-    leave_out = [int(name) if name.isdecimal() else name for name in options.leave_out]
+    names = [name.strip() for word in options.leave_out for name in word.split(",")]
+    leave_out = [int(name) if name.isdecimal() else name for name in names if name]
     how: dict[str, Any] = {"home_altitude": options.home_altitude, "leave_out": leave_out}
     if path != "-":
         return WaypointPlan.read(path, **how)
@@ -129,9 +130,11 @@ def check(
     reckoning: EstimateOptions | None = None,
     json: Annotated[bool | None, Parameter(negative="--table")] = None,
 ) -> int:
-    """Say everything that is wrong with a plan, what may surprise, and what it takes.
+    """Say what is wrong with a plan, what may surprise, and what it takes.
 
-    Ends with 0 if the aircraft would take it, with 2 if not.
+    Ends with 0 if the aircraft would take it, with 2 if not. A file that cannot be understood is
+    told by its first mistake; then all values that cannot be flown; when there are none of these,
+    distances between waypoints.
 
     Args:
         plan: A file, JSON or .plan; - is standard input.

@@ -259,8 +259,11 @@ def test_what_may_be_left_out_is_named(cli: CommandLine, tmp_path: Path) -> None
     outcome = cli("plan", "convert", str(path), "-", "--leave-out", "rallyPoints")
     assert outcome.status == ExitCode.USAGE
     assert "item 1, SET_CAMERA_MODE (530)" in outcome.err
-    named = ["--leave-out", "rallyPoints", "--leave-out", "530"]
-    assert cli("plan", "convert", str(path), "-", *named).status == ExitCode.OK
+    for named in (
+        ["--leave-out", "rallyPoints", "--leave-out", "530"],
+        ["--leave-out", "rallyPoints,530"],
+    ):
+        assert cli("plan", "convert", str(path), "-", *named).status == ExitCode.OK
 
 
 def test_a_place_that_cannot_be_written_is_an_error(cli: CommandLine, file: str) -> None:
