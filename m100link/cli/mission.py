@@ -110,7 +110,13 @@ def fly(
     async def run() -> int:
         what = _announcement(found, place, take_off=take_off)
         try:
-            return await _with_control(place, flight, what=None if yes else what, guards=guards)
+            return await _with_control(
+                place,
+                flight,
+                what=None if yes else what,
+                guards=guards,
+                is_admitted=None if take_off else _require_airborne,
+            )
         except (asyncio.CancelledError, ReaderGone) as error:
             # Told when the control block has ended: with Ctrl-C that is what stops the mission.
             gone = "output closed: " if isinstance(error, ReaderGone) else ""
@@ -267,17 +273,42 @@ async def _with_control(
     *,
     what: str | None = None,
     guards: Guards | None = None,
+    is_admitted: Callable[[Aircraft], Awaitable[None]] | None = None,
 ) -> int:
-    """Connect, ask, activate, obtain control; ``what`` is what is asked for, None asks nothing."""
+    """Connect, ask, activate, obtain control; ``what`` is what is asked for, None asks nothing.
+
+    ``is_admitted`` raises what would be refused anyway, before anybody is asked.
+    """
     credentials = place.credentials()
     async with connect(place.url, **place.arguments()) as aircraft:
         if what is not None and not place.is_virtual:
+            if is_admitted is not None:
+                await is_admitted(aircraft)
             await confirm(aircraft, what)
         await activate_app(aircraft, credentials)
         await _hear_of_mission(aircraft)
         async with aircraft.control(guards=guards) as control:
             await flight(aircraft, control)
     return 0
+
+
+async def _require_airborne(aircraft: Aircraft) -> None:
+    """Refuse a mission on the ground; when nobody knows, the control block asks again.
+
+    Raises:
+        UsageError: It stands on the ground.
+    """
+    clock = asyncio.get_running_loop().time
+    until = clock() + _PUSHES_S
+    while aircraft.state.flight_status is None and clock() < until:  # noqa: ASYNC110
+        await asyncio.sleep(0.05)
+    status = aircraft.state.flight_status
+    if status is not None and status.status == FlightPhase.STANDBY:
+        raise UsageError(
+            "the aircraft stands on the ground",
+            cause="it may take off by itself when a mission starts",
+            remedy="--take-off; or m100link takeoff first",
+        )
 
 
 async def _hear_of_mission(aircraft: Aircraft) -> None:

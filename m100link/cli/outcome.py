@@ -13,7 +13,11 @@ __all__ = ["ExitCode", "complain", "exit_code", "finite", "print_json"]
 
 
 _TYPED = {
+    "await control.take_off() first; a waypoint mission takes take_off=True": "m100link takeoff "
+    "first; or --take-off",
     "await control.take_off()": "m100link takeoff",
+    "asyncio.Runner(loop_factory=m100link.sim.loop_factory(SPEED)), ": "leave the speed out; ",
+    "infinity for max; or m100link.sync, which makes its own; or ": "an aircraft with one is ",
     "connect(..., firmware='3.1')": "--firmware 3.1",
     "control(guards=Guards(envelope=Envelope(max_height_m=…)))": "--max-height",
     "control(guards=Guards(envelope=Envelope(max_radius_m=…)))": "--max-radius",

@@ -254,14 +254,13 @@ class GuardKeeper:
         here = self._from_start(known(self._state, Position))
         if place is not None and here is not None and self._origin is not None:
             far = math.hypot(*self._origin.to_local(*place)) + radius
-        for value, limit, unit, seen, name, option in (
+        for value, limit, unit, seen, name in (
             (
                 height,
                 envelope.max_height_m,
                 "m",
                 "a height of {:.1f} m",
                 "max_height_m",
-                "--max-height",
             ),
             (
                 far,
@@ -269,9 +268,8 @@ class GuardKeeper:
                 "m",
                 "{:.0f} m from the start",
                 "max_radius_m",
-                "--max-radius",
             ),
-            (speed, envelope.max_speed_m_s, "m/s", "a speed of {:.1f} m/s", "max_speed_m_s", ""),
+            (speed, envelope.max_speed_m_s, "m/s", "a speed of {:.1f} m/s", "max_speed_m_s"),
         ):
             if value is not None and value > limit + 1e-9:
                 widen = f"control(guards=Guards(envelope=Envelope({name}=…)))"
@@ -281,8 +279,7 @@ class GuardKeeper:
                     guard="envelope",
                     measured=value,
                     limit=limit,
-                    remedy=f"a target inside, or {widen}"
-                    + (f", m100link fly {option}" if option else ""),
+                    remedy=f"a target inside, or {widen}",
                 )
 
     def _may_still_come(self, record: type[Any]) -> bool:

@@ -129,6 +129,9 @@ def test_output_that_nobody_reads_stops_it_and_is_not_success(
 def test_flying_wants_to_be_confirmed(later: Simulator, app: list[str], short: str) -> None:
     outcome = process("mission", "fly", short, later.port, *app)
     assert outcome.status == ExitCode.USAGE
+    assert "what to do:   --take-off; or m100link takeoff first" in outcome.err
+    outcome = process("mission", "fly", short, later.port, "--take-off", *app)
+    assert outcome.status == ExitCode.USAGE
     assert "fly this mission was not confirmed" in outcome.err
     outcome = process("mission", "resume", later.port, *app)
     assert outcome.status == ExitCode.USAGE
@@ -140,17 +143,22 @@ SIM = "sim://?firmware=3.1"
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (("fly", "PLAN", SIM), ExitCode.USAGE, "on the ground"),
+        (("fly", "PLAN", SIM), ExitCode.USAGE, "m100link takeoff first; or --take-off\n"),
+        (
+            ("fly", "PLAN", SIM + "&speed=9"),
+            ExitCode.USAGE,
+            "leave the speed out; an aircraft with",
+        ),
         (("fly", "PLAN", "sim://", "--take-off"), ExitCode.REFUSED, "firmware 1.0 does not know"),
         (("fly", "PLAN", SIM, "--max-height", "2"), ExitCode.USAGE, "on the ground"),
         (
             ("fly", "PLAN", SIM, "--take-off", "--max-height", "2"),
             ExitCode.REFUSED,
-            "waypoint 0 of the waypoint mission",
+            "a target inside, or --max-height\n",
         ),
         (("fly", "nowhere.json", SIM), ExitCode.USAGE, "nowhere.json"),
         (("pause", SIM), ExitCode.USAGE, "no mission flies"),
-        (("download", SIM), ExitCode.REFUSED, "0xEA"),
+        (("download", SIM), ExitCode.REFUSED, "download it while it flies"),
         (("download", SIM, "--output", "PLAN"), ExitCode.USAGE, "is there already"),
         (("stop",), ExitCode.USAGE, "no URL says where"),
         (("fly", "PLAN"), ExitCode.USAGE, "after PLAN in `mission fly`"),

@@ -152,8 +152,8 @@ def check_clock(url: str, loop: asyncio.AbstractEventLoop) -> None:
             f"{url} asks for a speed of {wanted:g}, and the time of this event loop passes at "
             f"{there:g}",
             cause="a virtual aircraft in a program lives on the clock of its event loop",
-            remedy="asyncio.Runner(loop_factory=m100link.sim.loop_factory(SPEED)), infinity for "
-            "max; or m100link.sync, which makes its own; or `m100link sim --speed`",
+            remedy="asyncio.Runner(loop_factory=m100link.sim.loop_factory(SPEED)), "
+            "infinity for max; or m100link.sync, which makes its own; or `m100link sim --speed`",
         )
 
 
