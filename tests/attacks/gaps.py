@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import math
 import os
 import subprocess
 import sys
@@ -88,8 +89,8 @@ class Gaps:
 
 
 def _part(times: Sequence[float], share: float) -> float:
-    """What that share of them is not longer than."""
-    return sorted(times)[min(len(times) - 1, int(len(times) * share))]
+    """What that share of them is not longer than; NaN where there are none."""
+    return sorted(times)[min(len(times) - 1, int(len(times) * share))] if times else math.nan
 
 
 class Station:
