@@ -103,6 +103,7 @@ async def test_the_pilot_flies_on_through_every_attack() -> None:
             assert gap < 0.5, name
 
 
+@pytest.mark.pty  # two processes and six attackers keep real time
 async def test_in_two_processes_the_pilot_keeps_control_through_every_attack() -> None:
     """The times are measured by ``python -m tests.attacks.gaps``; here it is who has control."""
     pytest.importorskip("nicegui")
