@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import sys
 from collections.abc import Awaitable, Callable, Sequence
@@ -14,16 +15,30 @@ from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, places, run_async
 from m100link.cli.options import Above0, offered
 from m100link.cli.terminal import read_line
-from m100link.errors import NotObserved, UsageError
+from m100link.errors import MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.guidance import GuidanceProgress
+from m100link.flight.mission_state import MissionKind
 from m100link.flight.tasks import TaskProgress, describe_situation
 from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.commands.missions import MissionStatus
 
-__all__ = ["activate_app", "confirm", "fly", "home", "land", "release", "takeoff"]
+__all__ = [
+    "activate_app",
+    "confirm",
+    "fly",
+    "hear_of_mission",
+    "home",
+    "land",
+    "release",
+    "require_no_mission",
+    "takeoff",
+]
 
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
+
+_PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
 
 _Flight = Callable[[Control], Awaitable[object]]
 
@@ -190,6 +205,7 @@ async def _fly(
         if not yes and not place.is_virtual:
             await confirm(aircraft, what)
         await activate_app(aircraft, credentials)
+        await require_no_mission(aircraft, what)
         async with aircraft.control(guards=guards) as control:
             await flight(control)
         out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
@@ -204,6 +220,36 @@ async def activate_app(aircraft: Aircraft, credentials: Credentials) -> None:
             err.print(f"activation: {progress.code.meaning}; again in a moment")
 
     await aircraft.activate(credentials, progress=tell)
+
+
+async def hear_of_mission(aircraft: Aircraft) -> None:
+    """A moment in which an aircraft that knows missions may tell what it flies."""
+    if not MissionStatus.is_known_to(aircraft.firmware):
+        return
+    clock = asyncio.get_running_loop().time
+    until = clock() + _PUSHES_S
+    while aircraft.mission.kind is MissionKind.UNKNOWN and clock() < until:  # noqa: ASYNC110
+        await asyncio.sleep(0.05)
+
+
+async def require_no_mission(aircraft: Aircraft, what: str) -> None:
+    """See that no mission flies, before control is asked for: it would be ignored beside one.
+
+    A landing is refused as well: whoever wants it says by the stop that the mission is to end.
+
+    Raises:
+        MissionRunning: One does.
+    """
+    await hear_of_mission(aircraft)
+    mission = aircraft.mission
+    if mission.is_running:
+        raise MissionRunning(
+            f"{what} was asked for while a {mission.kind.value} flies the aircraft; nothing was "
+            "sent, and it flies on",
+            cause="it was started from a phone, by another program, or by one that is gone",
+            remedy="`m100link mission stop` first: the aircraft hovers then, and this can follow; "
+            "in danger the pilot takes it by the mode switch",
+        )
 
 
 async def confirm(aircraft: Aircraft, what: str) -> None:

@@ -20,7 +20,7 @@ from rich.text import Text
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import Point, track_plot
 from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
-from m100link.cli.flight import activate_app, confirm
+from m100link.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
 from m100link.cli.options import Above0
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.cli.plan import FileOptions, read_plan
@@ -41,6 +41,7 @@ from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.geodesy import LocalFrame
 from m100link.missions import files
 from m100link.missions.plan import AtEnd, WaypointPlan
+from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.records import FlightPhase, Position
 from m100link.telemetry.subscription import Latest
 
@@ -54,7 +55,7 @@ app = cyclopts.App(
 
 File = Annotated[str, Parameter(allow_leading_hyphen=True)]
 
-_PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
+_STATUS_S = 1.0  # in which an aircraft that tells of its flight status has done so
 _TRACK_HZ = 4.0
 
 
@@ -116,6 +117,7 @@ def fly(
                 what=None if yes else what,
                 guards=guards,
                 is_admitted=None if take_off else _require_airborne,
+                is_new=True,
             )
         except (asyncio.CancelledError, ReaderGone) as error:
             # Told when the control block has ended: with Ctrl-C that is what stops the mission.
@@ -274,10 +276,17 @@ async def _with_control(
     what: str | None = None,
     guards: Guards | None = None,
     is_admitted: Callable[[Aircraft], Awaitable[None]] | None = None,
+    is_new: bool = False,
 ) -> int:
-    """Connect, ask, activate, obtain control; ``what`` is what is asked for, None asks nothing.
+    """Connect, ask, activate, obtain control.
 
-    ``is_admitted`` raises what would be refused anyway, before anybody is asked.
+    Args:
+        place: Where the aircraft is.
+        flight: What is done with control.
+        what: What the person is asked for; None asks nothing.
+        guards: Of the control block.
+        is_admitted: Raises what would be refused anyway, before anybody is asked.
+        is_new: A mission is to begin: refused while one flies, before control is obtained.
     """
     credentials = place.credentials()
     async with connect(place.url, **place.arguments()) as aircraft:
@@ -286,7 +295,10 @@ async def _with_control(
                 await is_admitted(aircraft)
             await confirm(aircraft, what)
         await activate_app(aircraft, credentials)
-        await _hear_of_mission(aircraft)
+        if is_new:
+            await require_no_mission(aircraft, "a waypoint mission")
+        else:
+            await hear_of_mission(aircraft)
         async with aircraft.control(guards=guards) as control:
             await flight(aircraft, control)
     return 0
@@ -298,8 +310,10 @@ async def _require_airborne(aircraft: Aircraft) -> None:
     Raises:
         UsageError: It stands on the ground.
     """
+    if not MissionStatus.is_known_to(aircraft.firmware):
+        return  # refused for that, and not for where it stands
     clock = asyncio.get_running_loop().time
-    until = clock() + _PUSHES_S
+    until = clock() + _STATUS_S
     while aircraft.state.flight_status is None and clock() < until:  # noqa: ASYNC110
         await asyncio.sleep(0.05)
     status = aircraft.state.flight_status
@@ -309,14 +323,6 @@ async def _require_airborne(aircraft: Aircraft) -> None:
             cause="it may take off by itself when a mission starts",
             remedy="--take-off; or m100link takeoff first",
         )
-
-
-async def _hear_of_mission(aircraft: Aircraft) -> None:
-    """A moment in which the aircraft may tell what it flies."""
-    clock = asyncio.get_running_loop().time
-    until = clock() + _PUSHES_S
-    while aircraft.mission.kind is MissionKind.UNKNOWN and clock() < until:  # noqa: ASYNC110
-        await asyncio.sleep(0.05)
 
 
 @app.command

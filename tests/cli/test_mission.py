@@ -100,6 +100,21 @@ def test_a_program_that_is_killed_leaves_it_in_flight_for_the_next_one(
     assert process("mission", "download", later.port, *app).status == ExitCode.REFUSED
 
 
+def test_what_is_refused_beside_a_mission_does_not_end_it(
+    later: Simulator, app: list[str], long: str
+) -> None:
+    flying = begin(long, later.port, *app)
+    flying.kill()
+    flying.communicate(timeout=PATIENCE)
+    for words in (["mission", "fly", long], ["land"]):
+        outcome = process(*words, later.port, "--yes", *app)
+        assert outcome.status == ExitCode.AUTHORITY, outcome
+        assert "nothing was sent, and it flies on" in outcome.err
+        assert "`m100link mission stop` first" in outcome.err
+        assert "broken off" not in outcome.err
+    assert process("mission", "stop", later.port, *app).out == "stopped: waypoint mission\n"
+
+
 def test_ctrl_c_stops_it(later: Simulator, app: list[str], long: str) -> None:
     flying = begin(long, later.port, *app)
     flying.send_signal(signal.SIGINT)
