@@ -279,6 +279,14 @@ class Requests:
     def _require_firmware(self, command: Command) -> None:
         if command.needs_known_firmware:
             self._require_known(command.NAME)
+        self.require_support(command)
+
+    def require_support(self, command: Command | type[Command]) -> None:
+        """Raise for what the firmware does not know, before anything else is looked at.
+
+        Raises:
+            CommandNotSupported: The command came later.
+        """
         if not command.is_known_to(self.firmware):
             raise CommandNotSupported(
                 f"firmware {self.firmware} does not know {command.NAME}; nothing was sent",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 from m100link.errors import UsageError
 from m100link.flight.missions.deck import Deck
@@ -12,6 +12,7 @@ from m100link.flight.missions.events import MissionEvent
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.missions.life import RunState
 from m100link.flight.missions.run import MissionRun
+from m100link.protocol.command import Command
 
 __all__ = ["MissionFlight"]
 
@@ -23,6 +24,8 @@ class MissionFlight(ABC):
     program is killed, loses its power or its cable**: it lives in the aircraft, and only the pilot,
     its own end or a stop ends it.
     """
+
+    _FIRST: ClassVar[type[Command]]  # sent to begin it: firmware without it knows no such mission
 
     def __init__(self, deck: Deck, keeper: MissionKeeper, run: MissionRun) -> None:
         self._deck = deck
@@ -37,6 +40,7 @@ class MissionFlight(ABC):
         run = self._run
         with self._deck.block.waiting(run.name):
             try:
+                self._deck.commander.requests.require_support(self._FIRST)
                 self._deck.block.require_flying(f"a {run.name}")
                 if run.state is not RunState.READY:
                     raise UsageError("this mission was entered before; ask for a new one")

@@ -104,6 +104,8 @@ class FollowFlight(MissionFlight):
     aircraft waits, and goes on with the next target; after about half a minute it gives up.
     """
 
+    _FIRST = FollowStart
+
     def __init__(
         self,
         deck: Deck,

@@ -138,6 +138,8 @@ class HotpointFlight(MissionFlight):
     show them.
     """
 
+    _FIRST = HotpointStart
+
     def __init__(
         self,
         deck: Deck,

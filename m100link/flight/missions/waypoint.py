@@ -19,6 +19,7 @@ from m100link.flight.missions.waypoint_track import WaypointTrack
 from m100link.missions.plan import OnRCLoss, WaypointPlan
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.waypoint import (
+    WaypointMission,
     WaypointPoint,
     WaypointSetIdleSpeed,
     WaypointStartStop,
@@ -50,6 +51,8 @@ class WaypointFlight(MissionFlight):
 
     Entering checks, uploads and starts it; the rest is that of :class:`m100link.MissionFlight`.
     """
+
+    _FIRST = WaypointMission
 
     def __init__(
         self,

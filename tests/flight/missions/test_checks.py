@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 
 import pytest
 
@@ -11,6 +12,8 @@ from m100link import (
     Envelope,
     GuardRefused,
     Guards,
+    MissionFlight,
+    Target,
     TelemetryStalled,
     UsageError,
     Waypoint,
@@ -143,3 +146,24 @@ async def test_a_mission_that_leaves_the_envelope_is_stopped() -> None:
                         pass
         assert caught.value.guard == "envelope"
         await assert_rests(there)
+
+
+@pytest.mark.parametrize("status", [STANDBY, 3])
+@pytest.mark.parametrize("kind", ["waypoint", "hotpoint", "follow"])
+async def test_firmware_without_missions_is_refused_before_anything_else(
+    kind: str, status: int
+) -> None:
+    async with foreign("1.0") as (there, aircraft), aircraft.control() as control:
+        there.status = status
+        await asyncio.sleep(0.5)
+        place = spot(10.0, 0.0)
+        flights: dict[str, Callable[[], MissionFlight]] = {
+            "waypoint": lambda: control.waypoint_mission(plan()),
+            "hotpoint": lambda: control.hotpoint(
+                latitude_deg=place[0], longitude_deg=place[1], height=1, radius=9, rate_deg_s=10
+            ),
+            "follow": lambda: control.follow_target(Target(*place)),
+        }
+        with pytest.raises(CommandNotSupported, match=r"firmware 1\.0 does not know"):
+            async with flights[kind]():
+                pytest.fail("entered")
