@@ -287,7 +287,12 @@ class MissionCode(AckCode):
         "the limit of the DJI app, 120 m by default; about 30 m where nobody ever logged in",
         "fly lower, or raise the limit in the DJI app",
     )
-    TOO_LOW = 0xC1, "too low for this mission", "a hotpoint needs 5 m", "choose a greater height"
+    TOO_LOW = (
+        0xC1,
+        "too low for this mission",
+        "a hotpoint and a target need 5 m",
+        "choose a greater height",
+    )
     BAD_RADIUS = 0xC2, "the radius is outside 5 to 500 m"
     RATE_TOO_HIGH = (
         0xC3,

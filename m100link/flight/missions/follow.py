@@ -31,6 +31,7 @@ __all__ = ["FollowFlight", "FollowTrack", "Target", "TargetSource"]
 _logger = logging.getLogger("m100link.flight")
 
 _INTERVAL_S = 0.1  # targets are sent at 10 Hz at most (facts F3)
+_LOWEST_M = 5.0  # what the aircraft refuses to follow below (facts F2, inferred number)
 _JUMP_M = 200.0
 """A target that is so far from the one before is ignored by the aircraft (facts F3, inferred)."""
 
@@ -135,6 +136,7 @@ class FollowFlight(MissionFlight):
     async def _begin(self) -> None:
         targets: AsyncIterator[Target] | None = None
         await require_airborne(self._deck, "the follow mission")
+        self._require_height()
         if isinstance(self._source, Target):
             first = self._source
         else:
@@ -152,6 +154,16 @@ class FollowFlight(MissionFlight):
         await self._run.start(request, int)
         if targets is not None:
             self._feeding = asyncio.create_task(self._feed(targets), name="m100link targets")
+
+    def _require_height(self) -> None:
+        position = known(self._deck.commander.state, Position)
+        if position is not None and position.height_m < _LOWEST_M:
+            raise UsageError(
+                f"the follow mission was asked for at a height of {position.height_m:.1f} m; "
+                "nothing was sent",
+                cause=f"the aircraft refuses to follow below {_LOWEST_M:g} m",
+                remedy=f"await control.climb_to({_LOWEST_M + 1:g}) first",
+            )
 
     def _check(self, target: Target) -> None:
         """Whether it may be followed: its values, the envelope, and how far it is from the last."""

@@ -176,7 +176,8 @@ class Missions:
             allow_far: Let the first target be more than 500 m away.
 
         Raises:
-            UsageError: The source is empty, a target is not a place, or jumps by more than 200 m.
+            UsageError: Below 5 m; the source is empty, a target is not a place, or jumps by more
+                than 200 m.
             GuardRefused, CommandNotSupported, MissionRefused, MissionRunning, NoAuthority,
             TelemetryStalled, AckTimeout, MissionAborted: See :meth:`waypoint_mission`.
         """

@@ -185,3 +185,14 @@ async def test_a_cancellation_stops_it() -> None:
         with pytest.raises(asyncio.CancelledError):
             await task
         await assert_rests(there)
+
+
+async def test_below_five_metres_nothing_is_sent_and_the_remedy_is_to_climb() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        there.missions.height = 1.2
+        await asyncio.sleep(0.5)
+        with pytest.raises(UsageError, match=r"1\.2 m") as caught:
+            async with control.follow_target(Target(*spot(10.0, 0.0))):
+                pytest.fail("entered")
+        assert "control.climb_to(6)" in caught.value.remedy
+        assert orders(there) == []
