@@ -23,6 +23,7 @@ from m100link.flight.missions.run import MissionRun
 from m100link.flight.missions.waypoint_track import broken_off
 from m100link.geodesy import bearing_deg, distance_m, normalize_degrees
 from m100link.protocol.codes import MissionCode
+from m100link.protocol.command import Problem
 from m100link.protocol.commands import missions as wire
 from m100link.protocol.commands.hotpoint import (
     HotpointDownload,
@@ -39,6 +40,18 @@ if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
 __all__ = ["CircleHeading", "CircleStart", "HotpointFlight", "HotpointTrack", "largest_rate"]
+
+_NAME = "the hotpoint"
+_CALLED = {
+    "altitude": "height",
+    "angular_rate": "rate_deg_s",
+    "start_point": "start",
+    "yaw_mode": "heading",
+}
+"""What the program calls the fields of the wire."""
+
+_DEGREES = {"latitude": ("latitude_deg", 90), "longitude": ("longitude_deg", 180)}
+"""Likewise, with the largest value: on the wire they are radians."""
 
 _MOST_DEG_S = 30.0
 _MOST_M_S = 10.0  # along the circle
@@ -328,9 +341,12 @@ class HotpointFlight(MissionFlight):
 
 
 def _require_legal(request: HotpointStart | HotpointSetRadius | HotpointSetRate) -> None:
-    problems = request.problems()
-    if problems:
-        raise problems[0].error(request.NAME)
+    for problem in request.problems():
+        if problem.field in _DEGREES:
+            name, most = _DEGREES[problem.field]
+            raise Problem(name, math.degrees(problem.value), f"-{most} to {most}°").error(_NAME)
+        name = _CALLED.get(problem.field, problem.field)
+        raise problem._replace(field=name).error(_NAME)
 
 
 def _require_rate(rate: float, radius: float) -> None:
