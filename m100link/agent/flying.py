@@ -240,6 +240,7 @@ class Flying:
         """
         control, own = self._control, self.mission
         if own.is_flying:
+            # Every kind of mission will do: the class is only compared with, never made.
             flight: MissionFlight = own.flight(MissionFlight)  # type: ignore[type-abstract]
             orders = {"pause": flight.pause, "resume": flight.resume, "stop": flight.stop}
             await orders[what]()

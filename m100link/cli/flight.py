@@ -228,6 +228,7 @@ async def hear_of_mission(aircraft: Aircraft) -> None:
         return
     clock = asyncio.get_running_loop().time
     until = clock() + _PUSHES_S
+    # A push sets it, and none may ever come: there is no event to wait for.
     while aircraft.mission.kind is MissionKind.UNKNOWN and clock() < until:  # noqa: ASYNC110
         await asyncio.sleep(0.05)
 

@@ -314,6 +314,7 @@ async def _require_airborne(aircraft: Aircraft) -> None:
         return  # refused for that, and not for where it stands
     clock = asyncio.get_running_loop().time
     until = clock() + _STATUS_S
+    # That nobody knows is an answer here, where wait_for would raise.
     while aircraft.state.flight_status is None and clock() < until:  # noqa: ASYNC110
         await asyncio.sleep(0.05)
     status = aircraft.state.flight_status
