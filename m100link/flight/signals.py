@@ -8,6 +8,7 @@ import logging
 import signal
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from types import FrameType
 from typing import Any
@@ -24,16 +25,16 @@ _HUNG_S = 1.0
 Stop = Callable[[], object]
 
 
-class OtherWatch:
+class OtherWatch(ABC):
     """A watch of the same signals for blocks of another kind, which gives way to this one.
 
     Its handler is put back and acts when the blocks here have ended; its own blocks are not to
     wait for that.
     """
 
+    @abstractmethod
     def stop_blocks(self) -> None:
         """Begin the stop path of every block of it, without waiting. Called in a handler."""
-        raise NotImplementedError
 
 
 class SignalWatch:
