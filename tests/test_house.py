@@ -182,10 +182,13 @@ def test_the_manuals_house_names_places_that_exist() -> None:
 TESTED_ELSEWHERE = {
     "activation.py": ("aircraft/test_aircraft.py", "activating is one method of the aircraft"),
     "agent/activation.py": ("agent/test_agent.py", "a part that only the agent has"),
+    "agent/answers.py": ("agent/test_client.py", "a part that only the client has"),
     "agent/codec.py": ("agent/test_message_bytes.py", "what is said, and how it is written down"),
     "agent/connect.py": ("agent/test_agent.py", "three lines that each open a connection"),
     "agent/connection.py": ("agent/test_agent.py", "a part that only the agent has"),
+    "agent/front.py": ("agent/test_service.py", "a front is what the service is asked by"),
     "agent/messages.py": ("agent/test_message_bytes.py", "each comes out as it went in"),
+    "agent/orders.py": ("agent/test_service.py", "each is asked for by a message"),
     "agent/patterns.py": ("station/ros/test_node_2015.py", "flown by the commands of 2015"),
     "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
     "aircraft/events.py": ("aircraft/test_aircraft.py", "two names and what they carry"),

@@ -13,6 +13,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
+from m100link.agent.answers import Answers
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.carriers import Channel
 from m100link.agent.fault import Fault, agent_gone
@@ -34,7 +35,6 @@ from m100link.agent.messages import (
     MissionTold,
     Note,
     Outcome,
-    Stage,
     State,
     Steer,
     SteerRefused,
@@ -88,7 +88,6 @@ class AgentClient:
     def __init__(self, channel: Channel, name: str) -> None:
         loop = asyncio.get_running_loop()
         self._clock = loop.time
-        self._create_future = loop.create_future
         self._channel = channel
         self._name = name
         self.state = State(at=self.now)
@@ -105,10 +104,7 @@ class AgentClient:
         self.on_mission_told: list[Callable[[MissionTold], None]] = []
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
-        self._count = 0
-        self._answers: dict[int, asyncio.Future[Any]] = {}
-        self._accepted: dict[int, Callable[[], None]] = {}
-        self._gone: str | None = None  # why, once the agent has gone
+        self._answers = Answers(channel.send)
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
             Hello: self._on_hello,
             State: self._on_state,
@@ -116,9 +112,9 @@ class AgentClient:
             FromMobile: self._on_from_mobile,
             Event: self._on_event,
             LeaseChanged: self._on_lease_changed,
-            LeaseGranted: self._on_granted,
-            TakeOverOffered: self._on_offered,
-            Outcome: self._on_outcome,
+            LeaseGranted: self._answers.granted,
+            TakeOverOffered: self._answers.offered,
+            Outcome: self._answers.outcome,
             Activating: self._on_activating,
             AuthorityTaken: self._on_authority_taken,
             SteerRefused: self._on_steer_refused,
@@ -133,7 +129,7 @@ class AgentClient:
     @property
     def is_gone(self) -> bool:
         """Whether the agent has gone for good."""
-        return self._gone is not None
+        return self._answers.gone is not None
 
     @property
     def is_silent(self) -> bool:
@@ -174,9 +170,8 @@ class AgentClient:
             handler(message)
 
     def _closed(self, reason: str) -> None:
-        if self._gone is not None:
+        if self.is_gone:
             return
-        self._gone = reason
         self.state = replace(
             self.state,
             connection="lost",
@@ -187,10 +182,7 @@ class AgentClient:
             pattern="",
         )
         self.holder = LeaseChanged(0, "")
-        waiting, self._answers = list(self._answers.values()), {}
-        for answer in waiting:
-            if not answer.done():
-                answer.set_exception(agent_gone(reason))
+        self._answers.end(reason)
 
     def _on_hello(self, hello: Hello) -> None:
         if hello.version != VERSION:
@@ -247,50 +239,7 @@ class AgentClient:
         for callback in self.on_mission_told:
             callback(message)
 
-    def _on_granted(self, message: LeaseGranted) -> None:
-        self._resolve(message.id, Lease(message.name, message.token, message.number))
-
-    def _on_offered(self, message: TakeOverOffered) -> None:
-        offer = TakeOver(
-            message.name, message.from_name, message.token, message.number, message.expires_at
-        )
-        self._resolve(message.id, offer)
-
-    def _on_outcome(self, outcome: Outcome) -> None:
-        if outcome.stage is Stage.ACCEPTED:
-            accepted = self._accepted.get(outcome.id)
-            if accepted is not None:
-                accepted()
-            return
-        answer = self._answers.get(outcome.id)
-        if outcome.fault is None:
-            self._resolve(outcome.id, outcome)
-        elif answer is not None and not answer.done():
-            answer.set_exception(outcome.fault.error())
-
-    def _resolve(self, number: int, value: object) -> None:
-        answer = self._answers.get(number)
-        if answer is not None and not answer.done():
-            answer.set_result(value)
-
     # -- what goes out ---------------------------------------------------------------------------
-
-    async def _question(
-        self, ask: Callable[[int], Message], accepted: Callable[[], None] | None = None
-    ) -> Any:
-        if self._gone is not None:
-            raise agent_gone(self._gone)
-        self._count += 1
-        number = self._count
-        answer = self._answers[number] = self._create_future()
-        if accepted is not None:
-            self._accepted[number] = accepted
-        try:
-            self._channel.send(ask(number))
-            return await answer
-        finally:
-            self._answers.pop(number, None)
-            self._accepted.pop(number, None)
 
     async def ask(
         self,
@@ -308,13 +257,13 @@ class AgentClient:
             LinkError: It has gone.
         """
         fence = lease.number if lease is not None else 0
-        outcome: Outcome = await self._question(
+        outcome: Outcome = await self._answers.question(
             lambda identity: Ask(identity, action, fence, number, data), accepted
         )
         return outcome
 
     async def _ask_lease(self, action: LeaseAction, name: str = "", token: str = "") -> Any:
-        return await self._question(lambda number: LeaseAsk(number, action, name, token))
+        return await self._answers.question(lambda number: LeaseAsk(number, action, name, token))
 
     # -- telemetry -------------------------------------------------------------------------------
 

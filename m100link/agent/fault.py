@@ -11,7 +11,7 @@ from m100link import errors
 from m100link.agent.lease import LeaseHeld, LeaseRefused
 from m100link.errors import LinkError, M100Error
 
-__all__ = ["Fault", "MessageError", "agent_gone"]
+__all__ = ["Fault", "MessageError", "agent_gone", "fault_of"]
 
 
 class MessageError(M100Error):
@@ -63,6 +63,11 @@ class Fault:
         M100Error.__init__(error, self.seen, cause=self.cause, remedy=self.remedy)
         vars(error).update(self.details)
         return error
+
+
+def fault_of(error: M100Error | None) -> Fault | None:
+    """The error as a value, None for none."""
+    return None if error is None else Fault.of(error)
 
 
 def _plain(value: object) -> object:

@@ -1,83 +1,41 @@
-"""The agent's side of its fronts: what they are told, and what they may ask for.
-
-Nothing that a front sends raises out of here: a question has an outcome, a setpoint that is not
-flown has an answer, and what has no meaning ends the connection. When a front has gone, the leases
-that it was granted end: the aircraft hovers, and control authority goes back.
-"""
+"""The agent's side of its fronts: what each of them is told, and when."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
-from collections.abc import Awaitable, Callable
-from typing import Any
 
 from m100link.agent.agent import Agent
 from m100link.agent.carriers import Channel
 from m100link.agent.connection import ConnectionState
-from m100link.agent.fault import Fault, MessageError
-from m100link.agent.lease import Lease, LeaseChange, LeaseRefused
+from m100link.agent.fault import Fault, fault_of
+from m100link.agent.front import Front
+from m100link.agent.lease import Lease, LeaseChange
 from m100link.agent.messages import (
-    VERSION,
-    Action,
     Activating,
-    Ask,
     AuthorityTaken,
     Event,
     FromMobile,
-    Hello,
-    LeaseAction,
-    LeaseAsk,
     LeaseChanged,
-    LeaseGranted,
     Message,
     MissionTold,
-    Note,
-    Outcome,
-    Stage,
     State,
-    Steer,
-    SteerRefused,
-    TakeOverOffered,
     Telemetry,
 )
-from m100link.agent.mission import StagedPlan, push_of
-from m100link.agent.mission import read_command as read
-from m100link.agent.patterns import pattern
-from m100link.aircraft import Aircraft, AircraftCamera
-from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
+from m100link.agent.mission import push_of
+from m100link.aircraft import Aircraft
+from m100link.errors import AuthorityLost
 from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.events import MissionEvent
 from m100link.protocol.codes import ActivationCode
-from m100link.protocol.commands.control import Task
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
-from m100link.protocol.commands.hotpoint import HotpointStart
-from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.sample import Sample
 
-__all__ = ["MAX_SETPOINT_AGE", "STATE_INTERVAL", "Service"]
-
-_logger = logging.getLogger("m100link.agent")
+__all__ = ["STATE_INTERVAL", "Service"]
 
 STATE_INTERVAL = 0.25
 """Seconds between two states that nothing changed in."""
 
-MAX_SETPOINT_AGE = 0.3
-"""Seconds that a setpoint may have been on its way."""
-
-_MAX_ASKS = 64
-_MAX_NOTE = 200
-_NOTES_PER_S, _MAX_NOTES = 5.0, 20.0
-_LEVELS = ("info", "warning", "error")
-
 _NONE = MissionKind.NONE
-_Result = tuple[str, int]
-_TASKS = {
-    Action.TAKE_OFF: Task.TAKE_OFF,
-    Action.LAND: Task.LAND,
-    Action.GO_HOME: Task.GO_HOME,
-}
 
 
 class Service:
@@ -89,7 +47,7 @@ class Service:
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
-        self._fronts: set[_Front] = set()
+        self._fronts: set[Front] = set()
         self._told: tuple[object, ...] = ()
         agent.connection.on_sample.append(self._sample)
         agent.connection.on_aircraft.append(self._aircraft_changed)
@@ -102,7 +60,7 @@ class Service:
 
     def attach(self, channel: Channel) -> None:
         """Serve the front at the other end of this channel."""
-        front = _Front(self._agent, channel, on_gone=self._gone, before_outcome=self._tell_state)
+        front = Front(self._agent, channel, on_gone=self._gone, before_outcome=self._tell_state)
         self._fronts.add(front)
         front.greet(self._state())
 
@@ -111,7 +69,7 @@ class Service:
         for front in list(self._fronts):
             front.close("the agent ends")
 
-    def _gone(self, front: _Front) -> None:
+    def _gone(self, front: Front) -> None:
         self._fronts.discard(front)
 
     # -- what fronts are told --------------------------------------------------------------------
@@ -196,11 +154,11 @@ class Service:
         return State(
             at=agent.now,
             connection=connection.state.value,
-            connection_fault=None if is_connected else _fault(connection.error),
+            connection_fault=None if is_connected else fault_of(connection.error),
             firmware=str(aircraft.firmware) if aircraft is not None else "",
             is_activated=aircraft is not None and aircraft.is_activated,
             activation_code=None if activation.code is None else int(activation.code),
-            activation_fault=_fault(activation.error),
+            activation_fault=fault_of(activation.error),
             holding=holding.state.value,
             has_authority=holding.has_authority,
             task=holding.task or "",
@@ -215,275 +173,3 @@ class Service:
             dropped_writes=link.dropped_writes if link else 0,
             mismatches=aircraft.telemetry_mismatches if aircraft is not None else 0,
         )
-
-
-def _fault(error: M100Error | None) -> Fault | None:
-    return None if error is None else Fault.of(error)
-
-
-class _Front:
-    """One front.
-
-    Args:
-        agent: What it asks.
-        channel: The way to it.
-        on_gone: Called when it has gone.
-        before_outcome: Called before each outcome, so that the state is there first.
-    """
-
-    def __init__(
-        self,
-        agent: Agent,
-        channel: Channel,
-        *,
-        on_gone: Callable[[_Front], None],
-        before_outcome: Callable[[], None],
-    ) -> None:
-        self._agent = agent
-        self._channel = channel
-        self._on_gone = on_gone
-        self._before_outcome = before_outcome
-        self._name = ""  # empty until it has said hello
-        # Tokens of the leases that were granted over this channel, by number.
-        self._tokens: dict[int, str] = {}
-        self._asks = 0
-        self._staged, self._staged_under = StagedPlan(), 0  # the lease that it came under
-        self._notes = _MAX_NOTES
-        self._noted_at = agent.now
-        self._handlers: dict[type[Any], Callable[[Any], None]] = {
-            LeaseAsk: self._on_lease_ask,
-            Steer: self._on_steer,
-            Ask: self._on_ask,
-            Note: self._on_note,
-        }
-
-    # -- the connection --------------------------------------------------------------------------
-
-    def greet(self, state: State) -> None:
-        """Say hello and where everything stands, then listen."""
-        agent = self._agent
-        self.tell(Hello(VERSION, "agent", agent.now))
-        lease = agent.desk.holder(agent.now)
-        self.tell(LeaseChanged(lease.number, lease.name) if lease else LeaseChanged(0, ""))
-        self.tell(state)
-        for event in agent.journal.events:
-            self.tell(event)
-        self._channel.open(self._receive, self._closed)
-
-    def tell(self, message: Message) -> None:
-        """Send it a message."""
-        self._channel.send(message)
-
-    def close(self, reason: str) -> None:
-        """End the connection."""
-        self._channel.close(reason)
-        self._leave(LeaseChange.RELEASED)
-
-    def _closed(self, reason: str) -> None:
-        self._leave(LeaseChange.FRONT_LOST)
-
-    def _leave(self, why: LeaseChange) -> None:
-        self._on_gone(self)
-        for token in list(self._tokens.values()):
-            try:
-                self._agent.desk.release(token, self._agent.now, why)
-            except LeaseRefused:
-                pass  # another one has it by now
-            else:
-                self._agent.journal.note(f"{self._name} has gone", "warning")
-        self._tokens.clear()
-
-    def forget_leases(self, *, but: int) -> None:
-        """Leases that have ended are of no use."""
-        self._tokens = {number: one for number, one in self._tokens.items() if number == but}
-
-    def _receive(self, message: Message) -> None:
-        if isinstance(message, Hello) and not self._name:
-            if message.version != VERSION:
-                self.close(f"this agent speaks version {VERSION}, not {message.version}")
-                return
-            self._name = message.name or "a front"
-            return
-        handler = self._handlers.get(type(message))
-        if handler is None or not self._name:
-            self.close(f"a front does not send {type(message).__name__} now")
-        else:
-            handler(message)
-
-    # -- the lease -------------------------------------------------------------------------------
-
-    def _token(self, fence: int) -> str:
-        """Proof of the lease with that number; empty when it was not granted over this channel."""
-        return self._tokens.get(fence, "")
-
-    def _on_lease_ask(self, ask: LeaseAsk) -> None:
-        answer: Message
-        try:
-            answer = self._lease(ask)
-        except M100Error as error:
-            answer = Outcome(ask.id, Stage.FAILED, Fault.of(error))
-        self._before_outcome()
-        if ask.id:
-            self.tell(answer)
-
-    def _lease(self, ask: LeaseAsk) -> Message:
-        desk, now = self._agent.desk, self._agent.now
-        if ask.action is LeaseAction.RELEASE:
-            desk.release(ask.token, now)
-            return Outcome(ask.id, Stage.DONE)
-        if ask.action is LeaseAction.TAKE_OVER:
-            wanted = desk.ask_take_over(ask.name, now)
-            return TakeOverOffered(
-                ask.id,
-                wanted.name,
-                wanted.from_name,
-                wanted.token,
-                wanted.number,
-                wanted.expires_at,
-            )
-        if ask.action is LeaseAction.ACQUIRE:
-            lease = desk.acquire(ask.name, now)
-        elif ask.action is LeaseAction.RENEW:
-            lease = desk.renew(ask.token, now)
-        else:
-            lease = desk.confirm(ask.token, now)
-        self._tokens[lease.number] = lease.token
-        return LeaseGranted(ask.id, lease.name, lease.token, lease.number)
-
-    # -- setpoints -------------------------------------------------------------------------------
-
-    def _on_steer(self, steer: Steer) -> None:
-        age = self._agent.now - steer.sent_at
-        try:
-            # A time ahead of ours would make it young for as long.
-            if abs(age) > MAX_SETPOINT_AGE:
-                raise GuardRefused(
-                    f"a setpoint was {age:.2f} s on its way; it was not flown",
-                    guard="setpoint_age",
-                    measured=age,
-                    limit=MAX_SETPOINT_AGE,
-                    cause="the front, or what is before it, is slow"
-                    if age > 0
-                    else "the clock of the front is ahead of the agent's",
-                )
-            self._agent.steer(self._token(steer.fence), steer.setpoint, steer.lifetime)
-        except M100Error as error:
-            self._before_outcome()
-            self.tell(SteerRefused(steer.fence, Fault.of(error)))
-
-    # -- everything else -------------------------------------------------------------------------
-
-    def _on_note(self, note: Note) -> None:
-        now = self._agent.now
-        gained = (now - self._noted_at) * _NOTES_PER_S
-        self._notes, self._noted_at = min(_MAX_NOTES, self._notes + gained), now
-        if self._notes >= 1.0 and note.level in _LEVELS:
-            self._notes -= 1.0
-            self._agent.journal.note(note.text[:_MAX_NOTE], note.level)
-
-    def _on_ask(self, ask: Ask) -> None:
-        if ask.action is Action.HALT:
-            self._agent.halt(ask.text)
-            self._answer(ask, Stage.DONE)
-        elif self._asks >= _MAX_ASKS:
-            error = UsageError(f"{self._asks} questions of this front wait already")
-            self._answer(ask, Stage.FAILED, error)
-        else:
-            self._asks += 1
-            name = f"{ask.action.value} for {self._name}"
-            self._agent.background.spawn(self._carry_out(ask), name)
-
-    def _answer(
-        self,
-        ask: Ask,
-        stage: Stage,
-        error: M100Error | None = None,
-        result: _Result = ("", 0),
-    ) -> None:
-        self._before_outcome()
-        if ask.id:
-            self.tell(Outcome(ask.id, stage, _fault(error), *result))
-
-    async def _carry_out(self, ask: Ask) -> None:
-        try:
-            result = await self._doing(ask)
-        except M100Error as error:
-            self._answer(ask, Stage.FAILED, error)
-        except Exception:
-            fault = MessageError("the agent failed", remedy="see its log; report it")
-            self._answer(ask, Stage.FAILED, fault)
-            raise
-        else:
-            self._answer(ask, Stage.DONE, result=result or ("", 0))
-        finally:
-            self._asks -= 1
-
-    def _doing(self, ask: Ask) -> Awaitable[_Result | None]:
-        agent, token = self._agent, self._token(ask.fence)
-        task = _TASKS.get(ask.action)
-        if task is not None:
-            return agent.fly(token, task, lambda: self._answer(ask, Stage.ACCEPTED))
-        doing: dict[Action, Callable[[], Awaitable[_Result | None]]] = {
-            Action.ACTIVATE: lambda: self._activate(token),
-            Action.OBTAIN: lambda: agent.obtain(token),
-            Action.RELEASE: lambda: agent.release(token),
-            Action.PATTERN: lambda: self._start_pattern(token, ask.number),
-            Action.STOP: agent.stop,
-            Action.GIMBAL_ANGLES: lambda: agent.move_gimbal(token, read(GimbalAngle, ask.data)),
-            Action.GIMBAL_RATES: lambda: agent.move_gimbal(token, read(GimbalSpeed, ask.data)),
-            Action.TAKE_PHOTO: lambda: agent.use_camera(token, AircraftCamera.take_photo),
-            Action.START_VIDEO: lambda: agent.use_camera(token, AircraftCamera.start_video),
-            Action.STOP_VIDEO: lambda: agent.use_camera(token, AircraftCamera.stop_video),
-            Action.ARM: lambda: agent.switch_motors(token, on=True),
-            Action.DISARM: lambda: agent.switch_motors(token, on=False),
-            Action.MISSION_PLAN: lambda: self._stage(ask),
-            Action.MISSION_POINT: lambda: self._stage(ask),
-            Action.MISSION_START: lambda: agent.fly_mission(
-                token, self._plan_of(ask).require(), take_off=ask.number == 1
-            ),
-            Action.HOTPOINT_START: lambda: agent.fly_hotpoint(token, read(HotpointStart, ask.data)),
-            Action.HOTPOINT_RADIUS: lambda: agent.set_hotpoint(token, radius=ask.number / 1000),
-            Action.HOTPOINT_RATE: lambda: agent.set_hotpoint(token, rate=ask.number / 1000),
-            Action.HOTPOINT_HEADING: lambda: agent.set_hotpoint(token),
-            Action.MISSION_STOP: lambda: agent.order_mission(token, "stop"),
-            Action.MISSION_PAUSE: lambda: agent.order_mission(token, "pause"),
-            Action.MISSION_RESUME: lambda: agent.order_mission(token, "resume"),
-            Action.MISSION_SPEED: lambda: self._set_speed(token, ask.number / 1000),
-            Action.VERSION: self._version,
-            Action.SEND_TO_MOBILE: lambda: agent.send_to_mobile(token, ask.data),
-        }
-        return doing[ask.action]()
-
-    async def _activate(self, token: str) -> None:
-        await self._agent.activate(token or None)
-
-    async def _start_pattern(self, token: str, number: int) -> None:
-        self._agent.start_pattern(token, f"simple task {number}", pattern(number))
-
-    async def _stage(self, ask: Ask) -> None:
-        """A piece of a plan: nothing is asked of the aircraft before the start."""
-        self._agent.desk.check(self._token(ask.fence), self._agent.now)
-        if ask.action is Action.MISSION_PLAN:
-            self._staged_under = ask.fence
-            self._staged.begin(read(WaypointMission, ask.data))
-        else:
-            self._plan_of(ask).add(read(WaypointPoint, ask.data))
-
-    def _plan_of(self, ask: Ask) -> StagedPlan:
-        """The plan that came under this lease: nobody flies what somebody else left.
-
-        Raises:
-            UsageError: It came under another one.
-        """
-        if self._staged_under != ask.fence:
-            raise UsageError(
-                "no plan was uploaded under this lease", remedy="upload it again, then start"
-            )
-        return self._staged
-
-    async def _set_speed(self, token: str, speed: float) -> _Result:
-        return "", round(await self._agent.set_mission_speed(token, speed) * 1000)
-
-    async def _version(self) -> _Result:
-        version = await self._agent.version()
-        return version.name, version.crc

@@ -9,6 +9,7 @@ import anyio
 import pytest
 
 from m100link.agent.carriers.memory import memory_channels
+from m100link.agent.front import MAX_SETPOINT_AGE
 from m100link.agent.messages import (
     VERSION,
     Action,
@@ -29,7 +30,7 @@ from m100link.agent.messages import (
     TakeOverOffered,
     Telemetry,
 )
-from m100link.agent.service import MAX_SETPOINT_AGE, STATE_INTERVAL, Service
+from m100link.agent.service import STATE_INTERVAL, Service
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.setpoint import Setpoint
