@@ -83,6 +83,8 @@ class AgentClient:
         on_activating: Called with each answer of the aircraft to an activation.
         on_authority_taken: Called when somebody else took control authority.
         on_steer_refused: Called with the fence and the reason when a setpoint was not flown.
+        on_lease: Called when the lease changed hands.
+        heard_at: When anything of the agent was heard last, s.
     """
 
     def __init__(self, channel: Channel, name: str) -> None:
@@ -91,7 +93,7 @@ class AgentClient:
         self._channel = channel
         self._name = name
         self.state = State(at=self.now)
-        self._heard_at = self.now
+        self.heard_at = self.now
         self.holder = LeaseChanged(0, "")
         self.telemetry: AircraftState | None = None
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
@@ -102,6 +104,7 @@ class AgentClient:
         self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
         self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
         self.on_mission_told: list[Callable[[MissionTold], None]] = []
+        self.on_lease: list[Callable[[LeaseChanged], None]] = []
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
         self._answers = Answers(channel.send)
@@ -134,7 +137,7 @@ class AgentClient:
     @property
     def is_silent(self) -> bool:
         """Whether nothing was heard of the agent for 2 s; it may hang."""
-        return self.now - self._heard_at > MAX_SILENCE
+        return self.now - self.heard_at > MAX_SILENCE
 
     @property
     def is_connected(self) -> bool:
@@ -164,7 +167,7 @@ class AgentClient:
     # -- what comes in ---------------------------------------------------------------------------
 
     def _receive(self, message: Message) -> None:
-        self._heard_at = self.now
+        self.heard_at = self.now
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message)
@@ -220,6 +223,8 @@ class AgentClient:
 
     def _on_lease_changed(self, message: LeaseChanged) -> None:
         self.holder = message
+        for callback in self.on_lease:
+            callback(message)
 
     def _on_activating(self, message: Activating) -> None:
         for callback in self.on_activating:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Coroutine
 from typing import Any, Literal
 
@@ -10,17 +11,19 @@ import anyio
 
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.journal import Journal
+from m100link.agent.messages import Limits
 from m100link.agent.mission import FlyingMission
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
 from m100link.flight.control import Control
+from m100link.flight.guards import Guards
 from m100link.flight.missions.flight import MissionFlight
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["Flying", "MissionOrder", "Pattern"]
+__all__ = ["Flying", "MissionOrder", "Pattern", "limits_of"]
 
 MissionOrder = Literal["pause", "resume", "stop"]
 """What may be told to a mission that flies."""
@@ -64,6 +67,11 @@ class Flying:
     def has_authority(self) -> bool:
         """Whether setpoints and tasks are obeyed now."""
         return not self._is_ended and self._control.has_authority
+
+    @property
+    def limits(self) -> Limits:
+        """What the guards of the block allow."""
+        return limits_of(self._control.guards, self._control.origin)
 
     @property
     def pattern(self) -> str | None:
@@ -264,3 +272,18 @@ class Flying:
                 await asyncio.wait([self._running_task])
         with anyio.CancelScope(shield=True):
             await self.mission.ended()
+
+
+def limits_of(guards: Guards, origin: tuple[float, float] | None) -> Limits:
+    """Guards as a front is told of them, with latitude and longitude of the start, °."""
+    envelope = guards.envelope
+    height, radius, speed = (
+        (None, None, None)
+        if envelope is None
+        else (
+            limit if math.isfinite(limit) else None
+            for limit in (envelope.max_height_m, envelope.max_radius_m, envelope.max_speed_m_s)
+        )
+    )
+    latitude, longitude = origin if origin is not None else (None, None)
+    return Limits(height, radius, speed, guards.battery_floor_percent, latitude, longitude)

@@ -16,13 +16,15 @@ from collections.abc import Callable
 from enum import Enum
 
 from m100link.agent.background import BackgroundTasks
-from m100link.agent.flying import Flying
+from m100link.agent.flying import Flying, limits_of
 from m100link.agent.journal import Journal
+from m100link.agent.messages import Limits
 from m100link.agent.mission import MissionListener
 from m100link.aircraft import Aircraft
 from m100link.errors import AuthorityLost, AuthorityRefused, LossReason, M100Error, NoAuthority
 from m100link.flight.authority import AuthorityState
 from m100link.flight.control import Control
+from m100link.flight.guards import Guards
 from m100link.protocol.records import RemoteControl
 from m100link.telemetry.subscription import Newest
 
@@ -171,6 +173,11 @@ class Holding:
     def pattern(self) -> str | None:
         """Name of the program that flies the aircraft, or None."""
         return self.flying.pattern if self.flying is not None else None
+
+    @property
+    def limits(self) -> Limits:
+        """What the guards allow; without control, what they would."""
+        return limits_of(Guards(), None) if self.flying is None else self.flying.limits
 
     def require(self) -> Flying:
         """What flies.

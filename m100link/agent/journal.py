@@ -6,7 +6,7 @@ import logging
 from collections import deque
 from collections.abc import Callable
 
-from m100link.agent.messages import Event
+from m100link.agent.messages import Event, Topic
 
 __all__ = ["JOURNAL_LOG", "Journal"]
 
@@ -36,10 +36,10 @@ class Journal:
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.on_event: list[Callable[[Event], None]] = []
 
-    def note(self, text: str, level: str = "info") -> None:
+    def note(self, text: str, level: str = "info", topic: Topic = Topic.NONE) -> None:
         """Add an event."""
         self._count += 1
-        event = Event(self._count, self._clock(), level, text)
+        event = Event(self._count, self._clock(), level, text, topic)
         self.events.append(event)
         _logger.log(_LEVELS[level], "%s", text)
         for callback in self.on_event:

@@ -38,6 +38,7 @@ __all__ = [
     "LeaseAsk",
     "LeaseChanged",
     "LeaseGranted",
+    "Limits",
     "Message",
     "MissionTold",
     "Note",
@@ -48,9 +49,10 @@ __all__ = [
     "SteerRefused",
     "TakeOverOffered",
     "Telemetry",
+    "Topic",
 ]
 
-VERSION = 3
+VERSION = 4
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 
@@ -112,6 +114,13 @@ class FromMobile:
     data: bytes
 
 
+class Topic(Enum):
+    """What an event is about, where programs have to know it."""
+
+    NONE = ""
+    MISSION_ABORTED = "mission aborted"  # the aircraft or a guard ended it before its end
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that happened, for people.
@@ -121,12 +130,35 @@ class Event:
         at: Time on the agent's clock, s.
         level: ``"info"``, ``"warning"`` or ``"error"``.
         text: What happened.
+        topic: What it is about, for programs.
     """
 
     number: int
     at: float
     level: str
     text: str
+    topic: Topic = Topic.NONE
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the guards of the agent allow; None where one is off.
+
+    Attributes:
+        max_height_m: Height above the take-off point, m.
+        max_radius_m: Horizontal distance from where control was obtained, m.
+        max_speed_m_s: Horizontal speed, m/s.
+        battery_floor_percent: Below it no take-off and no setpoints.
+        latitude_deg: Where control was obtained; None without control, or without GPS.
+        longitude_deg: The same.
+    """
+
+    max_height_m: float | None = None
+    max_radius_m: float | None = None
+    max_speed_m_s: float | None = None
+    battery_floor_percent: int | None = None
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +188,7 @@ class State:
         late_acks: Acks that came late or belong to nobody.
         dropped_writes: Frames that were not written.
         mismatches: Telemetry packages that do not fit the firmware.
+        limits: What the guards allow.
     """
 
     at: float
@@ -178,6 +211,7 @@ class State:
     late_acks: int = 0
     dropped_writes: int = 0
     mismatches: int = 0
+    limits: Limits = Limits()
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from typing import TypeVar
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.fault import MessageError
 from m100link.agent.journal import Journal
+from m100link.agent.messages import Topic
 from m100link.errors import M100Error, MissionRunning, UsageError
 from m100link.flight.control import Control
 from m100link.flight.missions.events import (
@@ -170,7 +171,7 @@ class FlyingMission:
             raise
 
     async def _fly(self, flight: MissionFlight, what: str, begun: asyncio.Future[None]) -> None:
-        outcome, level = f"the {what} is over", "info"
+        outcome, level, topic = f"the {what} is over", "info", Topic.NONE
         try:
             async with flight:
                 self._flight = flight
@@ -181,6 +182,7 @@ class FlyingMission:
                     self._tell(event)
         except M100Error as error:
             outcome, level = f"the {what} ended: {error.seen}", "error"
+            topic = Topic.MISSION_ABORTED if begun.done() else Topic.NONE
             if not begun.done():
                 begun.set_exception(error)
         except asyncio.CancelledError:
@@ -191,7 +193,7 @@ class FlyingMission:
                 begun.set_exception(UsageError("control ended before the mission began"))
                 begun.exception()  # nobody may be there to hear it
             self._flight = self._watch = None
-            self._journal.note(outcome, level)
+            self._journal.note(outcome, level, topic)
 
     def _tell(self, event: MissionEvent) -> None:
         if isinstance(event, Reached):

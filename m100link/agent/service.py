@@ -172,4 +172,5 @@ class Service:
             late_acks=link.late_acks + link.foreign_acks if link else 0,
             dropped_writes=link.dropped_writes if link else 0,
             mismatches=aircraft.telemetry_mismatches if aircraft is not None else 0,
+            limits=holding.limits,
         )

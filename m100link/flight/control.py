@@ -211,6 +211,16 @@ class Control:
         return self._commander.state
 
     @property
+    def guards(self) -> Guards:
+        """Which guards are on."""
+        return self._guards.guards
+
+    @property
+    def origin(self) -> tuple[float, float] | None:
+        """Latitude and longitude from which the envelope is measured, °; None before good GPS."""
+        return self._guards.origin
+
+    @property
     def setpoints_sent(self) -> int:
         """Movement frames sent in this block, neutrals included."""
         return self._setpoints.sent

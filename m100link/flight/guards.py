@@ -106,6 +106,12 @@ class GuardKeeper:
         self._began_at = asyncio.get_running_loop().time()
         self._from_start(known(self._state, Position))
 
+    @property
+    def origin(self) -> tuple[float, float] | None:
+        """Latitude and longitude of where control began, °; None while nobody knows."""
+        start = self._origin
+        return None if start is None else (start.latitude_deg, start.longitude_deg)
+
     async def admit_take_off(self) -> None:
         """Wait up to 1.5 s for what the guards compare, then say whether a take-off may begin.
 

@@ -11,6 +11,7 @@ from typing import Self
 
 from m100link.errors import M100Error
 from m100link.flight import control as aio
+from m100link.flight.guards import Guards
 from m100link.flight.guidance import Arrival, Progress
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.follow import Target
@@ -136,6 +137,16 @@ class Control:
     def state(self) -> AircraftState:
         """Telemetry of the aircraft."""
         return self._control.state
+
+    @property
+    def guards(self) -> Guards:
+        """Which guards are on."""
+        return self._control.guards
+
+    @property
+    def origin(self) -> tuple[float, float] | None:
+        """Latitude and longitude from which the envelope is measured, °; None before good GPS."""
+        return self._control.origin
 
     @property
     def setpoints_sent(self) -> int:

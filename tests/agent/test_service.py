@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -9,6 +10,7 @@ import anyio
 import pytest
 
 from m100link.agent.carriers.memory import memory_channels
+from m100link.agent.flying import limits_of
 from m100link.agent.front import MAX_SETPOINT_AGE
 from m100link.agent.messages import (
     VERSION,
@@ -20,6 +22,7 @@ from m100link.agent.messages import (
     LeaseAsk,
     LeaseChanged,
     LeaseGranted,
+    Limits,
     Message,
     Note,
     Outcome,
@@ -31,6 +34,7 @@ from m100link.agent.messages import (
     Telemetry,
 )
 from m100link.agent.service import STATE_INTERVAL, Service
+from m100link.flight.guards import Envelope, Guards
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.setpoint import Setpoint
@@ -137,6 +141,26 @@ async def test_a_flight_by_messages(rig: Rig, service: Service) -> None:
     assert front.all(State)[-1].holding == "none"
     front.send(Ask(4, Action.VERSION))
     assert "M100" in (await front.outcome(4)).text
+
+
+async def test_a_front_knows_the_limits_and_from_where_they_are_measured(
+    rig: Rig, service: Service
+) -> None:
+    front = Front(rig, service)
+    before = front.all(State)[-1].limits
+    assert before == Limits(50.0, 150.0, 10.0, 20)
+    await front.airborne()
+    await anyio.sleep(0.5)
+    during = front.all(State)[-1].limits
+    settings = rig.aircraft.vehicle.settings
+    assert during.latitude_deg == pytest.approx(settings.latitude_deg, abs=1e-6)
+    assert during.longitude_deg == pytest.approx(settings.longitude_deg, abs=1e-6)
+
+
+def test_a_limit_that_is_off_is_told_as_none() -> None:
+    open_above = Guards(envelope=Envelope(max_height_m=math.inf), battery_floor_percent=None)
+    assert limits_of(open_above, (1.0, 2.0)) == Limits(None, 150.0, 10.0, None, 1.0, 2.0)
+    assert limits_of(Guards(envelope=None), None) == Limits(battery_floor_percent=20)
 
 
 async def test_the_state_is_told_before_the_outcome(rig: Rig, service: Service) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.agent.messages import Topic
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.hotpoint import HotpointSetRate
 from m100link.protocol.commands.waypoint import WaypointPoint, WaypointStartStop
@@ -187,6 +188,18 @@ async def test_it_is_stopped_with_the_control_of_whoever_started_it(rig: Rig, ho
     held = rig.aircraft.position
     await anyio.sleep(3.0)
     assert rig.aircraft.position == pytest.approx(held, abs=0.3)
+
+
+async def test_that_it_was_broken_off_is_told_for_programs(rig: Rig) -> None:
+    page = await rig.airborne()
+    await upload(rig, page)
+    await act(rig, page, START)
+    await rig.until(lambda: is_flying(rig))
+    assert all(event.topic is Topic.NONE for event in rig.front.events)
+    rig.aircraft.battery_percent = 15.0
+    await rig.until(lambda: not is_flying(rig), within=10.0)
+    [broken] = [event for event in rig.front.events if event.topic is Topic.MISSION_ABORTED]
+    assert "battery" in broken.text
 
 
 async def test_nobody_flies_what_somebody_else_left(rig: Rig) -> None:
