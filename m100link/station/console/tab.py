@@ -19,9 +19,9 @@ from typing import Any
 
 from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, TakeOver
-from m100link.agent.messages import Action
+from m100link.agent.messages import Action, LeaseChanged
 from m100link.agent.steering import setpoint_of
-from m100link.errors import GuardRefused, M100Error
+from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
@@ -50,6 +50,9 @@ class Tab:
         plan: What was uploaded last, None before.
         beats: Beats that were sent on.
         refused: Messages that could not be used.
+        lease_end: How the lease was lost, and to whom; None while the tab has it, gave it back or
+            never had it.
+        loss: Who or what took authority while the tab had the lease; None when it is held again.
     """
 
     def __init__(self, agent: AgentClient, name: str) -> None:
@@ -60,10 +63,20 @@ class Tab:
         self.plan: WaypointPlan | None = None
         self.beats = 0
         self.refused = 0
+        self.lease_end: LeaseChanged | None = None
+        self.loss: LossReason | None = None
         self._last_number = -1
         self._way = WayTime()
         self._complained_at = -math.inf
+        self._is_closed = False
         agent.on_steer_refused.append(self._steer_refused)
+        agent.on_lease.append(self._lease_changed)
+        agent.on_authority_taken.append(self._authority_taken)
+
+    @property
+    def round_trip(self) -> float | None:
+        """Seconds to the page and back, None before it was measured."""
+        return self._way.round_trip
 
     @property
     def has_lease(self) -> bool:
@@ -94,11 +107,13 @@ class Tab:
         """
         if not self.has_lease:
             self.lease = await self._agent.acquire(self.name)
+        self.lease_end = None
         try:
             await self._agent.obtain(self.lease)
         except M100Error:
             self.let_go()
             raise
+        self.loss = None
 
     async def ask_take_over(self) -> TakeOver:
         """First step of a take-over."""
@@ -107,7 +122,9 @@ class Tab:
     async def confirm_take_over(self, wanted: TakeOver) -> None:
         """Second step: take the lease, and authority if the station does not hold it."""
         self.lease = await self._agent.confirm(wanted.token)
+        self.lease_end = None
         await self._agent.obtain(self.lease)
+        self.loss = None
 
     async def release(self) -> None:
         """Give authority and lease back."""
@@ -116,9 +133,9 @@ class Tab:
 
     def let_go(self) -> None:
         """Give the lease back, if this tab has it; motion stops."""
-        if self.lease is not None and self.has_lease:
-            self._agent.let_go(self.lease)
-        self.lease = None
+        lease, self.lease, self.loss = self.lease, None, None  # its end is no news to this tab
+        if lease is not None and self._agent.holds(lease):
+            self._agent.let_go(lease)
 
     async def fly(self, task: Task) -> None:
         """Take off, land or go home."""
@@ -229,6 +246,19 @@ class Tab:
             self._complained_at = now
             self._agent.note(f"{self.name}: {error.seen}", "warning")
 
+    # -- what others take ------------------------------------------------------------------------
+
+    def _lease_changed(self, message: LeaseChanged) -> None:
+        is_ours = self.lease is not None and message.number == self.lease.number
+        if self.lease is not None and not is_ours and self.lease_end is None:
+            self.lease_end, self.loss = message, None
+
+    def _authority_taken(self, error: AuthorityLost) -> None:
+        if self.has_lease:
+            self.loss = LossReason(error.reason)  # a text once it has been a message
+
+    # -- the end ---------------------------------------------------------------------------------
+
     def lost(self) -> None:
         """The socket is gone: stop, and let others have control."""
         self._way = WayTime()  # the next one may take another way
@@ -237,8 +267,12 @@ class Tab:
     def close(self) -> None:
         """The tab is gone for good."""
         self.lost()
-        if self._steer_refused in self._agent.on_steer_refused:
-            self._agent.on_steer_refused.remove(self._steer_refused)
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._agent.on_steer_refused.remove(self._steer_refused)
+        self._agent.on_lease.remove(self._lease_changed)
+        self._agent.on_authority_taken.remove(self._authority_taken)
 
 
 def _read(text: str | bytes) -> dict[str, Any] | None:

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.agent.lease import LeaseHeld, LeaseRefused
+from m100link.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
+from m100link.errors import LossReason
 from m100link.protocol.commands.control import Task
-from m100link.protocol.records import Attitude, Velocity
+from m100link.protocol.records import Attitude, RcMode, Velocity
 from m100link.station.console.fields import FIELDS, live, read
 from m100link.station.console.tab import BEAT_LIFETIME, Tab, _read
 from tests.station.conftest import Rig
@@ -223,6 +224,52 @@ async def test_a_take_over_stops_the_motion_and_keeps_authority(rig: Rig) -> Non
     other.beat(y=2)
     await anyio.sleep(0.03)
     assert rig.moves[-1].roll_or_x == 2
+
+
+async def test_who_lost_the_lease_knows_to_whom(rig: Rig) -> None:
+    browser, other = await airborne(rig), Browser(rig, "Anna")
+    await other.tab.confirm_take_over(await other.tab.ask_take_over())
+    end = browser.tab.lease_end
+    assert end is not None
+    assert (end.name, end.why) == ("Anna", LeaseChange.TAKEN_OVER)
+    assert other.tab.lease_end is None
+    await browser.tab.confirm_take_over(await browser.tab.ask_take_over())
+    assert browser.tab.lease_end is None
+    await browser.tab.release()
+    await anyio.sleep(0.1)
+    assert browser.tab.lease_end is None  # it was given back
+
+
+async def test_a_lease_that_expired_was_taken_by_nobody(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await rig.until(lambda: not browser.tab.has_lease, within=4.0)
+    end = browser.tab.lease_end
+    assert end is not None
+    assert (end.name, end.why) == ("", LeaseChange.EXPIRED)
+
+
+async def test_who_took_authority_is_known_until_it_is_held_again(rig: Rig) -> None:
+    browser = await airborne(rig)
+    rig.aircraft.set_rc_mode(RcMode.P)
+    await keep_alive(browser, rig.until(lambda: browser.tab.loss is not None, within=2.0))
+    assert browser.tab.loss is LossReason.MODE_SWITCH
+    rig.aircraft.set_rc_mode(RcMode.F)
+    await keep_alive(browser, rig.until(lambda: rig.front.has_authority, within=2.0))
+    await browser.tab.obtain()
+    assert browser.tab.loss is None
+
+
+async def test_a_tab_that_was_closed_hears_nothing_more(rig: Rig) -> None:
+    browser = Browser(rig)
+
+    def counts() -> tuple[int, int, int]:
+        front = rig.front
+        return len(front.on_lease), len(front.on_authority_taken), len(front.on_steer_refused)
+
+    before = counts()
+    browser.tab.close()
+    browser.tab.close()
+    assert counts() == tuple(count - 1 for count in before)
 
 
 async def test_stop_ends_a_task_by_giving_authority_back(rig: Rig) -> None:
