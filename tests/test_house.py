@@ -238,6 +238,18 @@ TESTED_ELSEWHERE = {
     "sim/vehicle/settings.py": ("sim/test_telemetry.py", "numbers that the others use"),
     "sim/virtual.py": ("sim/test_autopilot.py", "it hands on to vehicle, autopilot and line"),
     "station/console/app.py": ("browser/test_console.py", "a page is seen in a browser"),
+    "station/console/view/catalogue/alarms.py": (
+        "station/console/view/test_words.py",
+        "one catalogue, tested as a whole",
+    ),
+    "station/console/view/catalogue/status.py": (
+        "station/console/view/test_words.py",
+        "one catalogue, tested as a whole",
+    ),
+    "station/console/view/catalogue/unit.py": (
+        "station/console/view/test_words.py",
+        "one catalogue, tested as a whole",
+    ),
     "station/console/fields.py": ("browser/test_console.py", "a page is seen in a browser"),
     "station/console/page.py": ("browser/test_console.py", "a page is seen in a browser"),
     "station/console/simpanel.py": ("browser/test_console.py", "a page is seen in a browser"),

@@ -1,0 +1,76 @@
+"""The catalogue: every text in both languages, with the same braces, and every key in use."""
+
+from __future__ import annotations
+
+import ast
+import string
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from m100link.station.console.view.catalogue import CATALOGUE, PARTS
+from m100link.station.console.view.units import Language, LengthUnit, Quantity, Units
+from m100link.station.console.view.words import Speaker, say
+
+CONSOLE = Path(__file__).parents[4] / "m100link/station/console"
+PREFIXES = tuple(f"{part.__name__.rpartition('.')[2]}." for part in PARTS)
+
+
+def braces(text: str) -> set[str]:
+    return {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
+
+
+def sources() -> Iterator[ast.AST]:
+    for path in CONSOLE.rglob("*.py"):
+        if path.parent.name != "catalogue":
+            yield from ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("key", CATALOGUE)
+def test_both_languages_say_the_same_things(key: str) -> None:
+    english, german = CATALOGUE[key]
+    assert english.strip() == english != ""
+    assert german.strip() == german != ""
+    assert braces(english) == braces(german)
+    assert not any(name == "" or name.isdigit() for name in braces(english))
+
+
+def test_a_key_stands_once_and_in_the_file_of_its_name() -> None:
+    assert sum(len(part.WORDS) for part in PARTS) == len(CATALOGUE)
+    for part, prefix in zip(PARTS, PREFIXES, strict=True):
+        assert [key for key in part.WORDS if not key.startswith(prefix)] == []
+
+
+def test_every_text_that_is_said_is_in_the_catalogue_and_filled_as_it_wants() -> None:
+    wrong = []
+    for node in sources():
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            is_key = (
+                node.value.startswith(PREFIXES) and node.value[-1] != "." and " " not in node.value
+            )
+            if is_key and node.value not in CATALOGUE:
+                wrong.append(f"unknown: {node.value}")
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "say" and node.args:
+            [key] = node.args
+            if isinstance(key, ast.Constant) and isinstance(key.value, str):
+                given = {keyword.arg for keyword in node.keywords}
+                if given != braces(CATALOGUE[key.value][0]):
+                    wrong.append(f"{key.value} is filled with {given}")
+    assert wrong == []
+
+
+def test_a_speaker_fills_in_numbers_quantities_and_other_texts() -> None:
+    english, german = Speaker(), Speaker(Language.GERMAN, Units(LengthUnit.FOOT))
+    near = say("alarms.guard_near.height", value=Quantity.length(46.2), limit=Quantity.length(50.0))
+    assert english(near) == "Near the limit: 46 m high of 50 m"
+    assert german(near) == "Nahe der Grenze: 152 ft hoch von 164 ft"
+    waiting = say("unit.seconds", seconds=1.5)
+    assert (english(waiting), german(waiting)) == ("1.5 s", "1,5 s")
+    inner = say("alarms.passed", alarm=say("alarms.gps"))
+    assert german(inner) == "GPS ist schwach: das Fluggerät kann abtreiben (vorbei)"
+
+
+def test_what_strangers_wrote_is_not_taken_for_braces() -> None:
+    taken = say("alarms.lease_taken.taken", name="{0.__class__} {name}")
+    assert Speaker()(taken) == "{0.__class__} {name} took control from you"
