@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from enum import StrEnum
 from struct import Struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 from m100link.errors import PayloadTooLarge, UsageError
@@ -24,6 +24,7 @@ from m100link.wire.crc import (
     ZLIB_START,
     header_crc16,
     header_crc16_of_word,
+    sequence_crc16_numbers,
 )
 from m100link.wire.crc import SEQUENCE_CRC16 as _SEQUENCE_CRC16
 from m100link.wire.hunt import HEADER_SIZE, SOF, right_headers
@@ -54,6 +55,22 @@ _RESERVED = 0xFFFFFF00_C0000000  # bits of the word
 _FAULTS = 0xFFFFFF00_C0FC00FF  # these, the version, and the start byte: all that says SOF only
 _PAYLOAD = slice(HEADER_SIZE, -CRC32_SIZE)
 _new = tuple.__new__
+
+
+def _unpack_first(data: bytes) -> tuple[int, int, int, bytes]:
+    """What :data:`_unpack_whole` has for a size until bytes of that size come."""
+    size = len(data)
+    if size < HEADER_SIZE:
+        raise LookupError("too few bytes for a header")
+    payload = max(0, size - OVERHEAD)
+    unpack: Callable[[bytes], tuple[Any, ...]]
+    unpack = Struct(f"<QHH{payload}s{size - HEADER_SIZE - payload}x").unpack
+    _unpack_whole[size] = unpack
+    return unpack(data)
+
+
+# By the size of a frame: what takes it apart in one call, into word, sequence, CRC16 and payload.
+_unpack_whole: list[Callable[[bytes], tuple[Any, ...]]] = [_unpack_first] * (MAX_FRAME_SIZE + 1)
 
 
 class Frame(NamedTuple):
@@ -206,6 +223,7 @@ class FrameDecoder:
         "_headers",
         "_kept",
         "_missing",
+        "_sequences",
         "cipher",
         "discarded_bytes",
         "discards",
@@ -221,6 +239,7 @@ class FrameDecoder:
         self._kept = b""  # what may begin a frame that is not all here, at most 1022 bytes
         self._missing = 0  # bytes without which that cannot become a frame; 0: nothing is kept
         self._headers: dict[int, _Header] = {}  # by word; only those without a fault
+        self._sequences = sequence_crc16_numbers()
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take the next bytes of the stream; returns the frames that they complete."""
@@ -236,20 +255,22 @@ class FrameDecoder:
             data = self._kept + data
             self._kept, self._missing = b"", 0
         size = len(data)
-        if size < HEADER_SIZE:
+        try:
+            word, sequence, crc16, payload = _unpack_whole[size](data)
+            base, length, session, is_ack, encrypted, padding, obstacle, clear = self._headers[word]
+        except LookupError:  # more bytes than a frame has, or a header that is not known
             return self._search(data, [])
-        word, sequence, crc16 = _unpack_header(data)
-        header = self._headers.get(word)
-        if header is None or header[0] ^ _SEQUENCE_CRC16[sequence] != crc16:
+        if base ^ self._sequences[sequence] != crc16:
             return self._search(data, [])
-        _, length, session, is_ack, encrypted, padding, obstacle, clear = header
-        if size < length:
-            self._kept, self._missing = data, length - size
-            return []
-        frame = data if size == length else data[:length]
+        frame = data
+        if size != length:
+            if size < length:
+                self._kept, self._missing = data, length - size
+                return []
+            frame = data[:length]
+            payload = frame[_PAYLOAD]
         if crc32(frame, ZLIB_START) != FRAME_RESIDUE and length != HEADER_SIZE:
             return self._search(data, [], self._reject(_FRAME_CRC, data, 0))
-        payload = frame[_PAYLOAD]
         if obstacle is not None:
             cipher = self.cipher
             if cipher is None or obstacle is _PADDING:
