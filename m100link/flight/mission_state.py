@@ -51,7 +51,8 @@ class MissionState:
         status: Status value of a waypoint mission (0 on the way to the first point, 1 flying, 2
             turning, 3 to 5 action, 6 reached; facts W20, inferred) or of a hotpoint (0 on the way,
             1 circling, 2 paused); None for others.
-        since: When this kind was told of first, on the event loop's clock; None before any push.
+        since: Since when pushes tell of this kind, with gaps of at most 3 s, on the event loop's
+            clock; None when none of late did.
         is_running: Whether it flies the aircraft now: told of within the last 3 s.
     """
 
@@ -91,7 +92,8 @@ class MissionWatch:
         self.received_at = -math.inf
         self._kind = MissionKind.UNKNOWN
         self._status: MissionStatus | None = None
-        self._since: float | None = None
+        # From when to when each kind was told of, without a longer gap than one push is believed.
+        self._told: dict[MissionKind, tuple[float, float]] = {}
         # Until when pushes that name a mission which has ended are taken for late ones.
         self._echo: tuple[MissionKind, float] | None = None
 
@@ -104,7 +106,7 @@ class MissionWatch:
             kind=self._kind,
             index=told.get("index"),
             status=told.get("status"),
-            since=self._since,
+            since=self.told_since(self._kind),
             is_running=self._kind.is_mission and is_fresh,
         )
 
@@ -118,9 +120,8 @@ class MissionWatch:
             if kind is ended and now < until:
                 return
             self._echo = None
-        self.received_at, self._status = now, push
-        if kind is not self._kind:
-            self._kind, self._since = kind, now
+        self.received_at, self._status, self._kind = now, push, kind
+        self._told[kind] = now if (since := self.told_since(kind)) is None else since, now
         if self.listener is not None:
             self.listener(push)
 
@@ -129,9 +130,18 @@ class MissionWatch:
         if self.listener is not None:
             self.listener(push)
 
+    def told_since(self, kind: MissionKind) -> float | None:
+        """Since when pushes tell of it, others between them or not; None when none did of late."""
+        since, until = self._told.get(kind, (0.0, -math.inf))
+        return since if self._clock() - until <= BELIEVED_S else None
+
     def ended(self, kind: MissionKind) -> None:
-        """A mission of ours ended; pushes of the moment before may still be under way."""
+        """A mission of ours ended; pushes of the moment before may still be under way.
+
+        Not when a push said so: they come in order.
+        """
         now = self._clock()
-        self._echo = kind, now + _ECHO_S
+        self._told.pop(kind, None)
         if self._kind is kind:
-            self._kind, self._status, self._since = MissionKind.NONE, None, now
+            self._echo = kind, now + _ECHO_S
+            self._kind, self._status = MissionKind.NONE, None

@@ -35,6 +35,7 @@ _LANDING = (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
 _TOLD_WITHIN_S = 0.5  # two or three pushes are lost, hardly five
 _GOES_ON_S = 3.0  # after its end, until when what is pushed of its kind is taken for ours
 _TOLD_BY_S = 1.0  # after its start, by when the pushes tell of a mission
+_CONTRADICTED_BY_S = 0.25  # after a push that ended it, by when two more have come
 
 
 class MissionKeeper:
@@ -124,6 +125,8 @@ class MissionKeeper:
         self._stop_asked_at = self._commander.link.loop.time()
         state = self._watch.state
         kinds = [state.kind] if state.is_running else list(ORDERS)
+        if self._run is not None and self._flies_all_the_same(self._run):
+            kinds = [self._run.kind]
         stopped = MissionKind.NONE
         for kind in kinds:
             code = await self._commander.requests.execute(
@@ -245,7 +248,7 @@ class MissionKeeper:
             if run is not None and run.owes_a_stop:
                 await run.ask()
         if run is None or not run.owes_a_stop:
-            return False
+            return run is not None and self._flies_all_the_same(run)
         is_told = self._watch.received_at > since
         if is_told and self._watch.state.kind is not run.kind:
             return False
@@ -262,7 +265,10 @@ class MissionKeeper:
             Why it may be flying on, None when it does not.
         """
         run = self._run
-        if run is None or not (run.owes_a_stop or self._flies_all_the_same(run)):
+        if run is None:
+            return None
+        await self._hear_more(run)
+        if not (run.owes_a_stop or self._flies_all_the_same(run)):
             return None
         try:
             await (run.stop() if run.owes_a_stop else self.stop_any())
@@ -273,13 +279,25 @@ class MissionKeeper:
             return error
         return None
 
+    async def _hear_more(self, run: MissionRun) -> None:
+        """One push may be wrong: when it has just ended ours, those behind it are waited for."""
+        clock, until = self._commander.link.loop.time, run.ended_at + _CONTRADICTED_BY_S
+        if run.state is not RunState.OVER or run.is_stopped:
+            return
+        while clock() < until and self._watch.received_at >= run.ended_at - _CONTRADICTED_BY_S:
+            if self._flies_all_the_same(run):
+                return
+            await asyncio.sleep(0.02)
+
     def _flies_all_the_same(self, run: MissionRun) -> bool:
-        """Whether the pushes went on to tell of ours when something had said that it is over."""
-        state = self._watch.state
-        if run.state is not RunState.OVER or not state.is_running or state.kind is not run.kind:
+        """Whether pushes went on to tell of ours when something had said that it is over.
+
+        Whatever others say between them.
+        """
+        since = self._watch.told_since(run.kind)
+        if run.state is not RunState.OVER or since is None:
             return False
-        # One that began later is somebody else's.
-        return state.since is not None and state.since < run.ended_at + _GOES_ON_S
+        return since < run.ended_at + _GOES_ON_S  # one that began later is somebody else's
 
     def give_up(self, failure: M100Error | None, why: str) -> None:
         """What flies is left in flight.

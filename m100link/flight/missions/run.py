@@ -79,6 +79,7 @@ class MissionRun:
         state: Where it is in its life.
         started_at: When the start was sent, on the event loop's clock; minus infinity before.
         ended_at: When it was taken for over; minus infinity before.
+        is_stopped: Whether it is over by the answer to a stop; otherwise something told so.
         events: For the program.
     """
 
@@ -95,6 +96,7 @@ class MissionRun:
         self.events = Events()
         self._is_told = False  # the program was told why it was broken off
         self.started_at = self.ended_at = -math.inf
+        self.is_stopped = False
         self._pushed_at = 0.0  # when a push told of this mission last, or it was started
         self._is_pushed = False  # whether one ever did
         # What the pushes said while a stop was under way, for the case that nobody answers it.
@@ -275,6 +277,7 @@ class MissionRun:
         elif code is not MissionCode.SUCCESS and code not in STOPPED_CODES:
             self.feed(RunInput.NOT_STOPPED)
             raise mission_refused(f"the stop of the {self.name}", code)
+        self.is_stopped = True
         self._end(RunInput.STOPPED)
 
     def _given_up(self) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import random
+from contextlib import suppress
 
 import pytest
 
@@ -134,4 +136,79 @@ async def test_a_mission_that_somebody_began_after_ours_is_not_stopped() -> None
             await asyncio.sleep(5.0)
             start_from_a_phone(there)
             await asyncio.sleep(2.0)
+        assert stops(there) == [0]
+
+
+FLYING = frame(b"\x02\x03\1\0\1\0\0\0")
+NOT_FLYING = [
+    frame(b"\x02\x03" + status)
+    for status in (
+        b"\0\1\1\xd9\0\0",
+        b"\0\1\0\0\0\0",
+        b"\2\1\0\0\0\0",
+        b"\3\0\0\0\0\0",
+        b"\4\0\0\0\0\0",
+    )
+]
+
+
+@pytest.mark.parametrize("seed", range(12))
+async def test_false_pushes_among_the_true_ones_do_not_leave_it_in_flight(seed: int) -> None:
+    dice = random.Random(seed)
+    async with foreign(seed=seed) as (there, aircraft):
+
+        async def mix() -> None:
+            for _ in range(200):
+                there._write(dice.choice([FLYING, *NOT_FLYING]))
+                await asyncio.sleep(0.01)
+
+        with suppress(MissionAborted):
+            async with aircraft.control() as control, control.waypoint_mission(SLOW):
+                await asyncio.sleep(dice.uniform(0.5, 2.0))
+                mixing = asyncio.create_task(mix())
+                await asyncio.sleep(dice.uniform(0.1, 3.0))
+        await mixing
+        await assert_stopped(there)
+
+
+@pytest.mark.parametrize(
+    "push", NOT_FLYING, ids=["broken off", "over", "hotpoint", "follow", "IOC"]
+)
+async def test_a_block_that_is_left_because_of_one_false_push_waits_for_the_next(
+    push: bytes,
+) -> None:
+    async with foreign() as (there, aircraft):
+        with suppress(MissionAborted):
+            async with aircraft.control() as control, control.waypoint_mission(SLOW) as mission:
+                await asyncio.sleep(2.0)
+                there._write(push)
+                async for _ in mission:
+                    pass
+        await assert_stopped(there)
+
+
+async def test_one_that_is_over_delays_the_release_by_two_pushes_at_most() -> None:
+    async with foreign() as (there, aircraft):
+        with pytest.raises(MissionAborted):
+            async with aircraft.control() as control, control.waypoint_mission(SLOW) as mission:
+                await asyncio.sleep(2.0)
+                there.missions.break_off(0xD9)
+                broken_off_at = there.now()
+                async for _ in mission:
+                    pass
+        assert stops(there) == []
+        assert there.device != ONBOARD
+        assert there.now() - broken_off_at < 0.5
+
+
+async def test_one_that_is_pushed_on_behind_a_pilot_who_took_the_aircraft_is_stopped() -> None:
+    async with foreign() as (there, aircraft):
+        with pytest.raises(AuthorityLost):
+            async with aircraft.control() as control, control.waypoint_mission(SLOW):
+                await asyncio.sleep(2.0)
+                there.missions.break_off = lambda reason: None  # type: ignore[method-assign] # not it
+                there.missions.answers = {0x12: 0}
+                there._write(NOT_FLYING[0])
+                there.leave_f()
+                await asyncio.sleep(9.0)
         assert stops(there) == [0]
