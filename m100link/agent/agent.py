@@ -57,6 +57,7 @@ class Agent:
         lease_lifetime: Seconds that a lease lasts without renewal.
         keep_authority: Seconds that control authority is kept, hovering, when whoever flew is lost
             with its front; 0 gives it back at once.
+        leases_before: Number of the last lease that an agent before may have granted.
 
     Attributes:
         journal: What happened.
@@ -75,6 +76,7 @@ class Agent:
         credentials: Credentials | None = None,
         lease_lifetime: float = 3.0,
         keep_authority: float = 0.0,
+        leases_before: int = 0,
     ) -> None:
         if not 0.0 <= keep_authority <= LONGEST_KEPT:
             raise UsageError(
@@ -89,6 +91,7 @@ class Agent:
         self.desk = LeaseDesk(
             lifetime=lease_lifetime,
             longest_step=_LONGEST_STEP,
+            leases_before=leases_before,
             on_change=self._lease_changed,
         )
         self.holding = Holding(self.journal, self.background)

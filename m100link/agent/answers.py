@@ -64,6 +64,10 @@ class Answers:
             self._waiting.pop(number, None)
             self._accepted.pop(number, None)
 
+    def begin(self, send: Callable[[Message], None]) -> None:
+        """Another agent answers from now on; nothing that the one before was asked is left."""
+        self._send, self.gone = send, None
+
     def end(self, reason: str) -> None:
         """The agent has gone: nobody waits for it any longer."""
         self.gone = reason

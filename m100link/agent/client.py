@@ -7,6 +7,7 @@ lease that has ended meanwhile, or authority that was lost, is refused there.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -108,6 +109,8 @@ class AgentClient:
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
         self._answers = Answers(channel.send)
+        # Time of the last event of the agent before, whose events another way tells again.
+        self._known_until = -math.inf
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
             Hello: self._on_hello,
             State: self._on_state,
@@ -131,7 +134,7 @@ class AgentClient:
 
     @property
     def is_gone(self) -> bool:
-        """Whether the agent has gone for good."""
+        """Whether the agent has gone, and no other was found by :meth:`reopen`."""
         return self._answers.gone is not None
 
     @property
@@ -163,6 +166,19 @@ class AgentClient:
         await self.background.end()
         self._channel.close("the front ends")
         self._closed("it was closed here")
+
+    def reopen(self, channel: Channel) -> None:
+        """Go on with the agent at the end of this channel: the one before has gone.
+
+        Whoever held a lease there holds none here.
+        """
+        if self.events:
+            self._known_until = self.events[-1].at
+        self.state, self._heard_at = State(at=self.now), self.now
+        self._channel = channel
+        self._answers.begin(channel.send)
+        channel.send(Hello(VERSION, self._name, self.now))
+        channel.open(self._receive, self._closed)
 
     # -- what comes in ---------------------------------------------------------------------------
 
@@ -217,6 +233,11 @@ class AgentClient:
         self._from_mobile.publish(message.data, self.now)
 
     def _on_event(self, event: Event) -> None:
+        if event.at <= self._known_until:
+            return
+        if self.events and event.number <= self.events[-1].number:
+            # Another agent counts anew; whoever shows events goes by their numbers.
+            event = replace(event, number=self.events[-1].number + 1)
         self.events.append(event)
         for callback in self.on_event:
             callback(event)

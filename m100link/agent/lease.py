@@ -112,6 +112,7 @@ class LeaseDesk:
         lifetime: Seconds that a lease lasts without renewal.
         longest_step: Time between two calls that counts at most; whoever has a clock calls
             :meth:`advance` more often than that, so that longer means that it did not run.
+        leases_before: Number of the last lease of another desk whose leases must never fit here.
         make_token: Source of tokens; by default 128 bits from the system.
         on_change: Called after each change with the reason, the old and the new lease.
     """
@@ -121,6 +122,7 @@ class LeaseDesk:
         *,
         lifetime: float = LEASE_LIFETIME,
         longest_step: float = math.inf,
+        leases_before: int = 0,
         make_token: Callable[[], str] = lambda: secrets.token_urlsafe(16),
         on_change: Callable[[LeaseChange, Lease | None, Lease | None], None] | None = None,
     ) -> None:
@@ -132,7 +134,7 @@ class LeaseDesk:
         self._on_change = on_change
         self._lease: Lease | None = None
         self._expires_at = 0.0
-        self._count = 0
+        self._count = leases_before
         # When the desk was last called.
         self._advanced_at: float | None = None
         # What one client asks does not push out what another asked.

@@ -1,4 +1,4 @@
-"""``m100link serve`` and ``m100link console``: one aircraft for many clients, and for browsers."""
+"""``m100link serve`` and ``m100link console``: aircraft for many clients, and for browsers."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import contextlib
 import logging
 import os
 import queue
+import re
 import signal
 import threading
 import webbrowser
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self
 
 from cyclopts import Parameter
 
@@ -22,12 +24,11 @@ from m100link.cli.configuration import read_configuration
 from m100link.cli.options import offered, options_of
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
-from m100link.station.config import ENVIRONMENT, Settings, resolve
+from m100link.station.config import ENVIRONMENT, ONLY_NAME, Settings, namespace_of, resolve
 
 if TYPE_CHECKING:
     from m100link.agent.messages import Event
-    from m100link.station.apart import RunningApart
-    from m100link.station.run import Running
+    from m100link.station.child import Child
 
 __all__ = ["console", "serve"]
 
@@ -84,26 +85,77 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
             of_aircraft=configuration.sources_of_station,
         )
 
+    def aircraft(self, words: Sequence[str], **more: Any) -> dict[str, Settings]:
+        """The settings by the name of each aircraft, those of the only one without words.
 
-_Url = Annotated[str | None, offered(places)]
+        Args:
+            words: URLs, names of the configuration file, or ``name=URL``.
+            more: Other settings from the command line.
+
+        Raises:
+            UsageError: Two are called alike or are the same, or something cannot be.
+        """
+        if len(words) < 2:
+            name, url = _named(words[0]) if words else ("", None)
+            return {name or ONLY_NAME: self.settings(url=url, **more)}
+        if self.sim:
+            raise UsageError(
+                "aircraft and --sim were given",
+                remedy="write sim:// in the row of aircraft, once for each virtual one",
+            )
+        named = read_configuration().aircraft
+        found: dict[str, Settings] = {}
+        for place, word in enumerate(words, 1):
+            name, url = _named(word)
+            settings = self.settings(url=url, **more)
+            if settings.url == "sim://":
+                settings = replace(settings, url=None, sim=True)
+            name = name or (url if url in named else f"m100_{place}")
+            _check_other(name, settings, found)
+            found[name] = settings
+        return found
 
 
-def serve(url: _Url = None, *, options: StationOptions = StationOptions()) -> int:
+def _named(word: str) -> tuple[str, str]:
+    """The name in ``name=URL``, empty without one, and the rest."""
+    found = re.fullmatch(r"([A-Za-z][A-Za-z0-9_-]*)=(.+)", word)
+    return ("", word) if found is None else (found[1], found[2])
+
+
+def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> None:
+    """Refuse an aircraft that another one is taken for.
+
+    Raises:
+        UsageError: It has the name or the line of another.
+    """
+    for other, one in found.items():
+        if namespace_of(name) == namespace_of(other):
+            raise UsageError(
+                f"two aircraft are called {name}", remedy="name them: first=URL second=URL"
+            )
+        if settings.url is not None and settings.url == one.url:
+            raise UsageError(f"{other} and {name} are at the same place: {settings.url}")
+
+
+_Url = Annotated[str, offered(places)]
+
+
+def serve(*url: _Url, options: StationOptions = StationOptions()) -> int:
     """Own the serial port and share the aircraft: rosbridge v2 for any number of clients.
 
     Telemetry for all of them, control for one at a time. DJI's web page of 2015 and roslib programs
     work as they are: `m100link serve --sim --pages dji_keyboard_ctrl`.
 
     Args:
-        url: Where the aircraft is, or its name (M100LINK_URL).
+        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for a station
+            with several.
         options: See below.
     """
-    return _run(options.settings(url=url), options, with_console=False)
+    return _run(options.aircraft(url), options, with_console=False)
 
 
 def console(
-    url: _Url = None,
-    *,
+    *url: _Url,
     console_port: int | None = None,
     tiles: Path | None = None,
     open_browser: bool = True,
@@ -112,25 +164,30 @@ def console(
     """Serve the console for browsers, beside everything that `serve` serves, and open it.
 
     Args:
-        url: Where the aircraft is, or its name (M100LINK_URL).
+        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for a station
+            with several.
         console_port: Port of the console (M100LINK_CONSOLE_PORT).
         tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
         open_browser: Open the console in the browser.
         options: See below.
     """
-    settings = options.settings(url=url, console_port=console_port, tiles=tiles)
-    return _run(settings, options, with_console=True, open_browser=open_browser)
+    aircraft = options.aircraft(url, console_port=console_port, tiles=tiles)
+    return _run(aircraft, options, with_console=True, open_browser=open_browser)
 
 
 def _run(
-    settings: Settings,
+    aircraft: dict[str, Settings],
     options: StationOptions,
     *,
     with_console: bool,
     open_browser: bool = False,
 ) -> int:
     if options.show_config:
-        return _show(settings)
+        for name, settings in aircraft.items():
+            if len(aircraft) > 1:
+                out.print(f"[{name}]", markup=False)
+            _show(settings)
+        return ExitCode.OK
     try:
         import cbor2  # noqa: F401 - only whether it is there
         import starlette  # noqa: F401 - only whether it is there
@@ -141,10 +198,10 @@ def _run(
             f"the ground station needs {error.name}, which is not installed",
             remedy="pip install 'm100link[station]'",
         ) from None
-    return run_async(_serve(settings, options, with_console, open_browser))
+    return run_async(_serve(aircraft, options, with_console, open_browser))
 
 
-def _show(settings: Settings) -> int:
+def _show(settings: Settings) -> None:
     for name in settings.__dataclass_fields__:
         if name in ("origins", "unused"):
             continue
@@ -153,48 +210,70 @@ def _show(settings: Settings) -> int:
         source = settings.origins.get(name, "default")
         out.print(f"{name:14} {shown!s:40} {source}", markup=False, soft_wrap=True)
     _tell_unused(settings)
-    return ExitCode.OK
 
 
 async def _serve(
-    settings: Settings, options: StationOptions, with_console: bool, open_browser: bool
+    aircraft: dict[str, Settings],
+    options: StationOptions,
+    with_console: bool,
+    open_browser: bool,
 ) -> int:
     from m100link.agent.journal import JOURNAL_LOG
-    from m100link.station.apart import RunningApart, running_apart
-    from m100link.station.run import running
 
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    run = running if options.single_process else running_apart
     # Events are told here: logging, which nobody has set up, would print the warnings once more.
     logging.getLogger(JOURNAL_LOG).addHandler(logging.NullHandler())
     logging.getLogger(JOURNAL_LOG).propagate = False
     with _Teller() as teller:
 
-        def tell(event: Event) -> None:
+        def tell(name: str, event: Event) -> None:
             style = {"warning": "yellow", "error": "red"}.get(event.level)
-            teller.do(lambda: err.print(event.text, style=style, markup=False))
+            text = f"{name}: {event.text}" if len(aircraft) > 1 else event.text
+            teller.do(lambda: err.print(text, style=style, markup=False))
 
-        async with run(settings, with_console=with_console) as station:
-            for event in station.agent.journal.events:
-                tell(event)
-            station.agent.journal.on_event.append(tell)
-            _announce(settings, station, as_json=options.json_output)
+        async with _running(aircraft, options, with_console, tell) as (station, front):
+            announce = partial(_announce, aircraft, station, as_json=options.json_output)
+            announce()
+            settings = next(iter(aircraft.values()))
             _warn(settings)
-            if isinstance(station, RunningApart):
+            if front is not None:
                 # The code in the console's address works once; a front that is new has another.
-                station.front.on_restart.append(
-                    lambda: teller.do(
-                        lambda: _announce(settings, station, as_json=options.json_output)
-                    )
-                )
+                front.on_restart.append(lambda: teller.do(announce))
             if station.console_port is not None and open_browser:
                 await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
             await ended.wait()
             teller.do(lambda: err.print("ending: the aircraft hovers, control authority goes back"))
     return ExitCode.OK
+
+
+@contextlib.asynccontextmanager
+async def _running(
+    aircraft: dict[str, Settings],
+    options: StationOptions,
+    with_console: bool,
+    tell: Callable[[str, Event], None],
+) -> AsyncIterator[tuple[_Station, Child | None]]:
+    """The station, and the process of its fronts."""
+    from m100link.station.apart import RunningApart, running_apart
+    from m100link.station.run import running
+    from m100link.station.several import running_several
+
+    if len(aircraft) > 1:
+        if options.single_process:
+            raise UsageError("one process has one aircraft", remedy="leave out --single-process")
+        async with running_several(aircraft, with_console=with_console, tell=tell) as several:
+            yield several, several.front
+        return
+    ((name, settings),) = aircraft.items()
+    run = running if options.single_process else running_apart
+    async with run(settings, with_console=with_console) as one:
+        for event in one.agent.journal.events:
+            tell(name, event)
+        one.agent.journal.on_event.append(partial(tell, name))
+        yield one, one.front if isinstance(one, RunningApart) else None
 
 
 class _Teller:
@@ -228,18 +307,30 @@ class _Teller:
                 print_it()
 
 
-def _console_url(settings: Settings, running: Running | RunningApart) -> str:
+class _Station(Protocol):
+    """What every kind of running station tells of itself."""
+
+    @property
+    def ports(self) -> list[int]: ...
+    @property
+    def console_port(self) -> int | None: ...
+    def console_path(self) -> str: ...
+
+
+def _console_url(settings: Settings, running: _Station) -> str:
     scheme = "http" if settings.tls_cert is None else "https"
     assert running.console_port is not None
     return f"{scheme}://{settings.authority(running.console_port)}{running.console_path()}"
 
 
-def _announce(settings: Settings, running: Running | RunningApart, *, as_json: bool) -> None:
+def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool) -> None:
+    settings = next(iter(aircraft.values()))
     scheme = "ws" if settings.tls_cert is None else "wss"
     addresses = [f"{scheme}://{settings.authority(port)}" for port in running.ports]
     console_url = None if running.console_port is None else _console_url(settings, running)
     if as_json:
-        print_json({"rosbridge": addresses, "console": console_url, "sim": settings.sim})
+        told = {"rosbridge": addresses, "console": console_url, "sim": settings.sim}
+        print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
     else:
         out.print(f"rosbridge: {', '.join(addresses)}", markup=False, soft_wrap=True)
         if console_url is not None:

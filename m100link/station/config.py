@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from m100link.station.launch import read_launch
 from m100link.station.web.access import Access
 from m100link.station.web.gate import is_loopback
 
-__all__ = ["ENVIRONMENT", "Settings", "resolve"]
+__all__ = ["ENVIRONMENT", "MOST_AIRCRAFT", "ONLY_NAME", "Settings", "namespace_of", "resolve"]
 
 Sources = Sequence[tuple[str, Mapping[str, Any]]]
 """Settings by name with who says them, strongest first."""
@@ -26,6 +27,12 @@ PORT = 9090
 
 CONSOLE_PORT = 8090
 """Where the console is served."""
+
+ONLY_NAME = "m100"
+"""What the only aircraft of a station is called there."""
+
+MOST_AIRCRAFT = 8
+"""Aircraft of one station: each costs a process, and nobody watches more."""
 
 FRONT_NICENESS = 5
 """A third of the agent's share of a busy processor: it still serves, and holds nobody up."""
@@ -266,6 +273,11 @@ def resolve(
             raise UsageError("a url and --sim were given", remedy="choose one of them")
         settings = replace(settings, url=None)
     return settings
+
+
+def namespace_of(name: str) -> str:
+    """An aircraft's name as ROS takes it in the name of a topic: letters, digits, underscores."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 
 def _in_url(host: str) -> str:

@@ -15,13 +15,14 @@ import signal
 import socket
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from m100link.agent.carriers import Channel
 from m100link.agent.carriers.unix import connect_unix
 from m100link.agent.fault import Fault
 from m100link.errors import M100Error
+from m100link.station.child import answer, end_with_parent
 from m100link.station.config import resolve
 from m100link.station.console.orders import orders_by_socket
 from m100link.station.fronts import Fronts, Sockets, serving_fronts
@@ -34,20 +35,11 @@ AFTERLIFE = 60.0
 _CHECK = 0.25
 
 
-def _answer(**values: Any) -> None:
-    sys.stdout.write(json.dumps(values) + "\n")
-    sys.stdout.flush()
-
-
 async def _serve(request: dict[str, Any]) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-
-    async def reach() -> Channel:
-        return await connect_unix(Path(request["agent"]))
-
     settings = resolve(request["settings"], {})
     os.nice(settings.niceness())
     console = request["console"]
@@ -55,20 +47,24 @@ async def _serve(request: dict[str, Any]) -> None:
         [socket.socket(fileno=number) for number in request["rosbridge"]],
         None if console is None else socket.socket(fileno=console),
     )
-    path = request.get("orders")
-    orders = None if path is None else await orders_by_socket(Path(path))
+    reach = {name: partial(connect_unix, Path(path)) for name, path in request["agents"].items()}
+    orders = {name: await orders_by_socket(Path(path)) for name, path in request["orders"].items()}
+    parent_ended = asyncio.Event()
+    end_with_parent(parent_ended)
     async with serving_fronts(settings, sockets, reach, orders) as fronts:
-        _answer(console_path=fronts.console_path())
-        await _until_ended(ended, fronts)
+        answer(console_path=fronts.console_path())
+        await _until_ended(ended, fronts, parent_ended)
 
 
-async def _until_ended(ended: asyncio.Event, fronts: Fronts) -> None:
+async def _until_ended(ended: asyncio.Event, fronts: Fronts, parent_ended: asyncio.Event) -> None:
     alone = 0.0
     while not ended.is_set() and alone < AFTERLIFE:
         with suppress(TimeoutError):
             async with asyncio.timeout(_CHECK):
                 await ended.wait()
-        if fronts.agent.is_gone:
+        # One of several agents is started again as long as whoever starts them is there.
+        is_last = len(fronts.agents) == 1 or parent_ended.is_set()
+        if is_last and all(agent.is_gone for agent in fronts.agents.values()):
             if not alone:
                 fronts.stop_listening()  # the next station needs the ports
             alone += _CHECK
@@ -79,7 +75,7 @@ def main() -> int:
     try:
         asyncio.run(_serve(json.loads(sys.stdin.readline())))
     except M100Error as error:
-        _answer(fault=dataclasses.asdict(Fault.of(error)))
+        answer(fault=dataclasses.asdict(Fault.of(error)))
         return 1
     return 0
 

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
 
 from m100link.agent.carriers import Channel
 from m100link.agent.client import AgentClient
-from m100link.errors import UsageError
+from m100link.errors import LinkError, UsageError
 from m100link.station.config import Settings
 from m100link.station.console.orders import Orders
 from m100link.station.web.access import Access
 from m100link.station.web.server import Bridge, Server, listen
 
-__all__ = ["Fronts", "Sockets", "open_sockets", "serving_fronts"]
+__all__ = ["Fronts", "Reach", "Sockets", "keep_reached", "open_sockets", "serving_fronts"]
+
+REACH_PAUSE = 0.5
+"""Seconds between two looks whether an agent that has gone is there again."""
+
+Reach = Callable[[], Awaitable[Channel]]
+"""Opens a way to an agent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +53,13 @@ class Fronts:
     """Fronts that serve.
 
     Attributes:
-        agent: What rosbridge knows of the agent.
+        agents: What rosbridge knows of each agent, by the name of its aircraft.
         bridge: What rosbridge clients reach.
         servers: What listens.
         console_access: What browsers have to show, None where nothing is needed.
     """
 
-    agent: AgentClient
+    agents: Mapping[str, AgentClient]
     bridge: Bridge
     servers: list[Server]
     console_access: Access | None
@@ -90,37 +96,38 @@ def open_sockets(stack: AsyncExitStack, settings: Settings, *, with_console: boo
 async def serving_fronts(
     settings: Settings,
     sockets: Sockets,
-    reach: Callable[[], Awaitable[Channel]],
-    orders: Orders | None = None,
+    reach: Mapping[str, Reach],
+    orders: Mapping[str, Orders],
 ) -> AsyncIterator[Fronts]:
     """Serve while the block runs.
 
     Args:
         settings: Who may connect, and what is served.
         sockets: Where.
-        reach: Opens a way to the agent; called once for each front.
-        orders: What the console's panel does to a virtual aircraft.
+        reach: Opens a way to an agent, by the name of its aircraft; called for each front, and
+            again when one of several agents has gone.
+        orders: What the console's panel does to virtual aircraft.
 
     Raises:
         UsageError: Something in the settings cannot be.
-        LinkError: The agent cannot be reached.
+        LinkError: An agent cannot be reached.
     """
     async with AsyncExitStack() as stack:
-        agent = await stack.enter_async_context(AgentClient(await reach(), "rosbridge"))
-        bridge = Bridge(agent, max_clients=settings.max_clients, pages=settings.pages)
+        agents = await _reached(stack, reach, "rosbridge")
+        bridge = Bridge(agents, max_clients=settings.max_clients, pages=settings.pages)
         servers = [Server.make(bridge.app(settings), settings)]
         await stack.enter_async_context(_serving(servers[0], sockets.rosbridge))
         access = None
         if sockets.console is not None:
-            console = await stack.enter_async_context(AgentClient(await reach(), "console"))
+            console = await _reached(stack, reach, "console")
             server, access = _console(console, settings, orders)
             await stack.enter_async_context(_serving(server, [sockets.console]))
             servers.append(server)
-        yield Fronts(agent, bridge, servers, access)
+        yield Fronts(agents, bridge, servers, access)
 
 
 def _console(
-    agent: AgentClient, settings: Settings, orders: Orders | None
+    agents: Mapping[str, AgentClient], settings: Settings, orders: Mapping[str, Orders]
 ) -> tuple[Server, Access | None]:
     try:
         from m100link.station.console.app import console_app
@@ -129,7 +136,7 @@ def _console(
             f"the console needs {error.name}, which is not installed",
             remedy="pip install 'm100link[station]'",
         ) from None
-    app = console_app(agent, settings, orders)
+    app = console_app(agents, settings, orders)
     return Server.make(app, settings, lifespan="on"), app.access
 
 
@@ -146,3 +153,25 @@ async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterato
         started.cancel()
         serving.cancel()
         await asyncio.gather(serving, started, return_exceptions=True)
+
+
+async def _reached(
+    stack: AsyncExitStack, reach: Mapping[str, Reach], name: str
+) -> dict[str, AgentClient]:
+    """All agents, each for the front of that name."""
+    agents = {}
+    for aircraft, way in reach.items():
+        agent = await stack.enter_async_context(AgentClient(await way(), name))
+        if len(reach) > 1:
+            agent.background.spawn(keep_reached(agent, way), f"way to {aircraft}")
+        agents[aircraft] = agent
+    return agents
+
+
+async def keep_reached(agent: AgentClient, reach: Reach) -> None:
+    """Whenever the agent has gone, look for the one that is started instead, until cancelled."""
+    while True:
+        await asyncio.sleep(REACH_PAUSE)
+        if agent.is_gone:
+            with suppress(LinkError):
+                agent.reopen(await reach())

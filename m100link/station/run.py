@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from m100link.agent.agent import Agent
 from m100link.agent.carriers import Channel
@@ -17,17 +17,21 @@ from m100link.agent.connect import by_driver, by_url
 from m100link.agent.connection import Connect
 from m100link.agent.service import Service
 from m100link.errors import UsageError
+from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
-from m100link.station.config import Settings
+from m100link.station.config import ONLY_NAME, Settings
 from m100link.station.console.orders import orders_in_process
 from m100link.station.fronts import Fronts, Sockets, open_sockets, serving_fronts
 from m100link.station.web.server import Bridge
 
-__all__ = ["Owner", "Running", "owning", "running"]
+__all__ = ["BESIDE", "Owner", "Running", "owning", "running"]
+
+BESIDE = 10.0
+"""Metres to the east from one virtual aircraft of a station to the next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +93,12 @@ class Running:
         return self.fronts.console_path()
 
 
-def _virtual(credentials: Credentials | None, firmware: str | None) -> VirtualAircraft:
+def _virtual(credentials: Credentials | None, firmware: str | None, place: int) -> VirtualAircraft:
     settings = AircraftSettings(noise=1.0)
+    if place:
+        first = LocalFrame(settings.latitude_deg, settings.longitude_deg)
+        latitude, longitude = first.to_geodetic(0.0, BESIDE * place)
+        settings = replace(settings, latitude_deg=latitude, longitude_deg=longitude)
     firmware = firmware or FIRMWARE_1_0.name  # what forces a real one chooses this one
     if credentials is None:
         return VirtualAircraft(firmware=firmware, settings=settings)
@@ -105,13 +113,19 @@ def _virtual(credentials: Credentials | None, firmware: str | None) -> VirtualAi
 
 @asynccontextmanager
 async def owning(
-    settings: Settings, virtual: VirtualAircraft | None = None
+    settings: Settings,
+    virtual: VirtualAircraft | None = None,
+    *,
+    place: int = 0,
+    leases_before: int = 0,
 ) -> AsyncIterator[Owner]:
     """Own the aircraft while the block runs.
 
     Args:
         settings: Which aircraft, and whose app.
         virtual: The virtual aircraft to use with ``sim``; by default one that stands ready.
+        place: Where a virtual aircraft stands in the row of several.
+        leases_before: Number of the last lease that another process may have granted.
 
     Raises:
         UsageError, BadKey: Something in the settings cannot be.
@@ -119,7 +133,7 @@ async def owning(
     credentials = settings.credentials()
     async with AsyncExitStack() as stack:
         if settings.sim:
-            virtual = virtual or _virtual(credentials, settings.firmware)
+            virtual = virtual or _virtual(credentials, settings.firmware, place)
             credentials = virtual.credentials
             driver = Driver(virtual)
             driver.start()
@@ -138,7 +152,12 @@ async def owning(
                 remedy="give its URL, set M100LINK_URL, or use --sim for a virtual one",
             )
         agent = await stack.enter_async_context(
-            Agent(connect, credentials=credentials, keep_authority=settings.keep_authority)
+            Agent(
+                connect,
+                credentials=credentials,
+                keep_authority=settings.keep_authority,
+                leases_before=leases_before,
+            )
         )
         service = Service(agent)
         stack.callback(service.close)
@@ -169,6 +188,9 @@ async def running(
             owner.service.attach(its)
             return ours
 
-        orders = None if owner.virtual is None else orders_in_process(owner.virtual)
-        fronts = await stack.enter_async_context(serving_fronts(settings, sockets, reach, orders))
+        virtual_one = owner.virtual
+        orders = {} if virtual_one is None else {ONLY_NAME: orders_in_process(virtual_one)}
+        fronts = await stack.enter_async_context(
+            serving_fronts(settings, sockets, {ONLY_NAME: reach}, orders)
+        )
         yield Running(owner, fronts, sockets)

@@ -8,8 +8,10 @@ from contextlib import AsyncExitStack
 import anyio
 import pytest
 
+from m100link.agent.agent import Agent
 from m100link.agent.carriers.memory import MemoryChannel, memory_channels
 from m100link.agent.client import AgentClient
+from m100link.agent.connect import by_driver
 from m100link.agent.lease import LeaseHeld, LeaseRefused
 from m100link.agent.messages import VERSION, Hello, State, Telemetry
 from m100link.agent.service import Service
@@ -190,3 +192,50 @@ async def test_telemetry_that_cannot_be_read_is_counted(rig: Rig) -> None:
         its.send(Telemetry(b"\0", "1.0", 0.0))
         its.send(Telemetry(b"\0\0", "9.9", 0.0))
         assert client.unread == 2
+
+
+async def test_another_agent_takes_the_place_of_one_that_has_gone(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    client = clients[0]
+    lease = await client.acquire("first")
+    told: list[str] = []
+    client.on_event.append(lambda event: told.append(event.text))
+    rig.agent.journal.note("before")
+    await anyio.sleep(0.1)
+    numbers = [event.number for event in client.events]
+    client._channel.close("for the test")
+    client._closed("for the test")
+    assert client.is_gone
+    assert not client.is_connected
+    async with Agent(by_driver(rig.driver), leases_before=1_000_000) as other:
+        ours, its = memory_channels(as_bytes=True)
+        Service(other).attach(its)
+        client.reopen(ours)
+        assert not client.holds(lease)
+        other.journal.note("after")
+        await anyio.sleep(0.1)
+        assert told.count("after") == 1
+        assert told.count("before") == 1
+        assert [event.number for event in client.events][: len(numbers)] == numbers
+        assert client.events[-1].number > numbers[-1]
+        anew = await client.acquire("first")
+        assert anew.number == 1_000_001
+        assert client.holds(anew)
+        assert not client.holds(lease)
+
+
+async def test_an_agent_that_is_reached_again_tells_nothing_twice(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    client = clients[0]
+    rig.agent.journal.note("once")
+    await anyio.sleep(0.1)
+    client._channel.close("for the test")
+    client._closed("for the test")
+    ours, its = memory_channels(as_bytes=True)
+    Service(rig.agent).attach(its)
+    client.reopen(ours)
+    await anyio.sleep(0.1)
+    assert [event.text for event in client.events].count("once") == 1
+    assert client.is_connected

@@ -173,3 +173,8 @@ def test_time_in_which_the_program_did_not_run_ends_no_lease() -> None:
     assert desk.remaining(5.0) == pytest.approx(2.5)
     for step in range(1, 6):
         assert desk.holder(5.0 + 0.5 * step) == (lease if step < 5 else None)
+
+
+def test_a_desk_after_another_begins_where_that_one_cannot_have_come() -> None:
+    desk = LeaseDesk(leases_before=1_000_000)
+    assert desk.acquire("anybody", 0.0).number == 1_000_001

@@ -14,6 +14,7 @@ import threading
 import urllib.request
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,7 +28,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from websockets.asyncio.client import connect
 
-from m100link.cli.station import _MOST_UNTOLD, _Teller
+from m100link.cli.station import _MOST_UNTOLD, StationOptions, _Teller
+from m100link.errors import M100Error
 
 COMMAND = (sys.executable, "-c", "from m100link.cli import main; main()")
 pytestmark = pytest.mark.anyio
@@ -269,3 +271,56 @@ async def test_tls(tmp_path: Path) -> None:
         async with connect(url, ssl=trust, additional_headers={"Origin": origin}) as client:
             await client.send('{"op":"subscribe","topic":"/flight_status"}')
             assert json.loads(await client.recv())["op"] == "publish"
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ((), {"m100": None}),
+        (("/dev/ttyUSB0",), {"m100": "/dev/ttyUSB0"}),
+        (("kite=/dev/ttyUSB0",), {"kite": "/dev/ttyUSB0"}),
+        (("tcp://a:1", "tcp://b:1"), {"m100_1": "tcp://a:1", "m100_2": "tcp://b:1"}),
+        (("kite=tcp://a:1", "tcp://b:1"), {"kite": "tcp://a:1", "m100_2": "tcp://b:1"}),
+        (("sim://?seed=3", "tcp://b:1"), {"m100_1": "sim://?seed=3", "m100_2": "tcp://b:1"}),
+        (("sim://", "sim://"), {"m100_1": None, "m100_2": None}),
+    ],
+)
+def test_aircraft_have_the_names_that_they_are_given(
+    words: tuple[str, ...], named: dict[str, str | None]
+) -> None:
+    found = StationOptions().aircraft(words)
+    assert {name: one.url for name, one in found.items()} == named
+    assert all(one.sim == (one.url is None and bool(words)) for one in found.values())
+
+
+@pytest.mark.parametrize(
+    ("options", "words", "says"),
+    [
+        ({}, ("a=tcp://a:1", "a=tcp://b:1"), "two aircraft are called a"),
+        ({}, ("a-b=tcp://a:1", "a_b=tcp://b:1"), "two aircraft are called a_b"),
+        ({}, ("tcp://a:1", "tcp://a:1"), "m100_1 and m100_2 are at the same place"),
+        ({"sim": True}, ("tcp://a:1", "tcp://b:1"), "aircraft and --sim were given"),
+        ({}, ("tcp://a:1", "nonsense"), "nonsense"),
+    ],
+)
+def test_aircraft_that_could_be_taken_for_each_other_are_refused(
+    options: dict[str, Any], words: tuple[str, ...], says: str
+) -> None:
+    with pytest.raises(M100Error, match=says):
+        StationOptions(**options).aircraft(words)
+
+
+def test_aircraft_of_the_configuration_file_keep_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    (tmp_path / "m100link.toml").write_text(
+        '[aircraft.kite]\nurl = "/dev/ttyUSB0"\nfirmware = "3.1"\n'
+        '[aircraft.crow]\nurl = "/dev/ttyUSB1"\n'
+    )
+    found = StationOptions().aircraft(("kite", "crow", "tcp://b:1"))
+    assert {name: (one.url, one.firmware) for name, one in found.items()} == {
+        "kite": ("/dev/ttyUSB0", "3.1"),
+        "crow": ("/dev/ttyUSB1", None),
+        "m100_3": ("tcp://b:1", None),
+    }

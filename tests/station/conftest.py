@@ -97,7 +97,7 @@ class Rig:
             clients = Clients(self.front, self.graph)
             Node(self.front, self.graph, clients)
             DjiSdk(self.front, self.graph, clients)
-            Rosout(self.front, self.graph)
+            Rosout({"m100": self.front}, self.graph)
             add_rosapi(self.graph)
             await self.until(lambda: self.front.is_connected)
             yield self

@@ -18,7 +18,7 @@ pytest.importorskip("uvicorn")
 from websockets.asyncio.client import ClientConnection, connect
 
 from m100link.errors import M100Error, UsageError
-from m100link.station import apart
+from m100link.station import child
 from m100link.station.apart import RunningApart, front_settings, running_apart
 from m100link.station.config import FRONT_NICENESS, Settings, resolve
 from tests.waiting import PATIENCE, until
@@ -115,7 +115,7 @@ async def test_a_front_that_is_killed_costs_a_hover_and_comes_back() -> None:
             answer = await Pilot(client).call("/dji_sdk/sdk_control_authority", control_enable=1)
             assert answer["values"]["result"] is True
         told = [event.text for event in one.agent.journal.events]
-        assert "the fronts ended (SIGKILL); they are started again" in told
+        assert "the fronts ended (SIGKILL), to be started again" in told
 
 
 async def test_authority_is_kept_for_a_front_that_is_started_again() -> None:
@@ -189,7 +189,7 @@ async def test_pages_asked_for_without_pause_do_not_end_a_flight() -> None:
 async def test_the_end_gives_authority_back_before_it_waits_for_a_front_that_hangs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(apart, "_END_TIMEOUT", 0.5)
+    monkeypatch.setattr(child, "END_TIMEOUT", 0.5)
     was_running: list[bool] = []
     async with AsyncExitStack() as stack, running_apart(Settings(sim=True, port=0)) as one:
         address = f"ws://127.0.0.1:{one.ports[0]}"

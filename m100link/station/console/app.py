@@ -5,6 +5,7 @@ NiceGUI keeps its pages in one place per process, so a process serves one consol
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,18 +31,21 @@ __all__ = ["console_app"]
 STATIC = Path(__file__).parent / "static"
 
 
-def console_app(agent: AgentClient, settings: Settings, orders: Orders | None) -> Gate:
+def console_app(
+    agents: Mapping[str, AgentClient], settings: Settings, orders: Mapping[str, Orders]
+) -> Gate:
     """The application behind its gate.
 
     Args:
-        agent: The agent that owns the aircraft.
+        agents: The agent that owns an aircraft, by its name.
         settings: Who may connect, and the folder with tiles.
-        orders: What the panel does that plays pilot and weather of a virtual aircraft.
+        orders: What the panel does that plays pilot and weather of virtual aircraft.
 
     Raises:
         UsageError: The folder with tiles does not exist.
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    name, agent = next(iter(agents.items()))
     tabs = Tabs(agent)
     app.router.routes.append(WebSocketRoute("/steer/{key}", tabs.serve))
     app.mount("/console", StaticFiles(directory=STATIC))
@@ -53,7 +57,7 @@ def console_app(agent: AgentClient, settings: Settings, orders: Orders | None) -
     def page(client: Client) -> None:
         key, tab = tabs.open()
         client.on_delete(lambda: tabs.close(key))
-        Page(agent, tab, orders).build(key, has_tiles=settings.tiles is not None)
+        Page(agent, tab, orders.get(name)).build(key, has_tiles=settings.tiles is not None)
 
     ui.page("/", title="m100link")(page)
     ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)

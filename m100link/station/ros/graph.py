@@ -159,17 +159,37 @@ class Service:
 class Graph:
     """The topics and services, and the sessions that use them.
 
+    With several aircraft each has a namespace in it: :meth:`namespace`.
+
+    Args:
+        prefix: What stands before the name of each topic and service that is added here, such as
+            ``/m100_2``.
+        whole: The graph that this one is a namespace of.
+
     Attributes:
-        topics: Topics by name.
-        services: Services by name.
+        topics: Topics by name, those of all namespaces.
+        services: Services by name, those of all namespaces.
         sessions: Clients connected now.
+        prefix: As given.
     """
 
-    def __init__(self) -> None:
-        self.topics: dict[str, Topic] = {}
-        self.services: dict[str, Service] = {}
-        self.sessions: set[Listener] = set()
-        self._on_leave: list[Callable[[Listener, float], None]] = []
+    def __init__(self, prefix: str = "", whole: Graph | None = None) -> None:
+        self.prefix = prefix
+        self.topics: dict[str, Topic] = {} if whole is None else whole.topics
+        self.services: dict[str, Service] = {} if whole is None else whole.services
+        self.sessions: set[Listener] = set() if whole is None else whole.sessions
+        self._on_leave: list[Callable[[Listener, float], None]] = (
+            [] if whole is None else whole._on_leave
+        )
+
+    def namespace(self, name: str) -> Graph:
+        """A part of this graph: whatever is added to it is called ``/name/…``."""
+        return Graph(f"{self.prefix}/{name}", self)
+
+    def known(self, session: Listener) -> dict[str, Any]:
+        """What the nodes of this namespace know about a listener."""
+        known: dict[str, Any] = session.data.setdefault(f"nodes of {self.prefix or '/'}", {})
+        return known
 
     def add_topic(
         self,
@@ -180,12 +200,14 @@ class Graph:
         latched: bool = False,
     ) -> Topic:
         """A topic that the station publishes, or takes messages from."""
+        name = self.prefix + name
         topic = Topic(name, MESSAGES[type_name], on_publish, latched)
         self.topics[name] = topic
         return topic
 
     def add_service(self, name: str, type_name: str, on_call: Callable[[Call], None]) -> None:
         """A service that the station offers."""
+        name = self.prefix + name
         self.services[name] = Service(name, SERVICES[type_name], on_call)
 
     def on_leave(self, callback: Callable[[Listener, float], None]) -> None:

@@ -44,7 +44,7 @@ class Clients:
 
     def lease(self, session: Listener) -> Lease | None:
         """The lease in force of that client."""
-        held: Lease | None = session.data.get(_LEASE)
+        held: Lease | None = self._graph.known(session).get(_LEASE)
         return held if self._agent.holds(held) else None
 
     async def take(self, session: Listener) -> Lease:
@@ -60,7 +60,7 @@ class Clients:
             if session not in self._graph.sessions:
                 self._agent.let_go(held)
                 raise NoAuthority(f"{session.name} has gone; control was not taken for it")
-            session.data[_LEASE] = held
+            self._graph.known(session)[_LEASE] = held
         return held
 
     def held(self, session: Listener) -> Lease:
@@ -74,14 +74,15 @@ class Clients:
             holder = self._agent.holder
             who = f"{holder.name} has control" if holder.number else "nobody has control"
             raise NoAuthority(
-                f"{who}; nothing was sent", remedy="open control first (/nav_open_close_request 1)"
+                f"{who}; nothing was sent",
+                remedy=f"open control first ({self._graph.prefix}/nav_open_close_request 1)",
             )
         return held
 
     def let_go(self, session: Listener) -> None:
         """Give that client's lease back, if it has one."""
         held = self.lease(session)
-        session.data.pop(_LEASE, None)
+        self._graph.known(session).pop(_LEASE, None)
         if held is not None:
             self._agent.let_go(held)
 
@@ -153,7 +154,7 @@ class Clients:
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
         for session in self._graph.sessions:
-            held = session.data.get(_LEASE)
+            held = self._graph.known(session).get(_LEASE)
             if held is not None and held.number == fence:
                 self.complain(session, error)
 
@@ -164,13 +165,13 @@ class Clients:
         while True:
             await asyncio.sleep(_RENEWAL)
             for session in list(self._graph.sessions):
-                held = session.data.get(_LEASE)
+                held = self._graph.known(session).get(_LEASE)
                 if held is None:
                     continue
                 try:
                     await self._agent.renew(held.token)
                 except M100Error as error:
-                    session.data.pop(_LEASE, None)
+                    self._graph.known(session).pop(_LEASE, None)
                     session.status("error", str(error))
 
     # -- the service -----------------------------------------------------------------------------
@@ -221,7 +222,7 @@ class Clients:
 
     def _granted(self, call: Call, lease: Lease) -> None:
         if call.session in self._graph.sessions:
-            call.session.data[_LEASE] = lease
+            self._graph.known(call.session)[_LEASE] = lease
         else:
             self._agent.let_go(lease)
         self._respond(call, lease.token)

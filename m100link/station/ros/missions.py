@@ -117,7 +117,7 @@ class Missions:
         for point in points:
             await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
         self._task, self._speed = task, mission.idle_speed
-        call.session.data[_LATEST] = Action.MISSION_START
+        self._graph.known(call.session)[_LATEST] = Action.MISSION_START
         return _done(WaypointMission.ADDRESS)
 
     async def _act(self, call: Call) -> Message:
@@ -129,7 +129,7 @@ class Missions:
 
     async def _start(self, call: Call) -> Message:
         """Start what that client uploaded last: this service does not say which kind."""
-        if call.session.data.get(_LATEST) is not Action.HOTPOINT_START:
+        if self._graph.known(call.session).get(_LATEST) is not Action.HOTPOINT_START:
             return await self._order(call, Action.MISSION_START)
         return await self._order(call, Action.HOTPOINT_START, self._circle(call)[1])
 
@@ -184,12 +184,12 @@ class Missions:
             start_point=given["start_point"],
             yaw_mode=given["yaw_mode"],
         )
-        call.session.data[_CIRCLE] = given, request.value(FIRMWARE_3_1)
-        call.session.data[_LATEST] = Action.HOTPOINT_START
+        self._graph.known(call.session)[_CIRCLE] = given, request.value(FIRMWARE_3_1)
+        self._graph.known(call.session)[_LATEST] = Action.HOTPOINT_START
         return _done(HotpointStart.ADDRESS)
 
     def _circle(self, call: Call) -> tuple[Message, bytes]:
-        found: tuple[Message, bytes] | None = call.session.data.get(_CIRCLE)
+        found: tuple[Message, bytes] | None = self._graph.known(call.session).get(_CIRCLE)
         if found is None:
             raise UsageError("this client has uploaded no hotpoint", remedy="upload it first")
         return found

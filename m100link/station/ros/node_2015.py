@@ -197,18 +197,18 @@ class Node:
 
     def _on_mode(self, session: Listener, message: Message, now: float) -> None:
         if message["data"] in (ANGLE_MODE, VELOCITY_MODE):
-            session.data[_MODE] = int(message["data"])
+            self._graph.known(session)[_MODE] = int(message["data"])
         else:
             error = UsageError(f"there is no control mode {message['data']}: 1 or 2")
             self._clients.complain(session, error)
 
     def _on_control(self, session: Listener, message: Message, now: float) -> None:
-        mode = session.data.get(_MODE, ANGLE_MODE)
+        mode = self._graph.known(session).get(_MODE, ANGLE_MODE)
         values = (message["x"], message["y"], message["z"], message["w"])
         try:
             setpoint = setpoint_of(mode, *values)
-            is_repeated = session.data.get(_LAST) == (mode, values)
-            session.data[_LAST] = (mode, values)
+            is_repeated = self._graph.known(session).get(_LAST) == (mode, values)
+            self._graph.known(session)[_LAST] = (mode, values)
             is_short = is_repeated or not any(values)  # zeros need no lifetime: they stop
             lifetime = REPEAT_LIFETIME if is_short else PRESS_LIFETIME
             self._agent.steer(self._clients.held(session), setpoint, lifetime)

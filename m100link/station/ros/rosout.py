@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
+
 from m100link.agent.client import AgentClient
 from m100link.agent.messages import Event
 from m100link.station.ros.graph import Graph
@@ -18,20 +21,22 @@ class Rosout:
     """Publishes each event.
 
     Args:
-        agent: Whose events.
+        agents: Whose events, by the name of the aircraft.
         graph: Where the topic is offered.
     """
 
-    def __init__(self, agent: AgentClient, graph: Graph) -> None:
-        self._agent, self._graph = agent, graph
+    def __init__(self, agents: Mapping[str, AgentClient], graph: Graph) -> None:
+        self._graph = graph
         self._topic = graph.add_topic("/rosout", "rosgraph_msgs/Log")
-        agent.on_event.append(self._tell)
+        for name, agent in agents.items():
+            node = f"{NODE}/{name}" if len(agents) > 1 else NODE
+            agent.on_event.append(partial(self._tell, agent, node))
 
-    def _tell(self, event: Event) -> None:
+    def _tell(self, agent: AgentClient, node: str, event: Event) -> None:
         message = self._topic.type.default() | {
             "header": {"seq": event.number & 0xFFFFFFFF, "stamp": present(), "frame_id": ""},
             "level": LEVELS.get(event.level, 2),
-            "name": NODE,
+            "name": node,
             "msg": event.text,
         }
-        self._graph.publish(self._topic, message, self._agent.now)
+        self._graph.publish(self._topic, message, agent.now)

@@ -12,9 +12,9 @@ import logging
 import socket
 import ssl
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import uvicorn
 from starlette.applications import Starlette
@@ -24,6 +24,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from m100link.agent.client import AgentClient
 from m100link.errors import PortBusy, PortFailed, UsageError
+from m100link.station.config import namespace_of
 from m100link.station.ros.client import Client, Limits
 from m100link.station.ros.dji_sdk import DjiSdk
 from m100link.station.ros.graph import Graph
@@ -59,36 +60,40 @@ class Bridge:
     """Everything that rosbridge clients reach: topics, services, sockets.
 
     Args:
-        agent: The agent that owns the aircraft.
+        agents: The agent that owns an aircraft, by its name. The topics and services of the first
+            are called as DJI's are, those of the others stand in a namespace of their name.
         limits: What one client may use.
         max_clients: Clients at once.
         pages: Folder with web pages to serve on the same port.
 
     Attributes:
-        agent: As given.
+        agents: As given.
         graph: Topics and services.
-        clients: Who holds the lease.
+        clients: Who holds the lease of which aircraft.
     """
 
     def __init__(
         self,
-        agent: AgentClient,
+        agents: Mapping[str, AgentClient],
         *,
         limits: Limits | None = None,
         max_clients: int = 32,
         pages: Path | None = None,
     ) -> None:
-        self.agent = agent
+        self.agents = agents
         self._limits = limits or Limits()
         self._max_clients = max_clients
         self._log = SparingLogger(logging.getLogger("m100link.station"))
         self.graph = Graph()
-        self.clients = Clients(agent, self.graph)
-        Node(agent, self.graph, self.clients)
-        DjiSdk(agent, self.graph, self.clients)
-        Rosout(agent, self.graph)
+        self.clients: dict[str, Clients] = {}
+        for name, agent in agents.items():
+            part = self.graph.namespace(namespace_of(name)) if self.clients else self.graph
+            clients = self.clients[name] = Clients(agent, part)
+            Node(agent, part, clients)
+            DjiSdk(agent, part, clients)
+        Rosout(agents, self.graph)
         add_rosapi(self.graph)
-        agent.background.spawn(self._guard(), "lag")
+        self.agent.background.spawn(self._guard(), "lag")
         routes: list[BaseRoute] = [
             WebSocketRoute("/{path:path}", self._serve),
             Route("/health", self._health),
@@ -100,6 +105,11 @@ class Bridge:
         else:
             routes.append(Route("/", self._greet))
         self._app = Starlette(routes=routes)
+
+    @property
+    def agent(self) -> AgentClient:
+        """The agent of the first aircraft, or the only one."""
+        return next(iter(self.agents.values()))
 
     def app(self, settings: Settings) -> Gate:
         """The application behind its gate."""
@@ -114,13 +124,12 @@ class Bridge:
         return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")
 
     async def _health(self, request: Request) -> Response:
-        state = self.agent.state
-        report = {
-            "connection": "silent" if self.agent.is_silent else state.connection,
-            "error": str(state.connection_fault.error()) if state.connection_fault else "",
-            "clients": len(self.graph.sessions),
-        }
-        return JSONResponse(report, status_code=200 if self.agent.is_connected else 503)
+        every = {name: _health_of(agent) for name, agent in self.agents.items()}
+        report = _health_of(self.agent) | {"clients": len(self.graph.sessions)}
+        if len(every) > 1:
+            report["aircraft"] = every
+        is_well = all(agent.is_connected for agent in self.agents.values())
+        return JSONResponse(report, status_code=200 if is_well else 503)
 
     # -- all clients -----------------------------------------------------------------------------
 
@@ -134,7 +143,7 @@ class Bridge:
         Whoever holds the lease needs no place, and loses none.
         """
         now = self.agent.now
-        others = [one for one in self._sessions if self.clients.lease(one) is None]
+        others = [one for one in self._sessions if not self._steers(one)]
         if len(others) < self._max_clients:
             return True
         goes = who_makes_room(others, peer, now)
@@ -145,6 +154,9 @@ class Bridge:
         )
         goes.close(now)
         return True
+
+    def _steers(self, session: Client) -> bool:
+        return any(clients.lease(session) is not None for clients in self.clients.values())
 
     async def _guard(self) -> None:
         """Let go of a client that keeps the loop from running: setpoints wait for it, too."""
@@ -250,6 +262,14 @@ class Bridge:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout_at(due):
                 await wake.wait()
+
+
+def _health_of(agent: AgentClient) -> dict[str, Any]:
+    fault = agent.state.connection_fault
+    return {
+        "connection": "silent" if agent.is_silent else agent.state.connection,
+        "error": str(fault.error()) if fault else "",
+    }
 
 
 def _frames(session: Client) -> list[str | bytes]:
