@@ -250,9 +250,11 @@ TESTED_ELSEWHERE = {
         "station/console/view/test_words.py",
         "one catalogue, tested as a whole",
     ),
-    "station/console/fields.py": ("browser/test_console.py", "a page is seen in a browser"),
     "station/console/page.py": ("browser/test_console.py", "a page is seen in a browser"),
-    "station/console/simpanel.py": ("browser/test_console.py", "a page is seen in a browser"),
+    "station/console/view/inputs.py": (
+        "station/console/view/test_view.py",
+        "what a view is made of",
+    ),
     "station/child.py": ("station/test_apart.py", "a process is seen in what it starts"),
     "station/front.py": ("station/test_apart.py", "a process of its own"),
     "station/fronts.py": ("station/test_apart.py", "it starts and ends processes"),
@@ -273,6 +275,13 @@ TESTED_ELSEWHERE = {
 def mirrored(module: Path) -> Path:
     place = module.relative_to(PACKAGE)
     return ROOT / "tests" / place.parent / f"test_{place.name}"
+
+
+TESTED_ELSEWHERE |= {
+    str(path.relative_to(PACKAGE)): ("browser/test_console.py", "a part is seen in a browser")
+    for path in programs("m100link/station/console/parts")
+    if path.name != "__init__.py" and not mirrored(path).exists()
+}
 
 
 def test_the_test_of_a_module_is_found_where_its_name_says() -> None:

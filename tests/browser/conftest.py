@@ -101,7 +101,7 @@ class Console:
         if script:
             await page.add_init_script(script)
         await page.goto(self.url)
-        await page.wait_for_function("window.m100 && window.m100.socket.heardAt > 0")
+        await page.wait_for_function("window.m100?.steering && window.m100.socket.heardAt > 0")
         return page
 
     def _note_request(self, request: Any) -> None:

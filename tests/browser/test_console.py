@@ -7,6 +7,7 @@ import math
 import os
 import signal
 import urllib.error
+import urllib.parse
 import urllib.request
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,10 @@ pytestmark = [pytest.mark.anyio]
 
 async def press(page: Any, name: str) -> None:
     await page.click(f"[data-act={name}]")
+
+
+async def look_at(page: Any, view: str) -> None:
+    await page.click(f"[data-go={view}]")
 
 
 async def hold(page: Any, name: str, seconds: float = 2.0) -> None:
@@ -138,7 +143,7 @@ async def test_losing_focus_stops_although_the_key_is_held(console: Console, how
     await page.keyboard.down("w")
     await until(lambda: console.watch.speed[1] > 0.5)
     if how == "click elsewhere":
-        await page.get_by_label("your name").click()
+        await page.click("#banner")
     elif how == "escape":
         await page.keyboard.press("Escape")
     else:
@@ -242,7 +247,9 @@ async def test_fields_grey_out_by_age_each_in_its_time(console: Console) -> None
     page = await console.open()
     field = ".field:has([data-field={}])"
     await page.wait_for_selector(field.format("battery") + ":not(.stale)")
+    await look_at(page, "settings")
     await page.click("#sim-stall")
+    await look_at(page, "fly")
     await page.wait_for_function(
         "([height, battery]) => document.querySelector(height).matches('.stale')"
         " && !document.querySelector(battery).matches('.stale')",
@@ -250,7 +257,10 @@ async def test_fields_grey_out_by_age_each_in_its_time(console: Console) -> None
     )
     await page.wait_for_selector(field.format("battery") + ".stale")
     assert await page.get_attribute("#horizon", "data-stale") == "stale"
+    assert await page.get_attribute("#map", "data-stale") == "stale"
+    await look_at(page, "settings")
     await page.click("#sim-stall")
+    await look_at(page, "fly")
     await page.wait_for_selector(field.format("height") + ":not(.stale)")
 
 
@@ -270,6 +280,7 @@ async def test_everything_greys_when_the_station_is_gone(console: Console) -> No
 
 async def test_the_pilots_switch_shows_in_the_banner(console: Console) -> None:
     page = await airborne(console)
+    await look_at(page, "settings")
     await page.click("#sim-mode >> text=P")
     await banner(page, "the aircraft obeys the pilot")
     await page.click("#sim-mode >> text=F")
@@ -278,7 +289,9 @@ async def test_the_pilots_switch_shows_in_the_banner(console: Console) -> None:
 
 async def test_a_refusal_says_why(console: Console) -> None:
     page = await console.open()
+    await look_at(page, "settings")
     await page.click("#sim-refuse")
+    await look_at(page, "fly")
     await press(page, "activate")
     await shows(page, "#activation", "the server refused")
     await press(page, "obtain")
@@ -308,7 +321,7 @@ async def test_the_stick_on_the_screen_flies_while_it_is_held(console: Console) 
     page = await airborne(console)
     await page.click("#pad")
     await page.keyboard.press("Digit4")
-    box = await page.locator(".stick").bounding_box()
+    box = await page.locator(".stick.move").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     await page.mouse.move(x, y)
     await page.mouse.down()
@@ -322,9 +335,10 @@ async def test_map_tiles_come_from_a_folder(browser: Any, tmp_path: Path) -> Non
     for zoom in range(10, 20):
         (tmp_path / str(zoom)).mkdir()  # no tile at all is no error either
     async with console_in_browser(browser, "--tiles", str(tmp_path)) as console:
-        page = await console.open()
-        await page.wait_for_function("window.m100.track.images.size > 0")
-        path = await page.evaluate("[...window.m100.track.images.keys()][0]")
+        page = await console.context.new_page()
+        async with page.expect_request("**/tiles/**") as asked:
+            await page.goto(console.url)
+        path = urllib.parse.urlparse((await asked.value).url).path
         zoom, column, row = path.removeprefix("/tiles/").removesuffix(".png").split("/")
         place = 2 ** int(zoom)
         assert int(column) / place == pytest.approx((113.9589 + 180) / 360, abs=5 / place)
@@ -362,7 +376,7 @@ async def test_a_page_elsewhere_cannot_show_the_console_in_a_frame(console: Cons
 
 
 async def test_what_the_console_answers_forbids_frames(address: str) -> None:
-    for path in ("", "console/console.js", "none"):
+    for path in ("", "console/shell.js", "none"):
         try:
             answer = await asyncio.to_thread(urllib.request.urlopen, address + path)
         except urllib.error.HTTPError as error:
@@ -389,7 +403,7 @@ async def test_a_token_stands_neither_in_the_address_nor_on_a_command_line(
         page = await context.new_page()
         await context.add_cookies([{"name": "json", "value": '{"a":1}', "url": url}])
         await page.goto(url)
-        await page.wait_for_function("window.m100 && window.m100.socket.heardAt > 0")
+        await page.wait_for_function("window.m100?.steering && window.m100.socket.heardAt > 0")
         assert page.url == url.partition("?")[0]
         assert token not in str(await context.cookies())
         assert (await page.reload()).ok
@@ -406,6 +420,7 @@ async def test_a_mission_from_a_file(browser: Any, tmp_path: Path) -> None:
     plan.write(path)
     async with console_in_browser(browser, "--firmware", "3.1") as console:
         page = await airborne(console)
+        await look_at(page, "plan")
         await page.set_input_files("#plan-file input", path)
         await shows(page, "#plan", "3 waypoints")
         await hold(page, "mission_start")

@@ -222,7 +222,7 @@ async def test_somebody_listens_where_it_says(host: str) -> None:
         async with connect(said["rosbridge"][0], close_timeout=1) as client:
             await client.send('{"op":"subscribe","topic":"/flight_status"}')
             assert json.loads(await client.recv())["op"] == "publish"
-        health = said["console"] + "console/console.js"
+        health = said["console"] + "console/shell.js"
         with await asyncio.to_thread(urllib.request.urlopen, health) as answer:
             assert answer.status == 200
     finally:

@@ -30,6 +30,11 @@ __all__ = ["console_app"]
 
 STATIC = Path(__file__).parent / "static"
 
+# A keyboard on the screen makes the page smaller; the bar with STOP stays above it.
+_VIEWPORT = (
+    "width=device-width, initial-scale=1, viewport-fit=cover, interactive-widget=resizes-content"
+)
+
 
 def console_app(
     agents: Mapping[str, AgentClient], settings: Settings, orders: Mapping[str, Orders]
@@ -57,9 +62,9 @@ def console_app(
     def page(client: Client) -> None:
         key, tab = tabs.open()
         client.on_delete(lambda: tabs.close(key))
-        Page(agent, tab, orders.get(name)).build(key, has_tiles=settings.tiles is not None)
+        Page(agent, tab, orders.get(name), has_tiles=settings.tiles is not None).build(key)
 
-    ui.page("/", title="m100link")(page)
+    ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
     ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)
     return Gate(
         Turnstile(app, "/"),

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from m100link.agent.client import AgentClient
-from m100link.station.console.fields import live
 from m100link.station.console.tab import Tab
+from m100link.station.console.view.instruments import live
 from m100link.station.web.places import who_makes_room
 
 __all__ = ["LIVE_INTERVAL", "PLACES", "Tabs"]

@@ -16,8 +16,8 @@ from m100link.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
 from m100link.errors import LossReason
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude, RcMode, Velocity
-from m100link.station.console.fields import FIELDS, live, read
 from m100link.station.console.tab import BEAT_LIFETIME, Tab, _read
+from m100link.station.console.view.instruments import FIELDS, live, read
 from tests.station.conftest import Rig
 
 pytestmark = pytest.mark.anyio

@@ -13,7 +13,7 @@ from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from m100link.sim.virtual import VirtualAircraft
-from m100link.station.console.mission import progress, summary
+from m100link.station.console.view.mission import progress, summary
 from tests.station.conftest import Rig
 from tests.station.console.test_tab import Browser, airborne, keep_alive
 

@@ -1,4 +1,4 @@
-"""What the console shows of the telemetry: names, texts, and from when on a value is stale."""
+"""Instruments: names and texts of the values, and from when on each is stale."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from m100link.protocol.records import (
     Time,
     Velocity,
 )
+from m100link.station.console.view.inputs import Inputs
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["FIELDS", "Field", "Reading", "live", "read"]
+__all__ = ["FIELDS", "Field", "Instruments", "Reading", "instruments_of", "live", "read"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +110,29 @@ def read(field: Field, telemetry: AircraftState | None) -> Reading:
     return Reading(field.text(record), is_stale=True, note=f"{age:.0f} s old")
 
 
+@dataclass(frozen=True, slots=True)
+class Instruments:
+    """What the instruments show.
+
+    Attributes:
+        readings: A reading by the name of each of :data:`FIELDS`.
+        attitude: Roll, pitch and yaw, degrees; None when it is older than a second.
+    """
+
+    readings: dict[str, Reading]
+    attitude: tuple[float, float, float] | None
+
+
+def instruments_of(inputs: Inputs) -> Instruments:
+    """The instruments as they are now; what an agent told that is not heard any more is old."""
+    telemetry = inputs.telemetry
+    attitude = telemetry.fresh(Attitude, within=1.0) if telemetry is not None else None
+    return Instruments(
+        {field.name: read(field, telemetry) for field in FIELDS},
+        (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg) if attitude is not None else None,
+    )
+
+
 def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     """What the instruments draw, twenty times a second; None for what is stale or missing."""
     message: dict[str, Any] = {"op": "live", "t": round(now, 3)}
@@ -133,7 +157,15 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
             round(position.height_m, 2),
         ]
     if velocity is not None:
-        message["vel"] = [round(velocity.ground_speed_m_s, 2), round(velocity.up_m_s, 2)]
+        message["vel"] = [
+            round(speed, 2)
+            for speed in (
+                velocity.ground_speed_m_s,
+                velocity.up_m_s,
+                velocity.north_m_s,
+                velocity.east_m_s,
+            )
+        ]
     if rates is not None:
         message["yaw_rate"] = round(rates.yaw_rate_deg_s, 1)
     if rc is not None:

@@ -1,0 +1,71 @@
+"""Buttons that give orders."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Set
+from typing import Any
+
+from nicegui import ui
+
+from m100link.agent.client import AgentClient
+from m100link.station.console.tab import Tab
+
+__all__ = ["Buttons"]
+
+
+class Buttons:
+    """The buttons of a page, by the names of the orders that they give.
+
+    Args:
+        agent: The agent that owns the aircraft.
+        tab: Who presses them.
+    """
+
+    def __init__(self, agent: AgentClient, tab: Tab) -> None:
+        self._agent, self._tab = agent, tab
+        self._buttons: dict[str, list[tuple[Any, bool]]] = {}
+        self._enabled: dict[Any, bool] = {}
+
+    def add(
+        self,
+        name: str,
+        label: str,
+        work: Callable[[], Awaitable[Any]],
+        *,
+        kind: str = "",
+        hold: bool = False,
+    ) -> Any:
+        """A button in the present element; several may give the same order.
+
+        Args:
+            name: Of the order, as in ``view.actions``.
+            label: What stands on it.
+            work: What is done; what goes wrong is the tab's problem.
+            kind: ``"stop"`` or ``"plain"``, else a usual one.
+            hold: Whether it has to be held for a second.
+        """
+        button = ui.element("button").classes(f"act {kind}").props(f"type=button data-act={name}")
+        with button:
+            ui.label(label)
+        if hold:
+            button.classes("hold")
+
+        async def pressed() -> None:
+            # The page goes on while the aircraft flies.
+            self._agent.background.spawn(self._tab.attempt(work), f"{name} of {self._tab.name}")
+            await asyncio.sleep(0)
+
+        # A tap with a second finger makes no click: STOP is told by what the page makes of it.
+        button.on({"stop": "stopped"}.get(name, "held" if hold else "click"), pressed)
+        self._buttons.setdefault(name, []).append((button, True))
+        return button
+
+    def update(self, offered: Set[str]) -> None:
+        """Let those be pressed whose order is offered."""
+        for name, buttons in self._buttons.items():
+            is_on = name in offered
+            for number, (button, was_on) in enumerate(buttons):
+                if was_on is not is_on:
+                    buttons[number] = (button, is_on)
+                    button.props(remove="disabled") if is_on else button.props("disabled")

@@ -1,0 +1,25 @@
+"""Click to fly: a point on the map, a preview, and a hold that confirms it."""
+
+from __future__ import annotations
+
+from m100link.station.console.parts.part import Deck
+from m100link.station.console.view.view import View
+
+__all__ = ["ClickPart"]
+
+
+class ClickPart:
+    """Flies to a point of the map.
+
+    Args:
+        deck: What it stands on.
+    """
+
+    def __init__(self, deck: Deck) -> None:
+        self._deck = deck
+
+    def build(self) -> None:
+        """Lay it out."""
+
+    def update(self, view: View) -> None:
+        """Show what is."""

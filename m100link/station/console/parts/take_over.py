@@ -1,0 +1,55 @@
+"""The question whether to take control from somebody."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from m100link.agent.lease import LeaseHeld
+from m100link.errors import M100Error
+from m100link.station.console.tab import Tab
+
+__all__ = ["TakeOverDialog"]
+
+
+class TakeOverDialog:
+    """Obtains control, and asks when somebody has it.
+
+    Args:
+        tab: Who wants control.
+    """
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
+        # The order runs in the background, where no element can be made.
+        self._is_wanted = False
+
+    async def obtain(self) -> None:
+        """Obtain control; if somebody has it, ask with the next update."""
+        try:
+            await self._tab.obtain()
+        except LeaseHeld:
+            self._is_wanted = True
+
+    def update(self) -> None:
+        """Ask, if that is wanted."""
+        if self._is_wanted:
+            self._is_wanted = False
+            ui.timer(0.0, self._ask, once=True)
+
+    async def _ask(self) -> None:
+        try:
+            wanted = await self._tab.ask_take_over()
+        except M100Error:
+            return  # it is free by now
+        with ui.dialog() as dialog, ui.card():
+            ui.label(f"{wanted.from_name} has control. Take it over?").props("id=take-over")
+            ui.label("The aircraft stops and hovers; the other side can steer no more.")
+            with ui.row():
+
+                async def confirm() -> None:
+                    dialog.close()
+                    await self._tab.attempt(lambda: self._tab.confirm_take_over(wanted))
+
+                ui.button("Take over", on_click=confirm).props("color=red id=confirm")
+                ui.button("Leave it", on_click=dialog.close).props("flat")
+        dialog.open()

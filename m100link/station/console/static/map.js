@@ -1,0 +1,254 @@
+// What is drawn on the map, and how it follows; Leaflet itself comes with the page.
+
+const RADIUS_M = 6378137;
+const radians = (degrees) => degrees * Math.PI / 180;
+const GRID_STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
+const MOVED_M = 0.3;      // between two points of the track
+const TRACK_POINTS = 5000;
+const DRAW_S = 0.1;
+const AHEAD_S = 5;        // of the speed vector
+const HEIGHT_STEP_M = 5;  // of the track's colours
+
+// East and north of a place, m.
+export function metres(to, from) {
+  const north = radians(to[0] - from[0]) * RADIUS_M;
+  return [radians(to[1] - from[1]) * RADIUS_M * Math.cos(radians(from[0])), north];
+}
+
+export function place(from, east, north) {
+  const latitude = from[0] + north / RADIUS_M * 180 / Math.PI;
+  return [latitude, from[1] + east / (RADIUS_M * Math.cos(radians(from[0]))) * 180 / Math.PI];
+}
+
+export function bearing(to, from) {
+  const [east, north] = metres(to, from);
+  return (Math.atan2(east, north) * 180 / Math.PI + 360) % 360;
+}
+
+const colour = (height) => `hsl(${200 - Math.max(0, Math.min(10, height / HEIGHT_STEP_M)) * 20} 85% 45%)`;
+
+export class FlightMap {
+  // Call back once the map is there: its code is loaded beside the page.
+  static find(element, callback) {
+    const leaflet = window.L && window.getElement?.(Number(element.dataset.vue))?.map;
+    if (leaflet) callback(new FlightMap(leaflet, element));
+    else setTimeout(() => FlightMap.find(element, callback), 50);
+  }
+
+  constructor(leaflet, element) {
+    const L = window.L;
+    this.leaflet = leaflet;
+    this.element = element;
+    this.follows = true;
+    this.isHeadingUp = false;
+    this.track = [];
+    this.runs = [];       // of the track, one for each stretch of a colour
+    this.images = [];     // tests look here
+    this.home = null;
+    this.drawnAt = 0;
+    
+    this.canvas = L.canvas({padding: 0.3});
+    L.control.scale({imperial: false}).addTo(leaflet);
+    this.grid = grid(L, () => this.home || this.track[0] || this.position);
+    this.grid.addTo(leaflet);
+    this.route = L.polyline([], {color: "#ab47bc", weight: 3, renderer: this.canvas}).addTo(leaflet);
+    this.vector = L.polyline([], {color: "#ffb300", weight: 3}).addTo(leaflet);
+    this.nose = L.polyline([], {color: "#e53935", weight: 2, dashArray: "6 6"}).addTo(leaflet);
+    this.fence = L.circle([0, 0], {radius: 1, color: "#ef6c00", fill: false, dashArray: "8 6"});
+    this.aircraft = null;
+    leaflet.on("dragstart", () => this.setFollow(false));
+    document.addEventListener("click", (event) => this.choose(event.target.closest("[data-map]")));
+    turnGestures(this);
+    new ResizeObserver(() => leaflet.invalidateSize({pan: false})).observe(element);
+  }
+
+  choose(button) {
+    if (!button) return;
+    const what = button.dataset.map;
+    if (what === "in" || what === "out") this.leaflet.setZoom(this.leaflet.getZoom() + (what === "in" ? 1 : -1));
+    else if (what === "follow") this.setFollow(!this.follows);
+    else if (what === "turn") this.setHeadingUp(!this.isHeadingUp);
+  }
+
+  setFollow(follows) {
+    this.follows = follows;
+    document.querySelector("[data-map=follow]").setAttribute("aria-pressed", follows);
+    if (follows) this.keepInSight();
+  }
+
+  setHeadingUp(isHeadingUp) {
+    this.isHeadingUp = isHeadingUp;
+    document.querySelector("[data-map=turn]").setAttribute("aria-pressed", isHeadingUp);
+    this.element.parentElement.classList.toggle("turned", isHeadingUp);
+    this.turn();
+    this.leaflet.invalidateSize({pan: false});
+    this.keepInSight();
+  }
+
+  get turned() {
+    return this.isHeadingUp && this.attitude ? -this.attitude[2] : 0;
+  }
+
+  turn() {
+    this.element.parentElement.style.setProperty("--turned", `${this.turned}deg`);
+  }
+
+  // The route of a plan: [[latitude, longitude], …].
+  setRoute(points) {
+    this.route.setLatLngs(points);
+  }
+
+  // Where the guards let nobody fly beyond.
+  setFence(centre, radius) {
+    this.fence.setLatLng(centre).setRadius(radius).addTo(this.leaflet);
+  }
+
+  setHome(home) {
+    this.home = home;
+    const icon = window.L.divIcon({className: "home", html: "H", iconSize: [24, 24]});
+    this.homeMark ??= window.L.marker(home, {icon, interactive: false, keyboard: false}).addTo(this.leaflet);
+    this.homeMark.setLatLng(home);
+    this.grid.redraw();
+  }
+
+  draw(live) {
+    if (live.t && live.t - this.drawnAt < DRAW_S) return;
+    this.drawnAt = live.t || 0;
+    this.element.dataset.stale = live.pos ? "" : "stale";
+    this.attitude = live.att;
+    if (live.pos) this.add(live.pos);
+    if (live.att) this.turn();
+    if (!this.position) return;
+    this.drawAircraft(live);
+    this.drawHome(live);
+    if (live.pos && this.follows) this.keepInSight();
+  }
+
+  add(position) {
+    const isFirst = !this.position;
+    this.position = position;
+    if (isFirst) {
+      this.leaflet.setView(position, this.leaflet.getZoom(), {animate: false});
+      this.grid.redraw();
+    }
+    if (!this.home) this.setHome(position.slice(0, 2));
+    const last = this.track[this.track.length - 1];
+    if (last && Math.hypot(...metres(position, last), position[2] - last[2]) < MOVED_M) return;
+    this.track.push(position);
+    if (this.track.length > TRACK_POINTS) this.shorten();
+    this.extend(position, last);
+  }
+
+  extend(position, last) {
+    const tint = colour(Math.floor(position[2] / HEIGHT_STEP_M) * HEIGHT_STEP_M);
+    const run = this.runs[this.runs.length - 1];
+    if (run && run.options.color === tint) return run.addLatLng(position.slice(0, 2));
+    const points = [last, position].filter(Boolean).map((point) => point.slice(0, 2));
+    const line = window.L.polyline(points, {color: tint, weight: 4, renderer: this.canvas, interactive: false});
+    this.runs.push(line.addTo(this.leaflet));
+  }
+
+  shorten() {
+    this.track.splice(0, TRACK_POINTS / 5);
+    this.runs.splice(0).forEach((run) => run.remove());
+    this.track.forEach((point, i) => this.extend(point, this.track[i - 1]));
+  }
+
+  drawAircraft(live) {
+    const at = this.position.slice(0, 2);
+    if (!this.aircraft) {
+      const svg = '<svg viewBox="-12 -12 24 24"><path d="M0-11 8 9 0 4-8 9Z"/></svg>';
+      const icon = window.L.divIcon({className: "aircraft", html: svg, iconSize: [36, 36]});
+      this.aircraft = window.L.marker(at, {icon, interactive: false, keyboard: false, zIndexOffset: 1000});
+      this.aircraft.addTo(this.leaflet);
+    }
+    this.aircraft.setLatLng(at);
+    const image = this.aircraft.getElement();
+    image.classList.toggle("stale", !live.pos);
+    if (live.att) image.firstChild.style.transform = `rotate(${live.att[2]}deg)`;
+    const [, , north, east] = live.vel || [];
+    this.vector.setLatLngs(live.pos && Math.hypot(north, east) > 0.2
+      ? [at, place(at, east * AHEAD_S, north * AHEAD_S)] : []);
+    const yaw = live.att && radians(live.att[2]), far = 0.12 * this.span();
+    this.nose.setLatLngs(live.pos && live.att ? [at, place(at, far * Math.sin(yaw), far * Math.cos(yaw))] : []);
+  }
+
+  // Metres across what is seen.
+  span() {
+    const bounds = this.leaflet.getBounds();
+    return metres([bounds.getNorth(), 0], [bounds.getSouth(), 0])[1];
+  }
+
+  drawHome(live) {
+    const text = document.querySelector("#map-home");
+    if (!text || !this.home) return;
+    const far = Math.hypot(...metres(this.home, this.position));
+    const way = far < 1 ? "" : ` · ${Math.round(bearing(this.home, this.position)) % 360}°`;
+    const shown = live.pos ? `home ${far.toFixed(0)} m${way}` : "home: position is old";
+    if (text.textContent !== shown) text.textContent = shown;
+  }
+
+  // Moved only when it has to be: a map that stands still costs nothing.
+  keepInSight() {
+    if (!this.position) return;
+    const size = this.leaflet.getSize(), at = this.leaflet.latLngToContainerPoint(this.position);
+    const off = Math.max(Math.abs(at.x / size.x - 0.5), Math.abs(at.y / size.y - 0.5));
+    if (off > (this.isHeadingUp ? 0.01 : 0.2))
+      this.leaflet.panTo(this.position.slice(0, 2), {animate: off < 0.4 && !this.isHeadingUp, duration: 0.4});
+  }
+}
+
+// A grid in metres, for where there are no tiles: its lines go through home.
+function grid(L, origin) {
+  const Grid = L.GridLayer.extend({
+    createTile(coordinates) {
+      const tile = document.createElement("canvas"), size = this.getTileSize();
+      tile.width = size.x; tile.height = size.y;
+      const from = origin();
+      if (!from) return tile;
+      const corner = (x, y) => {
+        const at = this._map.unproject(coordinates.scaleBy(size).add([x, y]), coordinates.z);
+        return metres([at.lat, at.lng], from);
+      };
+      const [west, north] = corner(0, 0), [east, south] = corner(size.x, size.y);
+      const step = GRID_STEPS.find((one) => one * size.x / (east - west) > 40);
+      if (!step) return tile;
+      const g = tile.getContext("2d");
+      for (let x = Math.ceil(west / step); x * step < east; x++)
+        line(g, x, [(x * step - west) / (east - west) * size.x, 0, 0, size.y]);
+      for (let y = Math.ceil(south / step); y * step < north; y++)
+        line(g, y, [0, (north - y * step) / (north - south) * size.y, size.x, 0]);
+      return tile;
+    },
+  });
+  return new Grid({maxZoom: 22, pane: "tilePane", zIndex: 5});
+}
+
+function line(g, number, [x, y, across, down]) {
+  g.strokeStyle = number % 5 ? "rgba(128, 128, 128, .35)" : "rgba(128, 128, 128, .8)";
+  g.beginPath();
+  g.moveTo(x, y);
+  g.lineTo(x + across, y + down);
+  g.stroke();
+}
+
+// While the map is turned, Leaflet's places of the pointer have to be turned back.
+function turnGestures(map) {
+  const leaflet = map.leaflet;
+  const back = (x, y) => {
+    const angle = -radians(map.turned);
+    return [x * Math.cos(angle) - y * Math.sin(angle), x * Math.sin(angle) + y * Math.cos(angle)];
+  };
+  const plain = leaflet.mouseEventToContainerPoint.bind(leaflet);
+  leaflet.mouseEventToContainerPoint = (event) => {
+    if (!map.turned) return plain(event);
+    const box = map.element.getBoundingClientRect(), size = leaflet.getSize();
+    const [x, y] = back(event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2);
+    return window.L.point(size.x / 2 + x, size.y / 2 + y);
+  };
+  leaflet.dragging._draggable?.on("predrag", function () {
+    if (!map.turned) return;
+    const moved = this._newPos.subtract(this._startPos);
+    this._newPos = this._startPos.add(back(moved.x, moved.y));
+  });
+}

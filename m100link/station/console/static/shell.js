@@ -1,0 +1,140 @@
+// The shell of the page: the socket, the views, presses that are held, and STOP.
+
+import {Socket} from "./socket.js";
+import {Steering} from "./steer.js";
+import {drawHorizon, drawChannels} from "./instruments.js";
+import {FlightMap} from "./map.js";
+
+const HOLD_MS = 1000;
+const STOOD_STILL_MS = 500;  // later than this, nobody knows whether the button was held
+
+const listeners = [];
+const waiting = [];  // for the map
+
+// What modules and tests reach.
+export const m100 = {
+  socket: null,
+  steering: null,
+  map: null,
+  // Each message of the instruments, at most once for a frame; {} when everything is old.
+  onLive(callback) { listeners.push(callback); },
+  onMap(callback) { this.map ? callback(this.map) : waiting.push(callback); },
+};
+
+export function start(key) {
+  const find = (selector) => document.querySelector(selector);
+  if (!find("#pad") || !find("#horizon")) return setTimeout(() => start(key), 30);
+  m100.socket = new Socket(`/steer/${key}`, () => draw());
+  m100.steering = new Steering(find("#pad"), m100.socket);
+  window.m100 = m100;
+  m100.onLive((live) => drawHorizon(find("#horizon"), live));
+  m100.onLive(drawChannels);
+  setInterval(() => m100.socket.isLost && draw(), 250);  // what is not told any more grows old
+  stopAtOnce(find("[data-act=stop]"));
+  holdToPress();
+  for (const tab of document.querySelectorAll("[data-go]"))
+    tab.addEventListener("click", () => show(tab.dataset.go));
+  show("fly");
+  keepAboveKeyboard();
+  FlightMap.find(find("#map"), (map) => {
+    m100.map = map;
+    m100.onLive((live) => map.draw(live));
+    waiting.splice(0).forEach((callback) => callback(map));
+  });
+}
+
+let isDrawing = false;
+
+function draw() {
+  if (isDrawing || document.hidden) return;
+  isDrawing = true;
+  requestAnimationFrame(() => {
+    isDrawing = false;
+    const live = m100.socket.isLost || !m100.socket.live ? {} : m100.socket.live;
+    for (const listener of listeners) listener(live);
+  });
+}
+
+function show(name) {
+  document.body.dataset.view = name;
+  for (const tab of document.querySelectorAll("[data-go]"))
+    tab.setAttribute("aria-current", tab.dataset.go === name ? "page" : "false");
+  m100.steering.rest();
+}
+
+// -- presses -----------------------------------------------------------------------------------
+
+// At the press and not at its end: while one finger is on a stick, the tap of another makes no click.
+function stopAtOnce(button) {
+  let pressedAt = -Infinity;
+  const stop = () => {
+    m100.steering.rest();
+    button.dispatchEvent(new CustomEvent("stopped", {detail: {}}));
+  };
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button > 0) return;
+    pressedAt = event.timeStamp;
+    stop();
+  });
+  // By keyboard, or by a program that reads the page to somebody.
+  button.addEventListener("click", (event) => event.timeStamp - pressedAt > 1000 && stop());
+}
+
+// Buttons of class "hold" say "held" after a second; they may come and go.
+function holdToPress() {
+  let held = null;
+  const begin = (event, button) => {
+    if (held || button.disabled || event.button > 0) return;
+    button.classList.add("holding");
+    const timer = setTimeout(() => {
+      const isLate = performance.now() - held.at > HOLD_MS + STOOD_STILL_MS;
+      end();
+      if (!isLate && !button.disabled && button.isConnected)
+        button.dispatchEvent(new CustomEvent("held", {detail: {}}));
+    }, HOLD_MS);
+    held = {button, timer, at: performance.now(), pointer: event.pointerId};
+  };
+  const end = () => {
+    if (!held) return;
+    clearTimeout(held.timer);
+    held.button.classList.remove("holding");
+    held = null;
+  };
+  const target = (event) => event.target.closest?.("button.hold");
+  document.addEventListener("pointerdown", (event) => {
+    const button = target(event);
+    if (held) end();  // a second finger anywhere: not what was meant
+    else if (button) begin(event, button);
+  });
+  for (const name of ["pointerup", "pointercancel"])
+    document.addEventListener(name, (event) => held && event.pointerId === held.pointer && end());
+  document.addEventListener("pointermove", (event) => {
+    if (!held || event.pointerId !== held.pointer) return;
+    const box = held.button.getBoundingClientRect();
+    if (event.clientX < box.left || event.clientX > box.right
+      || event.clientY < box.top || event.clientY > box.bottom) end();
+  });
+  document.addEventListener("contextmenu", (event) => {
+    if (target(event)) event.preventDefault();  // a long press asks for it on a phone
+  });
+  document.addEventListener("keydown", (event) => {
+    const isPress = event.code === "Space" || event.code === "Enter";
+    if (target(event) && isPress && !event.repeat) begin(event, target(event));
+  });
+  document.addEventListener("keyup", end);
+  document.addEventListener("focusout", (event) => event.target === held?.button && end());
+  document.addEventListener("visibilitychange", end);
+  window.addEventListener("blur", end);
+}
+
+// Where a keyboard on the screen covers the page instead of making it smaller.
+function keepAboveKeyboard() {
+  const seen = window.visualViewport;
+  if (!seen) return;
+  const fit = () => {
+    const hidden = Math.max(0, window.innerHeight - seen.height - seen.offsetTop);
+    document.documentElement.style.setProperty("--keyboard", `${seen.scale > 1.05 ? 0 : hidden}px`);
+  };
+  seen.addEventListener("resize", fit);
+  seen.addEventListener("scroll", fit);
+}

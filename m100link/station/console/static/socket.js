@@ -1,0 +1,79 @@
+// The socket of the page: beats out, instruments in, and the times that tell how old either is.
+
+const ALIVE_MS = 500;
+const LOST_MS = 1000;
+
+export class Socket {
+  constructor(path, onMessage) {
+    this.path = path;
+    this.onMessage = onMessage;
+    this.count = 0;
+    this.heardAt = 0;
+    this.tripMs = null;
+    this.forget();
+    this.connect();
+    setInterval(() => this.send({op: "alive"}), ALIVE_MS);
+    setInterval(() => this.watch(), 100);
+  }
+
+  forget() {
+    this.told = null;  // the station's time that was heard last, and when
+    this.live = null;
+    this.best = Infinity;  // of the differences between our clock and the station's, the smallest
+  }
+
+  connect() {
+    this.forget();
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    this.socket = new WebSocket(`${scheme}//${location.host}${this.path}`);
+    this.socket.onmessage = (event) => {
+      this.heardAt = performance.now();
+      const message = JSON.parse(event.data);
+      if (message.op === "echo") {
+        this.told = {told: message.told, at: performance.now()};
+        this.roundTrip(performance.now() - message.at);
+      } else {
+        // The clocks may drift by a ten-thousandth.
+        this.best = Math.min(this.best + 5e-6, performance.now() / 1000 - message.t);
+        this.live = message;
+        this.onMessage(message);
+      }
+    };
+    this.socket.onclose = () => setTimeout(() => this.connect(), 1000);
+  }
+
+  send(message) {
+    if (this.socket.readyState !== WebSocket.OPEN) return;
+    if (this.socket.bufferedAmount > 4096) return;  // old beats are worse than none
+    const at = performance.now();
+    const heard = this.told ? {told: this.told.told, held: at - this.told.at} : {};
+    this.socket.send(JSON.stringify({...message, ...heard, n: ++this.count, at}));
+  }
+
+  // Seconds that what is shown is old, by the page's own clock.
+  get age() {
+    if (!this.live) return Infinity;
+    const late = performance.now() / 1000 - this.live.t - this.best;
+    return late + (this.tripMs || 0) / 2000;
+  }
+
+  get isLost() {
+    return performance.now() - this.heardAt > LOST_MS || this.age * 1000 > LOST_MS;
+  }
+
+  roundTrip(ms) {
+    this.tripMs = ms;
+    fill("browser_ms", `${ms.toFixed(0)} ms`);
+  }
+
+  watch() {
+    const age = this.live ? this.live.age : undefined;
+    fill("age", age === undefined ? "–" : `${(age + this.age).toFixed(2)} s ago`);
+    document.body.classList.toggle("station-lost", this.isLost);
+  }
+}
+
+function fill(name, text) {
+  const field = document.querySelector(`[data-field="${name}"]`);
+  if (field && field.textContent !== text) field.textContent = text;
+}

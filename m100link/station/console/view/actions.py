@@ -1,0 +1,31 @@
+"""Which buttons can be pressed: the others are grey. The agent decides again when one is."""
+
+from __future__ import annotations
+
+from m100link.station.console.view.inputs import Inputs
+
+__all__ = ["ACTIONS", "actions_of"]
+
+FLIGHTS = frozenset({"take_off", "land", "go_home", "simple_task", "mission_start"})
+"""What the aircraft begins to fly by itself."""
+
+MISSIONS = frozenset({"mission_pause", "mission_resume", "mission_stop"})
+
+ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release"}
+"""Every button that is an order."""
+
+
+def actions_of(inputs: Inputs) -> frozenset[str]:
+    """The orders that can be given now; STOP always can."""
+    offered = {"stop"}
+    if inputs.is_connected:
+        offered.add("activate")
+        if not inputs.has_control:
+            offered.add("obtain")
+    if inputs.has_lease:
+        offered.add("release")
+    if inputs.has_control and inputs.flies_mission:
+        offered |= MISSIONS
+    elif inputs.has_control and not inputs.state.task:
+        offered |= FLIGHTS
+    return frozenset(offered)

@@ -1,0 +1,60 @@
+"""What a view is made of: what the agent told last, and what the tab has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from m100link.agent.messages import Event, LeaseChanged, State
+from m100link.missions.plan import WaypointPlan
+from m100link.telemetry.state import AircraftState
+
+__all__ = ["Inputs"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inputs:
+    """Everything that a view may know.
+
+    Attributes:
+        now: Time on the agent's clock, s.
+        state: Where the agent stands, as it told last.
+        holder: Who has the lease.
+        telemetry: Newest values and their ages; None while no aircraft is connected.
+        is_silent: Whether the agent was not heard for too long.
+        is_gone: Whether the agent has gone for good.
+        has_lease: Whether the tab that looks holds the lease.
+        problem: What was refused to that tab last.
+        plan: What that tab uploaded last.
+        events: What happened lately, oldest first.
+    """
+
+    now: float = 0.0
+    state: State = field(default_factory=lambda: State(at=0.0))
+    holder: LeaseChanged = field(default_factory=lambda: LeaseChanged(0, ""))
+    telemetry: AircraftState | None = None
+    is_silent: bool = False
+    is_gone: bool = False
+    has_lease: bool = False
+    problem: str = ""
+    plan: WaypointPlan | None = None
+    events: tuple[Event, ...] = ()
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether what the agent told is news."""
+        return not self.is_silent and not self.is_gone
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the aircraft is connected, by an agent that is heard."""
+        return self.state.connection == "connected" and self.is_heard
+
+    @property
+    def has_control(self) -> bool:
+        """Whether what this tab wants is obeyed."""
+        return self.has_lease and self.state.has_authority and self.is_heard
+
+    @property
+    def flies_mission(self) -> bool:
+        """Whether the aircraft says that it flies a mission, whoever started it."""
+        return self.state.mission not in ("", "no mission")

@@ -1,0 +1,42 @@
+"""Which buttons can be pressed in which state."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.agent.messages import LeaseChanged, State
+from m100link.station.console.view.actions import ACTIONS, FLIGHTS, MISSIONS, actions_of
+from m100link.station.console.view.inputs import Inputs
+
+MINE = LeaseChanged(3, "tab")
+
+
+def inputs_of(
+    *, is_mine: bool, obeyed: bool, task: str = "", mission: str = "", is_silent: bool = False
+) -> Inputs:
+    state = State(0.0, "connected", has_authority=obeyed, task=task, mission=mission)
+    return Inputs(state=state, holder=MINE, has_lease=is_mine, is_silent=is_silent)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "offered"),
+    [
+        (Inputs(), set()),
+        (inputs_of(is_mine=False, obeyed=True), {"activate", "obtain"}),
+        (inputs_of(is_mine=True, obeyed=False), {"activate", "obtain", "release"}),
+        (inputs_of(is_mine=True, obeyed=True), {"activate", "release", *FLIGHTS}),
+        (
+            inputs_of(is_mine=True, obeyed=True, mission="no mission"),
+            {"activate", "release", *FLIGHTS},
+        ),
+        (inputs_of(is_mine=True, obeyed=True, task="landing"), {"activate", "release"}),
+        (
+            inputs_of(is_mine=True, obeyed=True, mission="hotpoint"),
+            {"activate", "release", *MISSIONS},
+        ),
+        (inputs_of(is_mine=True, obeyed=True, is_silent=True), {"release"}),
+    ],
+)
+def test_what_is_offered(inputs: Inputs, offered: set[str]) -> None:
+    assert actions_of(inputs) == {"stop", *offered}
+    assert actions_of(inputs) <= ACTIONS
