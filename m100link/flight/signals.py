@@ -52,7 +52,9 @@ class SignalWatch:
 
     def __init__(self) -> None:
         self._blocks: dict[Stop, asyncio.AbstractEventLoop] = {}
-        self._previous: dict[signal.Signals, Any] = {}  # dispositions to put back
+        # Dispositions to put back. Kept behind the last block: a program may put our handler back,
+        # which it found while one flew.
+        self._previous: dict[signal.Signals, Any] = {}
         self._received: list[signal.Signals] = []
         self._received_at = 0.0
         self._is_seen = False  # by the event loop, since the first one came
@@ -85,7 +87,6 @@ class SignalWatch:
         for number, previous in self._previous.items():
             if signal.getsignal(number) == self._on_signal:
                 signal.signal(number, _as_it_is_now(previous))
-        self._previous.clear()
         received, self._received = self._received, []
         # What ends the process comes first: SIGINT raises.
         for number in sorted(received, key=lambda number: number == signal.SIGINT):

@@ -231,7 +231,7 @@ def test_ctrl_c_breaks_into_a_program_that_blocks_its_event_loop(
 
         watch.join(stop)
         try:
-            for moment in (0.0, 0.3, 0.9):
+            for moment in (0.0, 0.3, 0.9, 1.0):
                 now = moment
                 come(signal.SIGINT)  # the loop does not run meanwhile
             now = 1.1
@@ -313,6 +313,52 @@ def test_a_new_block_is_protected_although_an_older_one_died_with_its_loop(
     asyncio.run(begin("new"))
     assert stopped == ["new"]
     assert acted == [signal.SIGTERM]
+
+
+def test_a_signal_whose_block_died_with_its_loop_acts_before_another_begins(
+    acted: list[signal.Signals],
+) -> None:
+    watch = SignalWatch()
+    stopped: list[str] = []
+
+    async def begin() -> None:
+        watch.join(functools.partial(stopped.append, "old"))
+        come(signal.SIGTERM)
+
+    async def begin_another() -> None:
+        stop = functools.partial(stopped.append, "new")
+        watch.join(stop)
+        assert acted == [signal.SIGTERM]
+        await asyncio.sleep(0)
+        watch.leave(stop)
+
+    asyncio.run(begin())
+    assert acted == []
+    asyncio.run(begin_another())
+    assert (stopped, acted) == (["old"], [signal.SIGTERM])
+
+
+def test_our_handler_that_the_program_puts_back_after_the_last_block_lets_the_signal_act(
+    acted: list[signal.Signals],
+) -> None:
+    """A library that handles a signal for a while puts back what it found, which may be ours."""
+    watch = SignalWatch()
+
+    async def fly() -> object:
+        watch.join(print)
+        found = signal.signal(signal.SIGTERM, lambda number, frame: None)
+        watch.leave(print)
+        return found
+
+    signal.signal(signal.SIGTERM, asyncio.run(fly()))  # type: ignore[arg-type] # what it found
+    come(signal.SIGTERM)
+    assert acted == [signal.SIGTERM]
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL, "or it would come again for ever"
+
+
+def test_another_watch_has_to_say_how_its_blocks_stop() -> None:
+    with pytest.raises(TypeError):
+        OtherWatch()  # type: ignore[abstract] # which is what is refused
 
 
 class Beside(OtherWatch):
