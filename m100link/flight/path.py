@@ -209,7 +209,7 @@ class Path:
         if arriving == leaving:
             self._heights.append((self.length, arriving))
             return
-        reached = max(self._heights[-1][0], self.length - _REACHED_M)
+        reached = self.length - _REACHED_M
         self._heights += (reached, arriving), (reached, leaving), (self.length, leaving)
 
     def _add_leg(self, start: tuple[float, float], end: tuple[float, float]) -> None:
