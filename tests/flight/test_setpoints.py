@@ -10,7 +10,13 @@ from random import Random
 
 import pytest
 
-from m100link.flight.setpoints import NEUTRAL_TIME, SETPOINT_LIFETIME, SetpointLoop
+from m100link.errors import UsageError
+from m100link.flight.setpoints import (
+    NEUTRAL_TIME,
+    SETPOINT_LIFETIME,
+    SetpointLoop,
+    check_lifetime,
+)
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from m100link.sim import VirtualClockEventLoop
 
@@ -61,6 +67,24 @@ async def rig() -> AsyncIterator[Rig]:
     rig = Rig()
     yield rig
     await rig.setpoints.stop()
+
+
+@pytest.mark.parametrize("lifetime", [-1.0, -0.5, 0.0, float("nan"), float("inf")])
+async def test_what_is_not_a_time_that_ends_is_not_a_lifetime(lifetime: float) -> None:
+    for is_long_allowed in (False, True):
+        with pytest.raises(UsageError, match="not a time that ends"):
+            check_lifetime(lifetime, is_long_allowed=is_long_allowed)
+
+
+@pytest.mark.parametrize("lifetime", [1e-6, 0.02, 1.0])
+async def test_up_to_a_second_a_setpoint_may_live_without_a_word(lifetime: float) -> None:
+    check_lifetime(lifetime, is_long_allowed=False)
+
+
+async def test_a_longer_life_has_to_be_allowed() -> None:
+    with pytest.raises(UsageError, match="flies on for that long"):
+        check_lifetime(1.001, is_long_allowed=False)
+    check_lifetime(1.001, is_long_allowed=True)
 
 
 async def test_a_setpoint_goes_out_at_once(rig: Rig) -> None:
