@@ -135,12 +135,17 @@ class _MissionAck(Acknowledged[A]):
     def parse_ack(cls, payload: bytes) -> A:
         """A code and what stands behind it.
 
-        A refusal may be its code alone; what should stand behind it is then zero.
+        A refusal may be its code alone; what should stand behind it is then zero. A download that
+        is longer than the upload was is none that anybody knows: DJI's programs drop it, and zeros
+        at its beginning do not mean that nothing is stored.
 
         Raises:
-            BadAck: Empty, or a success that is too short.
+            BadAck: Empty, a success that is too short, or a download that is too long.
         """
-        code, tail = _split(cls.NAME, payload, cls._tail_size())
+        size = cls._tail_size()
+        if issubclass(cls.ANSWER, DownloadAnswer) and len(payload) > 1 + size:
+            raise _bad_size(cls.NAME, payload, size)
+        code, tail = _split(cls.NAME, payload, size)
         answer: Any = cls.ANSWER.of(code, tail) if issubclass(cls.ANSWER, Answer) else code
         return cast(A, answer)
 
@@ -204,7 +209,11 @@ def _split(name: str, payload: bytes, size: int) -> tuple[MissionCode, bytes]:
         return MissionCode(payload[0]), payload[1 : 1 + size]
     if len(payload) == 1 and payload[0] != MissionCode.SUCCESS:
         return MissionCode(payload[0]), bytes(size)
-    raise BadAck(
+    raise _bad_size(name, payload, size)
+
+
+def _bad_size(name: str, payload: bytes, size: int) -> BadAck:
+    return BadAck(
         f"the ack of {name} has {len(payload)} byte(s), it takes {1 + size}",
         command=name,
         payload=payload,

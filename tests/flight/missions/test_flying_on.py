@@ -78,7 +78,7 @@ async def test_a_stop_that_was_given_up_is_sent_again_at_the_end() -> None:
         await assert_rests(there)
 
 
-@pytest.mark.parametrize("answer", [b"", b"\0\0\0", b"\x01\xff", b"\0\xff"])
+@pytest.mark.parametrize("answer", [b"", b"\0\0\0", b"\x01\xff", b"\0\xff", bytes(53)])
 async def test_an_answer_that_says_nothing_does_not_keep_the_stop_from_being_sent(
     answer: bytes,
 ) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from m100link.errors import BadAck
 from m100link.protocol import MissionCode, SystemCode
 from m100link.protocol.command import Acknowledged
-from m100link.protocol.commands.hotpoint import HotpointSetRadius, HotpointStart
+from m100link.protocol.commands.hotpoint import HotpointDownload, HotpointSetRadius, HotpointStart
 from m100link.protocol.commands.missions import COMMAND_SET
 from m100link.protocol.commands.registry import COMMANDS
 from m100link.protocol.commands.waypoint import (
@@ -71,6 +71,16 @@ def test_a_refusal_may_be_a_code_alone(kind: type[Acknowledged[Any]]) -> None:
 def test_a_success_without_what_was_asked_for_is_a_bad_ack(kind: type[Acknowledged[Any]]) -> None:
     with pytest.raises(BadAck, match="it takes"):
         kind.parse_ack(b"\0")
+
+
+@pytest.mark.parametrize("kind", [WaypointDownloadMission, WaypointDownloadPoint, HotpointDownload])
+def test_a_download_that_is_longer_than_the_upload_is_a_bad_ack(
+    kind: type[Acknowledged[Any]],
+) -> None:
+    size = kind.ANSWER.size()
+    assert kind.code_of(kind.parse_ack(bytes(1 + size))) is MissionCode.SUCCESS
+    with pytest.raises(BadAck, match=f"has {2 + size} byte.s., it takes {1 + size}"):
+        kind.parse_ack(bytes(2 + size))
 
 
 @given(st.sampled_from(ACKNOWLEDGED), st.binary(max_size=100))
