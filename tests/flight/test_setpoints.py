@@ -263,6 +263,24 @@ async def test_neutralise_in_silence_sends_nothing(rig: Rig) -> None:
     assert rig.frames == []
 
 
+async def test_a_neutral_that_may_not_go_out_does_not(rig: Rig) -> None:
+    rig.setpoints.set(NORTH, lifetime=10.0, period=1.0)
+    await asyncio.sleep(0.3)  # its period had no frame: it could go out at once
+    rig.is_admitted = False
+    rig.setpoints.neutralise()
+    await asyncio.sleep(1.0)
+    assert rig.frames == [(0.0, NORTH)]
+
+
+@pytest.mark.parametrize("after", [0.0, 0.011, 0.105, 0.111])
+async def test_behind_a_halt_there_is_silence(rig: Rig, after: float) -> None:
+    rig.setpoints.set(NORTH, lifetime=10.0, period=0.5)
+    await asyncio.sleep(after)
+    await rig.setpoints.halt()
+    assert rig.setpoints.current is None
+    assert rig.frames[-1][1] == STILL
+
+
 async def test_silence_is_at_once_and_a_new_setpoint_breaks_it(rig: Rig) -> None:
     rig.set(NORTH, lifetime=10.0)
     await asyncio.sleep(0.1)
@@ -360,13 +378,14 @@ async def test_any_mixture_of_rates_stays_below_50_hz_and_hears_the_newest(rig: 
 
 async def test_stop_ends_the_task_and_may_be_called_twice(rig: Rig) -> None:
     rig.set(NORTH, lifetime=10.0)
+    await asyncio.sleep(0.1)
     await rig.setpoints.stop()
+    names = {task.get_name() for task in asyncio.all_tasks()}
+    assert "m100link setpoints" not in names
     await rig.setpoints.stop()
     count = len(rig.frames)
     await asyncio.sleep(1.0)
     assert len(rig.frames) == count
-    names = {task.get_name() for task in asyncio.all_tasks()}
-    assert "m100link setpoints" not in names
 
 
 @pytest.mark.parametrize(
