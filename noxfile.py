@@ -8,8 +8,10 @@ environment of its own. They use the Python that runs nox. `nox --list` names th
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import os
 import re
+import shutil
 import signal
 import subprocess
 import tarfile
@@ -112,16 +114,26 @@ def marked(mark: str, folder: str = "tests") -> list[str]:
     return [str(path) for path in files if f"pytest.mark.{mark}" in path.read_text("utf-8")]
 
 
-OWN_SESSIONS = ("--ignore=tests/interop", "--ignore=tests/browser")
-CHECKED = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
-PROGRAMS = sorted(str(path) for path in Path("examples").glob("*.py"))
+def elsewhere(*folders: str) -> list[str]:
+    """Options of pytest that leave these folders out."""
+    return [f"--ignore={folder}" for folder in folders]
 
-# In the order in which `nox` begins them: what takes longest, first.
+
+OWN_SESSIONS = ("tests/interop", "tests/browser")
+# Their tests begin processes and wait for them.
+SERVERS = ("tests/attacks", "tests/benchmarks", "tests/cli", "tests/station")
+CHECKED = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
+# The longest flight begins first.
+PROGRAMS = sorted(
+    (str(path) for path in Path("examples").glob("*.py")),
+    key=lambda path: (path != "examples/survey_with_photos.py", path),
+)
+
 KINDS = {
     "tests": Kind(
         {
-            "tests": [pytest(*workers(2), "-m", "not pty", *OWN_SESSIONS)],
-            # They keep real time and mostly wait.
+            "tests": [pytest(*workers(2), "-m", "not pty", *elsewhere(*OWN_SESSIONS, *SERVERS))],
+            "tests (servers)": [pytest(*workers(2), "-m", "not pty", *SERVERS)],
             "tests (pty)": [pytest(*workers(3), "-m", "pty", *marked("pty"))],
         },
         groups=("test",),
@@ -129,7 +141,6 @@ KINDS = {
     "browser": Kind(
         {"browser": [pytest(*workers(2), "tests/browser")]}, groups=("test", "browser")
     ),
-    # Each in real time; they mostly wait, too.
     "examples": Kind({program: [("python", "-W", "error", program)] for program in PROGRAMS}),
     # Beside rosbridge_suite's own library it has a session to itself.
     "interop": Kind(
@@ -148,6 +159,33 @@ KINDS = {
         package=False,
     ),
 }
+
+
+@dataclass(frozen=True)
+class Lane:
+    """Commands that go the same way through the machine; lanes go side by side.
+
+    Attributes:
+        titles: In the order in which they begin; none: those that no other lane has.
+        width: How many of them run at once.
+        gives_way: Whether they only get the time of the processors that other lanes leave.
+    """
+
+    titles: tuple[str, ...]
+    width: int
+    gives_way: bool = False
+
+
+# What keeps real time and mostly waits goes before what computes, and what computes fills the gaps:
+# both together take as long as the longer of them, and no flight is late because of a type checker.
+GIVING_WAY = ("nice", "-n", "10") if shutil.which("nice") else ()
+LANES = (
+    # Each of these takes what it can get: one after another.
+    Lane(("tests (pty)", "browser"), 1),
+    # One flight each.
+    Lane((*PROGRAMS, "interop"), 3),
+    Lane((), 1 + (os.cpu_count() or 1), gives_way=True),
+)
 
 
 @nox.session
@@ -207,7 +245,7 @@ def tests(session: nox.Session) -> None:
 def coverage(session: nox.Session) -> None:
     """The test suite with branch coverage, which takes twice as long, and whether it suffices."""
     install(session, PACKAGE, *group("test"))
-    session.run(*pytest(*OWN_SESSIONS, "--cov", "--cov-report=", *session.posargs))
+    session.run(*pytest(*elsewhere(*OWN_SESSIONS), "--cov", "--cov-report=", *session.posargs))
     for part, percent in COVERED.items():
         session.log(f"{part}: at least {percent} %")
         session.run("coverage", "report", f"--include=*/{part}/*", f"--fail-under={percent}")
@@ -262,16 +300,31 @@ def install(session: nox.Session, *requirements: str) -> None:
         session.install(*requirements)
 
 
-# These fly in real time and mostly wait; what needs every processor begins when they have ended.
-WAITING = ("tests (pty)", *PROGRAMS)
-
-
 def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) -> None:
-    """Run commands and print what each said when it ends; fail at the end."""
+    """Run commands in their lanes and print what each said when it ends; fail at the end."""
+    laid = {title for lane in LANES for title in lane.titles}
     ended: dict[str, tuple[bool, float]] = {}
-    for is_waiting in (True, False):
-        stage = {title: c for title, c in commands.items() if (title in WAITING) is is_waiting}
-        run_together(session, stage, ended)
+    started: list[subprocess.Popen[str]] = []
+    with contextlib.ExitStack() as stack:
+        running: dict[concurrent.futures.Future[tuple[bool, float]], str] = {}
+        pools: list[concurrent.futures.ThreadPoolExecutor] = []
+        for lane in LANES:
+            pool = stack.enter_context(concurrent.futures.ThreadPoolExecutor(lane.width))
+            pools.append(pool)
+            for title in lane.titles or [title for title in commands if title not in laid]:
+                if title in commands:
+                    before = GIVING_WAY if lane.gives_way else ()
+                    work = pool.submit(run_lines, session, started, commands[title], before)
+                    running[work] = title
+        try:
+            for done in concurrent.futures.as_completed(running):
+                ended[running[done]] = done.result()
+        except BaseException:  # Ctrl-C above all: nothing stays behind
+            for pool in pools:
+                pool.shutdown(wait=False, cancel_futures=True)
+            for process in started:
+                process.send_signal(signal.SIGINT)  # pytest ends what its tests have begun
+            raise
     for title, (is_good, seconds) in ended.items():
         session.log(f"{'passed' if is_good else 'FAILED'} {seconds:4.0f} s  {title}")
     failed = [title for title, (is_good, _) in ended.items() if not is_good]
@@ -279,30 +332,11 @@ def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) ->
         session.error(f"failed: {', '.join(failed)}")
 
 
-def run_together(
-    session: nox.Session,
-    commands: dict[str, list[tuple[str, ...]]],
-    ended: dict[str, tuple[bool, float]],
-) -> None:
-    """Run commands side by side; most of these wait for aircraft, or are short."""
-    started: list[subprocess.Popen[str]] = []
-    with concurrent.futures.ThreadPoolExecutor(2 + (os.cpu_count() or 1)) as pool:
-        running = {
-            pool.submit(run_lines, session, started, lines): title
-            for title, lines in commands.items()
-        }
-        try:
-            for done in concurrent.futures.as_completed(running):
-                ended[running[done]] = done.result()
-        except BaseException:  # Ctrl-C above all: nothing stays behind
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in started:
-                process.send_signal(signal.SIGINT)  # pytest ends what its tests have begun
-            raise
-
-
 def run_lines(
-    session: nox.Session, started: list[subprocess.Popen[str]], lines: list[tuple[str, ...]]
+    session: nox.Session,
+    started: list[subprocess.Popen[str]],
+    lines: list[tuple[str, ...]],
+    before: tuple[str, ...],
 ) -> tuple[bool, float]:
     """Run programs of the session's environment; whether all were content, and after how long."""
     begun = time.monotonic()
@@ -311,7 +345,7 @@ def run_lines(
     for line in lines:
         session.log(" ".join(line))
         with subprocess.Popen(
-            [place / line[0], *line[1:]],
+            [*before, place / line[0], *line[1:]],
             env=os.environ | {"PATH": f"{place}{os.pathsep}{os.environ['PATH']}"},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
