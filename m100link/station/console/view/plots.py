@@ -1,0 +1,143 @@
+"""Plots: which numbers can be drawn, what each is called, and the chart that draws them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from m100link.station.console.history import COLUMNS, INTERVAL
+
+__all__ = [
+    "FIRST_CHOICE",
+    "MOST",
+    "RANGES",
+    "chart",
+    "height",
+    "known",
+    "label",
+    "points",
+    "step",
+    "unit",
+]
+
+FIRST_CHOICE = (
+    *("position.height_m", "velocity.ground_speed_m_s"),
+    *("angular_velocity.yaw_rate_deg_s", "link.packages_per_s"),
+)
+"""What is drawn until somebody chooses."""
+
+MOST = 6
+"""Numbers that are drawn at once: more is not read, and costs the browser."""
+
+RANGES = {30: "30 s", 60: "1 min", 120: "2 min", 300: "5 min", 600: "10 min"}
+"""Seconds that a chart shows, and what that is called."""
+
+_MOST_POINTS = 600  # of a line: more than pixels are not seen
+
+_UNITS = (
+    ("_m_s2", "m/s²"),
+    ("_deg_s", "°/s"),
+    ("_rad_s", "rad/s"),
+    ("_m_s", "m/s"),
+    ("_per_s", "1/s"),
+    ("_percent", "%"),
+    ("_deg", "°"),
+    ("_rad", "rad"),
+    ("_ms", "ms"),
+    ("_hz", "Hz"),
+    ("_m", "m"),
+)
+
+_TOP, _HEIGHT, _GAP = 28, 88, 40  # of each line's own stripe, in pixels
+_COLOURS = ("#1e88e5", "#e53935", "#43a047", "#fb8c00", "#8e24aa", "#00897b")
+
+
+def unit(name: str) -> str:
+    """The unit of a column; empty when it has none."""
+    if name.endswith(".percent"):
+        return "%"
+    return next((told for end, told in _UNITS if name.endswith(end)), "")
+
+
+def label(name: str) -> str:
+    """A column for people: ``position: height, m``."""
+    item, _, field = name.partition(".")
+    told = unit(name)
+    for end, _unit in _UNITS:
+        if field.endswith(end):
+            field = field.removesuffix(end)
+            break
+    words = f"{item.replace('_', ' ')}: {field.replace('_', ' ')}"
+    return f"{words}, {told}" if told else words
+
+
+def step(seconds: float) -> int:
+    """Every how many rows of the history is drawn, so that a line has not too many points."""
+    return max(1, math.ceil(seconds / INTERVAL / _MOST_POINTS))
+
+
+def known(names: Iterable[str]) -> list[str]:
+    """Those of the names that can be drawn, each once, at most :data:`MOST`."""
+    return [name for name in dict.fromkeys(names) if name in COLUMNS][:MOST]
+
+
+def points(rows: Sequence[tuple[float, ...]]) -> list[list[float | None]]:
+    """Rows as the page takes them: milliseconds since 1970, None where there is no value."""
+    return [
+        [round(1000.0 * utc), *(None if math.isnan(v) else float(f"{v:.6g}") for v in values)]
+        for utc, *values in rows
+    ]
+
+
+def chart(names: Sequence[str]) -> dict[str, Any]:
+    """The options of an ECharts chart: a stripe for each number, one time and one cursor for all.
+
+    Its points come later, by ``static/plots.js``: only what is new goes to the page.
+    """
+    stripes = range(len(names))
+    return {
+        "animation": False,
+        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
+        "tooltip": {"trigger": "axis", "axisPointer": {"type": "cross"}},
+        "dataZoom": [{"type": "inside", "xAxisIndex": list(stripes), "filterMode": "none"}],
+        "grid": [
+            {"left": 62, "right": 14, "top": _TOP + n * (_HEIGHT + _GAP), "height": _HEIGHT}
+            for n in stripes
+        ],
+        "xAxis": [
+            {"type": "time", "gridIndex": n, "axisLabel": {"show": n == len(names) - 1}}
+            for n in stripes
+        ],
+        "yAxis": [
+            {
+                "type": "value",
+                "gridIndex": n,
+                "scale": True,
+                "name": label(name),
+                "nameGap": 12,
+                "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -54]},
+                "splitNumber": 3,
+            }
+            for n, name in enumerate(names)
+        ],
+        "series": [
+            {
+                "type": "line",
+                "name": label(name),
+                "xAxisIndex": n,
+                "yAxisIndex": n,
+                "showSymbol": False,
+                "connectNulls": False,
+                "lineStyle": {"width": 1.5},
+                "color": _COLOURS[n % len(_COLOURS)],
+                "data": [],
+            }
+            for n, name in enumerate(names)
+        ],
+    }
+
+
+def height(names: Sequence[str]) -> int:
+    """Pixels that a chart of so many stripes needs."""
+    return _TOP + max(1, len(names)) * (_HEIGHT + _GAP) + 10

@@ -1,0 +1,71 @@
+"""Plots: names for people, and what goes to the page."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+
+import pytest
+
+from m100link.station.console.history import COLUMNS, INTERVAL
+from m100link.station.console.view.plots import (
+    FIRST_CHOICE,
+    MOST,
+    RANGES,
+    chart,
+    height,
+    known,
+    label,
+    points,
+    step,
+    unit,
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("position.height_m", "position: height, m"),
+        ("velocity.ground_speed_m_s", "velocity: ground speed, m/s"),
+        ("angular_velocity.yaw_rate_deg_s", "angular velocity: yaw rate, °/s"),
+        ("battery.percent", "battery: percent, %"),
+        ("flight_status.status", "flight status: status"),
+        ("link.round_trip_ms", "link: round trip, ms"),
+        ("link.packages_per_s", "link: packages, 1/s"),
+    ],
+)
+def test_a_number_is_called_by_what_it_is_and_its_unit(name: str, shown: str) -> None:
+    assert label(name) == shown
+
+
+def test_every_number_with_a_unit_in_its_name_shows_it() -> None:
+    endings = ("_m", "_deg", "_s", "_ms", "_rad", "_hz", "_s2", "percent")
+    assert [name for name in COLUMNS if name.endswith(endings) and not unit(name)] == []
+
+
+def test_only_what_there_is_can_be_drawn_each_once_and_not_too_much() -> None:
+    assert known(["battery.percent", "nonsense", "battery.percent"]) == ["battery.percent"]
+    assert len(known(COLUMNS)) == MOST
+    assert known(FIRST_CHOICE) == list(FIRST_CHOICE)
+
+
+def test_no_value_is_null_for_the_page_and_not_a_number() -> None:
+    made = points([(1.5, 2.0, math.nan)])
+    assert made == [[1500, 2.0, None]]
+    assert json.loads(json.dumps(made, allow_nan=False)) == [[1500, 2.0, None]]
+
+
+@pytest.mark.parametrize("count", [0, 1, MOST])
+def test_each_number_has_a_stripe_of_its_own_and_one_cursor_reads_all(count: int) -> None:
+    options = chart(COLUMNS[:count])
+    assert len(options["grid"]) == len(options["series"]) == len(options["yAxis"]) == count
+    assert options["axisPointer"]["link"] == [{"xAxisIndex": "all"}]
+    tops = [grid["top"] for grid in options["grid"]]
+    assert all(after - before > 88 for before, after in pairwise(tops))
+    assert not tops or tops[-1] + 88 <= height(COLUMNS[:count])
+
+
+@pytest.mark.parametrize("seconds", RANGES)
+def test_a_line_has_no_more_points_than_are_seen(seconds: int) -> None:
+    assert seconds / INTERVAL / step(seconds) <= 600
