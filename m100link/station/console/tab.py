@@ -25,6 +25,8 @@ from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
+from m100link.station.config import ONLY_NAME
+from m100link.station.console.kept import KeptLeases
 from m100link.station.way_time import MAX_LATE, MAX_ROUND_TRIP, MAX_UNHEARD, WayTime
 
 __all__ = ["BEAT_LIFETIME", "Tab"]
@@ -42,8 +44,12 @@ class Tab:
     Args:
         agent: The agent that owns the aircraft.
         name: Who it is, for the banner.
+        aircraft: What the aircraft is called.
 
     Attributes:
+        agent: As given.
+        aircraft: As given.
+        kept: Control of other aircraft, kept as long as this tab is heard.
         name: As given; the operator may change it.
         lease: Its lease, in force or not.
         problem: What was refused last, for people.
@@ -55,8 +61,10 @@ class Tab:
         loss: Who or what took authority while the tab had the lease; None when it is held again.
     """
 
-    def __init__(self, agent: AgentClient, name: str) -> None:
-        self._agent = agent
+    def __init__(self, agent: AgentClient, name: str, aircraft: str = ONLY_NAME) -> None:
+        self._agent = self.agent = agent
+        self.aircraft = aircraft
+        self.kept = KeptLeases()
         self.name = name
         self.lease: Lease | None = None
         self.problem = ""
@@ -182,6 +190,7 @@ class Tab:
             return None
         self._last_number = number
         now = self._agent.now
+        self.kept.renew(now)
         late = self._way.late(message["at"] / 1000.0, now)
         held = message.get("held", math.inf) / 1000.0
         if "told" in message:
@@ -263,6 +272,7 @@ class Tab:
         """The socket is gone: stop, and let others have control."""
         self._way = WayTime()  # the next one may take another way
         self.let_go()
+        self.kept.let_go()
 
     def close(self) -> None:
         """The tab is gone for good."""

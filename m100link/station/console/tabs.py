@@ -5,19 +5,28 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass
+from urllib.parse import urlencode
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from m100link.agent.client import AgentClient
+from m100link.station.console.kept import RENEWAL, KeptLeases
 from m100link.station.console.tab import Tab
-from m100link.station.console.view.instruments import live
+from m100link.station.console.view.instruments import live, seen_from_afar
 from m100link.station.web.places import who_makes_room
 
 __all__ = ["LIVE_INTERVAL", "PLACES", "Tabs"]
 
 LIVE_INTERVAL = 0.05
 """Seconds between two updates of the instruments."""
+
+OTHERS_INTERVAL = 0.5
+"""Seconds between two places of the aircraft that the page does not show."""
+
+MOVE_PATIENCE = 5.0
+"""Seconds for which control goes along to the page of another aircraft; then it is given back."""
 
 PLACES = 32
 """Tabs that may have a socket."""
@@ -46,26 +55,88 @@ class _Place:
     subscribes: bool = True
 
 
+@dataclass(slots=True)
+class _Move:
+    """An operator between the pages of two aircraft.
+
+    Attributes:
+        name: Who it is.
+        kept: Control that goes along.
+    """
+
+    name: str
+    kept: KeptLeases
+
+
 class Tabs:
     """The tabs that are open, by the secret part of their socket's address.
 
     Args:
-        agent: The agent that owns the aircraft.
+        agents: The agent that owns an aircraft, by its name.
     """
 
-    def __init__(self, agent: AgentClient) -> None:
-        self._agent = agent
+    def __init__(self, agents: Mapping[str, AgentClient]) -> None:
+        self.agents = agents
+        self._agent = next(iter(agents.values()))  # the clock of all of them
         self._count = 0
+        self._moves: dict[str, _Move] = {}  # by their codes
         self.tabs: dict[str, Tab] = {}
         self._places: dict[str, _Place] = {}
 
-    def open(self) -> tuple[str, Tab]:
-        """A new tab."""
+    def open(self, aircraft: str = "", moved: str = "") -> tuple[str, Tab]:
+        """A new tab.
+
+        Args:
+            aircraft: Name of the aircraft that it shows; the first when there is none of that name.
+            moved: The code that :meth:`move` gave: whoever had control keeps it.
+        """
+        if aircraft not in self.agents:
+            aircraft = next(iter(self.agents))
         self._count += 1
         key = secrets.token_urlsafe(16)
-        tab = Tab(self._agent, f"console {self._count}")
+        tab = Tab(self.agents[aircraft], f"console {self._count}", aircraft)
+        move = self._moves.pop(moved, None)
+        if move is not None:
+            tab.name, tab.kept = move.name, move.kept
+            tab.lease = tab.kept.take(aircraft)
+            if tab.lease is not None:
+                tab.agent.keep(tab.lease)
         self.tabs[key] = tab
         return key, tab
+
+    def move(self, tab: Tab, to: str) -> str:
+        """The operator of a tab turns to another aircraft; returns the address of its page.
+
+        What was steered here stops and hovers, now and not when the page has gone. A mission or a
+        task that the aircraft flies by itself goes on. Control of this aircraft is kept, if there
+        was any, and given back when the other page is not there within :data:`MOVE_PATIENCE`.
+        """
+        kept, tab.kept = tab.kept, KeptLeases()
+        lease, agent = tab.lease, tab.agent
+        if lease is not None and agent.holds(lease):
+            flies = agent.state.task or agent.state.mission not in ("", "no mission")
+            if not flies:
+                agent.halt(f"{tab.name} turned to {to}")
+            agent.note(
+                f"{tab.name} turned to {to} and keeps control: "
+                + ("what this aircraft flies by itself goes on" if flies else "it hovers")
+            )
+            kept.add(tab.aircraft, agent, lease)
+            tab.lease = None
+        code = secrets.token_urlsafe(16)
+        self._moves[code] = _Move(tab.name, kept)
+        self._agent.background.spawn(self._keep_until_opened(code), "move")
+        return f"/?{urlencode({'aircraft': to, 'moved': code})}"
+
+    async def _keep_until_opened(self, code: str) -> None:
+        until = self._agent.now + MOVE_PATIENCE
+        while (move := self._moves.get(code)) is not None:
+            if self._agent.now >= until:
+                del self._moves[code]
+                move.kept.let_go()
+                return
+            move.kept.renew(self._agent.now)
+            await asyncio.sleep(RENEWAL)
 
     def close(self, key: str) -> None:
         """A tab is gone for good."""
@@ -110,7 +181,7 @@ class Tabs:
     async def _talk(self, websocket: WebSocket, place: _Place) -> None:
         works = [
             asyncio.create_task(self._read(websocket, place)),
-            asyncio.create_task(self._write(websocket)),
+            asyncio.create_task(self._write(websocket, place.tab)),
             asyncio.create_task(place.leaving.wait()),
         ]
         try:
@@ -130,17 +201,27 @@ class Tabs:
                 return
             place.heard_at, place.has_spoken = self._agent.now, True
             answer = place.tab.receive(message.get("text") or message.get("bytes") or "")
-            if answer is not None and self._is_up_to_date():
+            if answer is not None and _is_up_to_date(place.tab.agent):
                 await websocket.send_json(answer)
             await asyncio.sleep(0)
 
-    async def _write(self, websocket: WebSocket) -> None:
+    async def _write(self, websocket: WebSocket, tab: Tab) -> None:
+        agent = tab.agent
+        others = {name: one for name, one in self.agents.items() if name != tab.aircraft}
+        others_at = agent.now
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                if self._is_up_to_date():
-                    await websocket.send_json(live(self._agent.telemetry, self._agent.now))
+                if _is_up_to_date(agent):
+                    message = live(agent.telemetry, agent.now)
+                    if others and agent.now >= others_at:
+                        others_at = agent.now + OTHERS_INTERVAL
+                        message["others"] = [
+                            seen_from_afar(name, one.telemetry) for name, one in others.items()
+                        ]
+                    await websocket.send_json(message)
                 await asyncio.sleep(LIVE_INTERVAL)
 
-    def _is_up_to_date(self) -> bool:
-        """Whether the agent is heard. A page that hears nothing shows everything as old."""
-        return not self._agent.is_gone and not self._agent.is_silent
+
+def _is_up_to_date(agent: AgentClient) -> bool:
+    """Whether the agent is heard. A page that hears nothing shows everything as old."""
+    return not agent.is_gone and not agent.is_silent

@@ -66,7 +66,7 @@ def places(monkeypatch: pytest.MonkeyPatch) -> int:
 
 
 async def test_a_tab_gets_instruments_until_it_leaves(rig: Rig) -> None:
-    tabs = Tabs(rig.front)
+    tabs = Tabs({"m100": rig.front})
     page = Page(rig, tabs)
     await anyio.sleep(0.5)
     told = [message for message in page.sent if message["type"] == "websocket.send"]
@@ -79,7 +79,7 @@ async def test_a_tab_gets_instruments_until_it_leaves(rig: Rig) -> None:
 
 
 async def test_a_socket_is_for_a_tab_that_was_opened_and_for_one_at_a_time(rig: Rig) -> None:
-    tabs = Tabs(rig.front)
+    tabs = Tabs({"m100": rig.front})
     page = Page(rig, tabs)
     await anyio.sleep(0.1)
     for other in (Page(rig, tabs, key=page.key), Page(rig, tabs, key="guessed")):
@@ -89,7 +89,7 @@ async def test_a_socket_is_for_a_tab_that_was_opened_and_for_one_at_a_time(rig: 
 
 
 async def test_who_never_said_anything_makes_room(rig: Rig, places: int) -> None:
-    tabs = Tabs(rig.front)
+    tabs = Tabs({"m100": rig.front})
     pages = [Page(rig, tabs) for _ in range(places)]
     await anyio.sleep(0.1)
     for page in pages[1:]:
@@ -103,7 +103,7 @@ async def test_who_never_said_anything_makes_room(rig: Rig, places: int) -> None
 
 
 async def test_tabs_that_are_alive_are_not_turned_out(rig: Rig, places: int) -> None:
-    tabs = Tabs(rig.front)
+    tabs = Tabs({"m100": rig.front})
     pages = [Page(rig, tabs, peer=f"10.0.0.{number}") for number in range(places)]
     await anyio.sleep(0.1)
     for _ in range(30):
@@ -117,7 +117,7 @@ async def test_tabs_that_are_alive_are_not_turned_out(rig: Rig, places: int) -> 
 
 
 async def test_whoever_steers_needs_no_place_and_loses_none(rig: Rig, places: int) -> None:
-    tabs = Tabs(rig.front)
+    tabs = Tabs({"m100": rig.front})
     pages = [Page(rig, tabs) for _ in range(places)]
     await anyio.sleep(0.1)
     pilot = pages[0]

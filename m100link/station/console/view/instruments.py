@@ -21,7 +21,16 @@ from m100link.protocol.records import (
 from m100link.station.console.view.inputs import Inputs
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["FIELDS", "Field", "Instruments", "Reading", "instruments_of", "live", "read"]
+__all__ = [
+    "FIELDS",
+    "Field",
+    "Instruments",
+    "Reading",
+    "instruments_of",
+    "live",
+    "read",
+    "seen_from_afar",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,4 +180,20 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     if rc is not None:
         message["rc"] = [rc.roll, rc.pitch, rc.yaw, rc.throttle]
     message["rate"] = round(state.statistics(Attitude).rate_hz or 0.0, 1)
+    return message
+
+
+def seen_from_afar(name: str, state: AircraftState | None) -> dict[str, Any]:
+    """What the map draws of an aircraft that the page does not show; no place when it is old."""
+    message: dict[str, Any] = {"name": name}
+    position = state.fresh(Position, within=1.0) if state is not None else None
+    attitude = state.fresh(Attitude, within=1.0) if state is not None else None
+    if position is not None and position.is_possible:
+        message["pos"] = [
+            round(position.latitude_deg, 7),
+            round(position.longitude_deg, 7),
+            round(position.height_m, 1),
+        ]
+    if attitude is not None:
+        message["yaw"] = round(attitude.yaw_deg)
     return message
