@@ -242,6 +242,10 @@ TESTED_ELSEWHERE = {
         "station/console/view/test_words.py",
         "one catalogue, tested as a whole",
     ),
+    "station/console/view/catalogue/fleet.py": (
+        "station/console/view/test_words.py",
+        "one catalogue, tested as a whole",
+    ),
     "station/console/view/catalogue/status.py": (
         "station/console/view/test_words.py",
         "one catalogue, tested as a whole",
@@ -256,6 +260,7 @@ TESTED_ELSEWHERE = {
         "what a view is made of",
     ),
     "station/child.py": ("station/test_apart.py", "a process is seen in what it starts"),
+    "station/console/installable.py": ("browser/test_console.py", "a browser decides"),
     "station/front.py": ("station/test_apart.py", "a process of its own"),
     "station/fronts.py": ("station/test_apart.py", "it starts and ends processes"),
     "station/launch.py": ("station/test_config.py", "launch files are one source of the settings"),

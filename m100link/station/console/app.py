@@ -15,8 +15,12 @@ from starlette.routing import WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from m100link.errors import UsageError
+from m100link.station.console import installable
+from m100link.station.console.history import History
 from m100link.station.console.orders import Orders
 from m100link.station.console.page import Page
+from m100link.station.console.parts.buttons import Buttons
+from m100link.station.console.parts.part import Deck
 from m100link.station.console.tabs import Tabs
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import Gate
@@ -50,19 +54,31 @@ def console_app(
         UsageError: The folder with tiles does not exist.
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    name, agent = next(iter(agents.items()))
-    tabs = Tabs(agent)
+    tabs = Tabs(agents)
+    histories = {name: History() for name in agents}
+    for name, agent in agents.items():
+        agent.background.spawn(histories[name].keep(agent), "history")
     app.router.routes.append(WebSocketRoute("/steer/{key}", tabs.serve))
+    app.router.routes.extend(installable.routes())
     app.mount("/console", StaticFiles(directory=STATIC))
     if settings.tiles is not None:
         if not settings.tiles.is_dir():
             raise UsageError(f"{settings.tiles} is not a folder")
         app.mount("/tiles", PublicFiles(directory=settings.tiles))
 
-    def page(client: Client) -> None:
-        key, tab = tabs.open()
+    def page(client: Client, aircraft: str = "", moved: str = "") -> None:
+        key, tab = tabs.open(aircraft, moved)
         client.on_delete(lambda: tabs.close(key))
-        Page(agent, tab, orders.get(name), has_tiles=settings.tiles is not None).build(key)
+        deck = Deck(
+            tab.agent,
+            tab,
+            orders.get(tab.aircraft),
+            Buttons(tab.agent, tab),
+            settings.tiles is not None,
+            histories[tab.aircraft],
+            tabs,
+        )
+        Page(deck).build(key)
 
     ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
     ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)

@@ -12,10 +12,8 @@ from functools import partial
 
 from nicegui import ui
 
-from m100link.agent.client import AgentClient
-from m100link.station.console.orders import Orders
+from m100link.station.console import installable
 from m100link.station.console.parts.alarms import AlarmsPart
-from m100link.station.console.parts.buttons import Buttons
 from m100link.station.console.parts.checklist import ChecklistPart
 from m100link.station.console.parts.events import EventsPart
 from m100link.station.console.parts.fleet import FleetPart
@@ -27,8 +25,7 @@ from m100link.station.console.parts.plan import PlanPart
 from m100link.station.console.parts.plots import PlotsPart
 from m100link.station.console.parts.settings import SettingsPart
 from m100link.station.console.parts.telemetry import TelemetryPart
-from m100link.station.console.tab import Tab
-from m100link.station.console.view.inputs import Inputs
+from m100link.station.console.view.inputs import Inputs, Ship
 from m100link.station.console.view.view import View, view_of
 
 __all__ = ["VIEWS", "Page"]
@@ -41,7 +38,7 @@ VIEWS: dict[str, tuple[str, str, tuple[Callable[[Deck], Part], ...]]] = {
     "check": ("Check", "checklist", (ChecklistPart,)),
     "data": ("Data", "show_chart", (PlotsPart, TelemetryPart, LinkPart)),
     "events": ("Events", "list", (EventsPart,)),
-    "settings": ("Settings", "settings", (FleetPart, SettingsPart)),
+    "settings": ("Settings", "settings", (SettingsPart,)),
 }
 """By name: what stands on its tab, its icon, and its parts in their order."""
 
@@ -52,18 +49,13 @@ class Page:
     """One tab's page.
 
     Args:
-        agent: The agent that owns the aircraft.
-        tab: Who looks at it.
-        orders: What the panel does to a virtual aircraft, or None.
-        has_tiles: Whether there are map tiles.
+        deck: What its parts stand on.
     """
 
-    def __init__(
-        self, agent: AgentClient, tab: Tab, orders: Orders | None, *, has_tiles: bool
-    ) -> None:
-        self._agent, self._tab = agent, tab
-        self._deck = Deck(agent, tab, orders, Buttons(agent, tab), has_tiles)
-        self._header: tuple[Part, ...] = (AlarmsPart(self._deck),)
+    def __init__(self, deck: Deck) -> None:
+        self._agent, self._tab = deck.agent, deck.tab
+        self._deck = deck
+        self._header: tuple[Part, ...] = (FleetPart(deck), AlarmsPart(deck))
         self._map = MapPart(self._deck)
         self._sections: dict[str, ui.element] = {}
         self._parts: dict[str, list[Part]] = {}  # of the views that were built
@@ -71,7 +63,7 @@ class Page:
 
     def build(self, key: str) -> None:
         """Lay the page out and start its updates."""
-        ui.add_head_html('<link rel="stylesheet" href="/console/console.css">')
+        ui.add_head_html(f'<link rel="stylesheet" href="/console/console.css">{installable.HEAD}')
         ui.add_body_html(
             '<script type="module">'
             f'import {{start}} from "/console/shell.js"; start({json.dumps(key)});</script>'
@@ -118,6 +110,21 @@ class Page:
             self._map.update(view)
         self._deck.buttons.update(view.actions)
 
+    def _fleet(self) -> tuple[Ship, ...]:
+        tab = self._tab
+        return tuple(
+            Ship(
+                name,
+                agent.state,
+                agent.holder,
+                agent.telemetry,
+                is_heard=not agent.is_silent and not agent.is_gone,
+                is_shown=name == tab.aircraft,
+                is_ours=tab.has_lease if name == tab.aircraft else name in tab.kept,
+            )
+            for name, agent in self._deck.tabs.agents.items()
+        )
+
     def _view(self) -> View:
         agent, tab = self._agent, self._tab
         return view_of(
@@ -132,5 +139,6 @@ class Page:
                 problem=tab.problem,
                 plan=tab.plan,
                 events=tuple(agent.events),
+                fleet=self._fleet(),
             )
         )

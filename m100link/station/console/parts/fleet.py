@@ -1,15 +1,22 @@
-"""The aircraft that this station serves."""
+"""The aircraft that this station serves, when there are several."""
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
+from nicegui import ui
+
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.view.fleet import FleetRow
 from m100link.station.console.view.view import View
+from m100link.station.console.view.words import Speaker, say
 
 __all__ = ["FleetPart"]
 
 
 class FleetPart:
-    """The list of aircraft: there is one.
+    """A row of aircraft: a press turns to one, and each can be stopped without that.
 
     Args:
         deck: What it stands on.
@@ -17,9 +24,67 @@ class FleetPart:
 
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
+        self._speaker = Speaker()
+        self._rows: dict[str, _Row] = {}
 
     def build(self) -> None:
-        """Lay it out."""
+        """Lay it out; of one aircraft there is no list."""
+        agents = self._deck.tabs.agents
+        if len(agents) < 2:
+            return
+        said = self._speaker
+        with ui.element("nav").props(f'id=fleet aria-label="{said(say("fleet.label"))}"'):
+            for name in agents:
+                self._rows[name] = _Row(self._deck, name, said)
+        self._deck.load("ships.js")
 
     def update(self, view: View) -> None:
         """Show what is."""
+        for row in view.fleet:
+            if row.name in self._rows:
+                self._rows[row.name].show(row)
+
+
+class _Row:
+    def __init__(self, deck: Deck, name: str, speaker: Speaker) -> None:
+        self._deck, self._name, self._speaker = deck, name, speaker
+        self._shown: FleetRow | None = None
+        with ui.element("div").classes("ship") as self._box:
+            turn = ui.element("button").props(f'type=button data-ship="{name}"')
+            turn.props(f'title="{speaker(say("fleet.show", name=name))}"')
+            with turn:
+                ui.label(name).classes("ship-name")
+                self._control = ui.label().classes("ship-control")
+                self._flies = ui.label()
+                self._battery = ui.label()
+            self._turn: Any = turn
+            turn.on("click", self._turn_to, args=[])
+            stop = (
+                ui.element("button").classes("ship-stop").props(f'type=button data-halt="{name}"')
+            )
+            stop.props(f'aria-label="{speaker(say("fleet.stop", name=name))}"')
+            with stop:
+                ui.label("STOP")
+            stop.on("click", self._stop, args=[])
+
+    def _turn_to(self) -> None:
+        if self._name != self._deck.tab.aircraft:
+            address = self._deck.tabs.move(self._deck.tab, self._name)
+            ui.run_javascript(f"location.replace({json.dumps(address)})")
+
+    def _stop(self) -> None:
+        agent, tab = self._deck.tabs.agents[self._name], self._deck.tab
+        agent.background.spawn(tab.attempt(agent.stop), f"stop of {tab.name}")
+
+    def show(self, row: FleetRow) -> None:
+        """Show what has changed."""
+        before, self._shown = self._shown, row
+        if row == before:
+            return
+        said = self._speaker
+        self._control.set_text(said(row.control))
+        self._flies.set_text(said(row.flies))
+        self._battery.set_text(said(row.battery))
+        self._battery.classes(add="low") if row.is_low else self._battery.classes(remove="low")
+        self._turn.props(f"aria-current={'page' if row.is_shown else 'false'}")
+        self._box.classes(remove="mine theirs free lost", add=row.kind)

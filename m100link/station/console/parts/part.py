@@ -34,9 +34,11 @@ from typing import Protocol
 from nicegui import ui
 
 from m100link.agent.client import AgentClient
+from m100link.station.console.history import History
 from m100link.station.console.orders import Orders
 from m100link.station.console.parts.buttons import Buttons
 from m100link.station.console.tab import Tab
+from m100link.station.console.tabs import Tabs
 from m100link.station.console.view.view import View
 
 __all__ = ["Deck", "Part"]
@@ -62,6 +64,8 @@ class Deck:
         orders: What the panel does to a virtual aircraft, or None.
         buttons: The buttons that give orders.
         has_tiles: Whether there are map tiles under ``/tiles/{z}/{x}/{y}.png``.
+        history: The last minutes of every number.
+        tabs: Who looks at this and at other aircraft.
     """
 
     agent: AgentClient
@@ -69,6 +73,8 @@ class Deck:
     orders: Orders | None
     buttons: Buttons
     has_tiles: bool
+    history: History
+    tabs: Tabs
 
     def load(self, module: str) -> None:
         """Load ``static/<module>`` into this page, also after it was built."""

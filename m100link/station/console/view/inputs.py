@@ -8,7 +8,30 @@ from m100link.agent.messages import Event, LeaseChanged, State
 from m100link.missions.plan import WaypointPlan
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["Inputs"]
+__all__ = ["Inputs", "Ship"]
+
+
+@dataclass(frozen=True, slots=True)
+class Ship:
+    """What is known of one aircraft of the station.
+
+    Attributes:
+        name: What it is called.
+        state: Where its agent stands, as it told last.
+        holder: Who has its lease.
+        telemetry: Newest values and their ages; None while it is not connected.
+        is_heard: Whether what its agent told is news.
+        is_shown: Whether the page shows it and steers it.
+        is_ours: Whether the operator of the page has its lease.
+    """
+
+    name: str
+    state: State
+    holder: LeaseChanged
+    telemetry: AircraftState | None
+    is_heard: bool
+    is_shown: bool
+    is_ours: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +49,7 @@ class Inputs:
         problem: What was refused to that tab last.
         plan: What that tab uploaded last.
         events: What happened lately, oldest first.
+        fleet: Every aircraft of the station, this one among them.
     """
 
     now: float = 0.0
@@ -38,6 +62,7 @@ class Inputs:
     problem: str = ""
     plan: WaypointPlan | None = None
     events: tuple[Event, ...] = ()
+    fleet: tuple[Ship, ...] = ()
 
     @property
     def is_heard(self) -> bool:

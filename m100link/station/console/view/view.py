@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from m100link.agent.messages import Event
 from m100link.station.console.view.actions import actions_of
+from m100link.station.console.view.fleet import FleetRow, fleet_of
 from m100link.station.console.view.inputs import Inputs
 from m100link.station.console.view.instruments import Instruments, instruments_of
 from m100link.station.console.view.link import LinkView, link_of
@@ -30,6 +31,7 @@ class View:
         mission: The mission.
         link: The link in numbers.
         events: What happened lately, oldest first.
+        fleet: A row for each aircraft, when there are several.
     """
 
     at: float
@@ -39,6 +41,7 @@ class View:
     mission: MissionView
     link: LinkView
     events: tuple[Event, ...]
+    fleet: tuple[FleetRow, ...]
 
 
 def view_of(inputs: Inputs) -> View:
@@ -51,4 +54,5 @@ def view_of(inputs: Inputs) -> View:
         mission=mission_of(inputs),
         link=link_of(inputs),
         events=inputs.events,
+        fleet=fleet_of(inputs.fleet),
     )
