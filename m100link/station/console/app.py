@@ -19,8 +19,6 @@ from m100link.station.console import installable
 from m100link.station.console.history import History
 from m100link.station.console.orders import Orders
 from m100link.station.console.page import Page
-from m100link.station.console.parts.buttons import Buttons
-from m100link.station.console.parts.part import Deck
 from m100link.station.console.tabs import Tabs
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import Gate
@@ -69,16 +67,14 @@ def console_app(
     def page(client: Client, aircraft: str = "", moved: str = "") -> None:
         key, tab = tabs.open(aircraft, moved)
         client.on_delete(lambda: tabs.close(key))
-        deck = Deck(
+        Page(
             tab.agent,
             tab,
             orders.get(tab.aircraft),
-            Buttons(tab.agent, tab),
-            settings.tiles is not None,
-            histories[tab.aircraft],
-            tabs,
-        )
-        Page(deck).build(key)
+            has_tiles=settings.tiles is not None,
+            history=histories[tab.aircraft],
+            tabs=tabs,
+        ).build(key)
 
     ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
     ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)

@@ -12,8 +12,12 @@ from functools import partial
 
 from nicegui import ui
 
+from m100link.agent.client import AgentClient
 from m100link.station.console import installable
+from m100link.station.console.history import History
+from m100link.station.console.orders import Orders
 from m100link.station.console.parts.alarms import AlarmsPart
+from m100link.station.console.parts.buttons import Buttons
 from m100link.station.console.parts.checklist import ChecklistPart
 from m100link.station.console.parts.events import EventsPart
 from m100link.station.console.parts.fleet import FleetPart
@@ -25,6 +29,8 @@ from m100link.station.console.parts.plan import PlanPart
 from m100link.station.console.parts.plots import PlotsPart
 from m100link.station.console.parts.settings import SettingsPart
 from m100link.station.console.parts.telemetry import TelemetryPart
+from m100link.station.console.tab import Tab
+from m100link.station.console.tabs import Tabs
 from m100link.station.console.view.inputs import Inputs, Ship
 from m100link.station.console.view.view import View, view_of
 
@@ -49,13 +55,27 @@ class Page:
     """One tab's page.
 
     Args:
-        deck: What its parts stand on.
+        agent: The agent that owns the aircraft.
+        tab: Who looks at it.
+        orders: What the panel does to a virtual aircraft, or None.
+        has_tiles: Whether there are map tiles.
+        history: The last minutes of every number.
+        tabs: Who looks at this and at other aircraft.
     """
 
-    def __init__(self, deck: Deck) -> None:
-        self._agent, self._tab = deck.agent, deck.tab
-        self._deck = deck
-        self._header: tuple[Part, ...] = (FleetPart(deck), AlarmsPart(deck))
+    def __init__(
+        self,
+        agent: AgentClient,
+        tab: Tab,
+        orders: Orders | None,
+        *,
+        has_tiles: bool,
+        history: History,
+        tabs: Tabs,
+    ) -> None:
+        self._agent, self._tab = agent, tab
+        self._deck = Deck(agent, tab, orders, Buttons(agent, tab), has_tiles, history, tabs)
+        self._header: tuple[Part, ...] = (FleetPart(self._deck), AlarmsPart(self._deck))
         self._map = MapPart(self._deck)
         self._sections: dict[str, ui.element] = {}
         self._parts: dict[str, list[Part]] = {}  # of the views that were built
