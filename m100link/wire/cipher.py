@@ -7,6 +7,7 @@ recommendation: equal blocks encrypt equally and nothing authenticates a frame.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NoReturn
 
 from m100link.errors import BadKey
@@ -103,9 +104,12 @@ class Cipher:
         random_padding: Fill the padding with random bytes (as good as any: receivers ignore it,
             and it keeps equal commands from looking equal). Off, padding is zero, as in the
             golden vectors.
+
+    Attributes:
+        decrypt_blocks: Decrypts whole blocks, all that DJI's senders send.
     """
 
-    __slots__ = ("_decryptor", "_encryptor", "_key", "_random_padding")
+    __slots__ = ("_encryptor", "_key", "_random_padding", "decrypt_blocks")
 
     def __init__(self, key: bytes | str | Key, *, random_padding: bool = False) -> None:
         # Loaded here because most links start plain and the import costs more than all the rest.
@@ -116,7 +120,7 @@ class Cipher:
         self._random_padding = random_padding
         block_cipher = BlockCipher(algorithms.AES(self._key.reveal()), modes.ECB())
         self._encryptor: CipherContext = block_cipher.encryptor()
-        self._decryptor: CipherContext = block_cipher.decryptor()
+        self.decrypt_blocks: Callable[[bytes], bytes] = block_cipher.decryptor().update
 
     @property
     def key(self) -> Key:
@@ -133,8 +137,8 @@ class Cipher:
         """Decrypt whole blocks; a shorter tail is left as it is, like DJI's codec does."""
         tail = len(data) % BLOCK_SIZE
         if tail:
-            return self._decryptor.update(data[:-tail]) + data[-tail:]
-        return self._decryptor.update(data)
+            return self.decrypt_blocks(data[:-tail]) + data[-tail:]
+        return self.decrypt_blocks(data)
 
     def __repr__(self) -> str:
         return f"Cipher({self._key!r})"

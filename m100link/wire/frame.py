@@ -179,7 +179,7 @@ def _check_kind(size: int, session: int, is_ack: bool, padding: int) -> _Kind:
 # bytes and the payload (nothing, a key: NO_KEY, or padding that cannot be: PADDING), and which part
 # of decrypted data is no padding.
 # Plain tuples: the interpreter takes those apart several times as fast as named ones.
-_Header = tuple[int, int, int, bool, bool, int, Discard | None, int]
+_Header = tuple[int, int, int, bool, bool, int, Discard | None, slice]
 
 
 def _parse_word(word: int, crc16: int) -> _Header:
@@ -193,7 +193,7 @@ def _parse_word(word: int, crc16: int) -> _Header:
         obstacle = _PADDING
     elif encrypted and size:
         obstacle = _NO_KEY  # padding alone means nothing, DJI's codec ignores it too
-    clear = size - padding
+    clear = slice(size - padding)
     session, is_ack = word >> 24 & 0x1F, word >> 29 & 1 != 0
     return crc16, length, session, is_ack, encrypted, padding, obstacle, clear
 
@@ -275,7 +275,9 @@ class FrameDecoder:
             cipher = self.cipher
             if cipher is None or obstacle is _PADDING:
                 return self._search(data, [])
-            payload = cipher.decrypt(payload)[:clear]
+            # Whole blocks, which all senders send, without a call in between.
+            decrypt = cipher.decrypt if length % BLOCK_SIZE else cipher.decrypt_blocks
+            payload = decrypt(payload)[clear]
         self.frames += 1
         self._delivered += length
         # Frame(…) would go through a constructor in Python, at twice the cost.
@@ -340,7 +342,7 @@ class FrameDecoder:
                     else:
                         position = self._reject(obstacle, data, position)
                     continue
-                payload = cipher.decrypt(payload)[:clear]
+                payload = cipher.decrypt(payload)[clear]
             frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
             found += 1
             delivered += length
