@@ -71,13 +71,20 @@ def known() -> dict[str, Callable[[random.Random], Iterator[bytes]]]:
             frame = encode_frame(bytes(size), session=session, sequence=dice.randrange(65536))
             yield frame[:12] + bytes([START] * dice.choice(between))
 
-    def empty_frames(dice: random.Random) -> Iterator[bytes]:
-        """More kinds than a decoder remembers, each good, start bytes between."""
+    def empty_frames(dice: random.Random, padded: int = 32) -> Iterator[bytes]:
+        """Header after header, start bytes between; what says that it is padded is no frame."""
         while True:
-            header = bytes([START, 12, 0, dice.randrange(64), dice.randrange(256), 0, 0, 0])
-            header += bytes([START, START])
+            padding = dice.randrange(8) << 5 | dice.randrange(padded)
+            header = bytes([START, 12, 0, dice.randrange(64), padding, 0, 0, 0, START, START])
             between = bytes([START] * dice.randrange(4))
             yield header + crc16(header).to_bytes(2, "little") + between
+
+    def short_frames(dice: random.Random) -> Iterator[bytes]:
+        """Good frames of many kinds, start bytes in them and between."""
+        while True:
+            size, session = dice.randrange(1, 12), dice.randrange(32)
+            made = encode_frame(bytes([START] * size), session=session, sequence=0xAAAA)
+            yield made + bytes([START] * dice.randrange(4))
 
     def start_bytes_and_zeros(dice: random.Random) -> Iterator[bytes]:
         while True:
@@ -95,6 +102,8 @@ def known() -> dict[str, Callable[[random.Random], Iterator[bytes]]]:
         "good headers, all different": different_headers,
         "good headers, start bytes between": partial(different_headers, between=(1, 4, 11)),
         "empty frames, all different, start bytes between": empty_frames,
+        "empty frames, all good, start bytes between": partial(empty_frames, padded=1),
+        "short frames, start bytes between": short_frames,
         "good headers that overlap": repeated(overlapping(40)),
         "headers of another version, one for 3 bytes": partial(other_versions, gap=3),
         "headers of another version, one for 4 bytes": partial(other_versions, gap=4),

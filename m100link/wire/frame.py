@@ -52,25 +52,36 @@ _unpack_header = Struct("<QHH").unpack_from  # word (the first eight bytes), seq
 _pack_crc32 = Struct("<I").pack
 _unpack_word = Struct("<Q").unpack_from
 _RESERVED = 0xFFFFFF00_C0000000  # bits of the word
-_FAULTS = 0xFFFFFF00_C0FC00FF  # these, the version, and the start byte: all that says SOF only
+# These, the version, padding, more than 63 bytes, and the start byte: a short frame says SOF only.
+_NOT_SIMPLE = 0xFFFFFF1F_C0FFC0FF
+_PADS = 0x1F_00000000
 _PAYLOAD = slice(HEADER_SIZE, -CRC32_SIZE)
 _new = tuple.__new__
+
+_USUAL_READ = 4096  # bytes: the most that a terminal gives at once
+_Unpack = Callable[[bytes], tuple[Any, ...]]
 
 
 def _unpack_first(data: bytes) -> tuple[int, int, int, bytes]:
     """What :data:`_unpack_whole` has for a size until bytes of that size come."""
-    size = len(data)
-    if size < HEADER_SIZE:
-        raise LookupError("too few bytes for a header")
-    payload = max(0, size - OVERHEAD)
-    unpack: Callable[[bytes], tuple[Any, ...]]
-    unpack = Struct(f"<QHH{payload}s{size - HEADER_SIZE - payload}x").unpack
-    _unpack_whole[size] = unpack
+    payload = max(0, len(data) - OVERHEAD)
+    behind = len(data) - HEADER_SIZE - payload
+    unpack: _Unpack = Struct(f"<QHH{payload}s{behind}x").unpack
+    _unpack_whole[len(data)] = unpack
     return unpack(data)
 
 
-# By the size of a frame: what takes it apart in one call, into word, sequence, CRC16 and payload.
-_unpack_whole: list[Callable[[bytes], tuple[Any, ...]]] = [_unpack_first] * (MAX_FRAME_SIZE + 1)
+def _unpack_nothing(_: bytes) -> tuple[int, int, int, bytes]:
+    """The same for bytes that are no frame, too few or too many: a word that no header has."""
+    return 0, 0, 0, b""
+
+
+# By the size of what may be a frame: what takes it apart in one call, into word, sequence, CRC16
+# and payload. It reaches beyond the longest frame, as an exception costs more than a frame.
+_unpack_whole: list[_Unpack] = [
+    _unpack_first if HEADER_SIZE <= size <= MAX_FRAME_SIZE else _unpack_nothing
+    for size in range(MAX_FRAME_SIZE + _USUAL_READ)
+]
 
 
 class Frame(NamedTuple):
@@ -106,8 +117,13 @@ class Discard(StrEnum):
     TRUNCATED = "truncated"
 
 
-# Python 3.11 calls a function for a member that is taken from its class, so they are taken once.
-_HEADER_CRC, _FRAME_CRC, _LENGTH, _RESERVED_BITS, _VERSION, _PADDING, _NO_KEY, _TRUNCATED = Discard
+# Their places in a list of counters: a dictionary calls a function for the hash of each member.
+_CAUSES = tuple(Discard)
+_HEADER_CRC, _FRAME_CRC, _LENGTH, _RESERVED_BITS = range(4)
+_VERSION, _PADDING, _NO_KEY, _TRUNCATED = range(4, len(_CAUSES))
+
+# Start bytes among so many bytes up to which one checksum each is cheaper than a hunt.
+_FEW, _NEAR = 4, 11
 
 _CACHE_LIMIT = 4096  # kinds of headers that are remembered, in each direction
 
@@ -174,12 +190,11 @@ def _check_kind(size: int, session: int, is_ack: bool, padding: int) -> _Kind:
     return kind
 
 
-# What a header says but for its sequence number, remembered so that repeats cost one lookup: its
-# CRC16 with sequence number 0, length, session, is_ack, encrypted, padding, what stands between the
-# bytes and the payload (nothing, a key: NO_KEY, or padding that cannot be: PADDING), and which part
-# of decrypted data is no padding.
+# What a header without a fault says but for its sequence number, remembered so that repeats cost
+# one lookup: its CRC16 with sequence number 0, length, session, is_ack, encrypted, padding, whether
+# a key stands between the bytes and the payload, and which part of decrypted data is no padding.
 # Plain tuples: the interpreter takes those apart several times as fast as named ones.
-_Header = tuple[int, int, int, bool, bool, int, Discard | None, slice]
+_Header = tuple[int, int, int, bool, bool, int, bool, slice]
 
 
 def _parse_word(word: int, crc16: int) -> _Header:
@@ -187,15 +202,17 @@ def _parse_word(word: int, crc16: int) -> _Header:
     length = word >> 8 & 0x3FF
     padding = word >> 32 & 0x1F
     encrypted = word >> 37 & 0x07 != 0  # DJI's codec takes any value but 0 for AES
-    size = length - OVERHEAD if length > OVERHEAD else 0
-    obstacle: Discard | None = None
-    if padding > size or padding > BLOCK_SIZE:
-        obstacle = _PADDING
-    elif encrypted and size:
-        obstacle = _NO_KEY  # padding alone means nothing, DJI's codec ignores it too
-    clear = slice(size - padding)
+    is_secret = encrypted and length > OVERHEAD
+    # Padding alone means nothing, DJI's codec ignores it too.
+    clear = slice(length - OVERHEAD - padding if is_secret else None)
     session, is_ack = word >> 24 & 0x1F, word >> 29 & 1 != 0
-    return crc16, length, session, is_ack, encrypted, padding, obstacle, clear
+    return crc16, length, session, is_ack, encrypted, padding, is_secret, clear
+
+
+def _cannot_pad(word: int, length: int) -> bool:
+    """Whether a header says that there is more padding than data, or than a block."""
+    padding = word >> 32 & 0x1F
+    return padding > 0 and (padding > BLOCK_SIZE or padding > length - OVERHEAD)
 
 
 class FrameDecoder:
@@ -213,26 +230,25 @@ class FrameDecoder:
 
     Attributes:
         cipher: May be set or replaced at any time; it applies to frames completed afterwards.
-        discards: Count per :class:`Discard`.
         discarded_bytes: Bytes that were part of no delivered frame.
         frames: Frames delivered.
     """
 
     __slots__ = (
         "_delivered",
+        "_discards",
         "_headers",
         "_kept",
         "_missing",
         "_sequences",
         "cipher",
         "discarded_bytes",
-        "discards",
         "frames",
     )
 
     def __init__(self, cipher: Cipher | None = None) -> None:
         self.cipher = cipher
-        self.discards: dict[Discard, int] = dict.fromkeys(Discard, 0)
+        self._discards = [0] * len(_CAUSES)
         self.discarded_bytes = 0
         self.frames = 0
         self._delivered = 0  # bytes of these frames
@@ -257,9 +273,12 @@ class FrameDecoder:
         size = len(data)
         try:
             word, sequence, crc16, payload = _unpack_whole[size](data)
-            base, length, session, is_ack, encrypted, padding, obstacle, clear = self._headers[word]
-        except LookupError:  # more bytes than a frame has, or a header that is not known
+        except IndexError:
             return self._search(data, [])
+        header = self._headers.get(word)
+        if header is None:
+            return self._search(data, [])
+        base, length, session, is_ack, encrypted, padding, is_secret, clear = header
         if base ^ self._sequences[sequence] != crc16:
             return self._search(data, [])
         frame = data
@@ -271,9 +290,9 @@ class FrameDecoder:
             payload = frame[_PAYLOAD]
         if crc32(frame, ZLIB_START) != FRAME_RESIDUE and length != HEADER_SIZE:
             return self._search(data, [], self._reject(_FRAME_CRC, data, 0))
-        if obstacle is not None:
+        if is_secret:
             cipher = self.cipher
-            if cipher is None or obstacle is _PADDING:
+            if cipher is None:
                 return self._search(data, [])
             # Whole blocks, which all senders send, without a call in between.
             decrypt = cipher.decrypt if length % BLOCK_SIZE else cipher.decrypt_blocks
@@ -302,45 +321,44 @@ class FrameDecoder:
         last = size - HEADER_SIZE  # the last place where a whole header may stand
         right: Iterator[int] | None = None
         found = delivered = missing = 0
-        hunted = -1  # where a header is right and has no fault
-        while position <= last:
+        hunted = -1  # where a hunt found a frame that is right
+        while position <= last and not missing:
             word, sequence, crc16 = _unpack_header(data, position)
             header = headers.get(word)
             if header is None and (
                 position == hunted
                 or (
-                    word & _FAULTS == SOF
+                    word & _NOT_SIMPLE == SOF
                     and header_crc16(data[position : position + HEADER_SIZE]) == HEADER_RESIDUE
                 )
             ):
-                header = self._learn(word, crc16 ^ _SEQUENCE_CRC16[sequence])
+                header = self._learn(word, sequence, crc16)
             if header is None or header[0] ^ _SEQUENCE_CRC16[sequence] != crc16:
+                start = self._next_start(data, position, last)
+                if start > position:
+                    position = start
+                    continue
                 if right is None:
                     right = right_headers(data, position, last + 1)
                 position, missing = self._hunt(data, position, right, last + 1)
                 hunted = position
-                if missing:
-                    break
                 continue
-            _, length, session, is_ack, encrypted, padding, obstacle, clear = header
+            _, length, session, is_ack, encrypted, padding, is_secret, clear = header
             end = position + length
             if end > size:
                 missing = end - size
                 break
-            frame = data[position:end]
-            if crc32(frame, ZLIB_START) != FRAME_RESIDUE and length != HEADER_SIZE:
-                position = self._reject(_FRAME_CRC, data, position)
-                continue
-            payload = frame[_PAYLOAD]
-            if obstacle is not None:
+            payload = b""
+            if length != HEADER_SIZE:
+                frame = data[position:end]
+                if position != hunted and crc32(frame, ZLIB_START) != FRAME_RESIDUE:
+                    position = self._reject(_FRAME_CRC, data, position)
+                    continue
+                payload = frame[_PAYLOAD]
+            if is_secret:
                 cipher = self.cipher
-                if cipher is None or obstacle is _PADDING:
-                    # An intact frame for which there is no key is passed over whole; one whose
-                    # padding cannot be is not a frame, so the search goes on inside it.
-                    if obstacle is _NO_KEY:
-                        position += self._discard(obstacle, length)
-                    else:
-                        position = self._reject(obstacle, data, position)
+                if cipher is None:  # intact, so it is passed over whole
+                    position += self._discard(_NO_KEY, length)
                     continue
                 payload = cipher.decrypt(payload)[clear]
             frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
@@ -365,6 +383,11 @@ class FrameDecoder:
         return frames
 
     @property
+    def discards(self) -> dict[Discard, int]:
+        """Count per :class:`Discard`."""
+        return dict(zip(_CAUSES, self._discards, strict=True))
+
+    @property
     def pending(self) -> int:
         """Bytes kept because they may begin a frame, at most 1022."""
         return len(self._kept)
@@ -378,19 +401,37 @@ class FrameDecoder:
             self._kept, self._missing = data[start:], start + HEADER_SIZE - size
         self.discarded_bytes += start - position
 
-    def _discard(self, cause: Discard, size: int) -> int:
+    def _discard(self, cause: int, size: int) -> int:
         """Count a fault and the bytes that are passed over for it; returns their number."""
-        self.discards[cause] += 1
+        self._discards[cause] += 1
         self.discarded_bytes += size
         return size
 
-    def _reject(self, cause: Discard, data: bytes, position: int) -> int:
+    def _reject(self, cause: int, data: bytes, position: int) -> int:
         """Count a start byte that begins no frame; returns the place of the next, or the end."""
         start = data.find(SOF, position + 1)
         return position + self._discard(cause, (len(data) if start < 0 else start) - position)
 
+    def _next_start(self, data: bytes, position: int, last: int) -> int:
+        """Where a header may begin next, when none that is known begins at the position.
+
+        One checksum for each start byte, where they are few; what is passed over is counted. The
+        position itself when they are many, or a header does begin there: that is for a hunt.
+        """
+        beyond = min(position + _NEAR, last + 1)
+        if data.count(SOF, position, beyond) > _FEW:
+            return position
+        wrong, at = 0, data.find(SOF, position)
+        while 0 <= at < beyond and header_crc16(data[at : at + HEADER_SIZE]) != HEADER_RESIDUE:
+            wrong += 1
+            at = data.find(SOF, at + 1)
+        at = len(data) if at < 0 else at
+        self._discards[_HEADER_CRC] += wrong
+        self.discarded_bytes += at - position
+        return at
+
     def _hunt(self, data: bytes, position: int, right: Iterator[int], end: int) -> tuple[int, int]:
-        """Find the next header behind which a frame may be.
+        """Find the next frame that is right, or the header of one that is not all here.
 
         What is passed over is counted: each start byte by the fault of what it begins.
 
@@ -403,7 +444,7 @@ class FrameDecoder:
         Returns:
             Its place, ``end`` when there is none, and how many bytes of its frame are missing.
         """
-        begin, known, versions, missing, discards = position, 0, 0, 0, self.discards
+        begin, known, versions, missing, discards = position, 0, 0, 0, self._discards
         for place in right:
             if place < position:
                 continue  # inside a frame
@@ -418,14 +459,18 @@ class FrameDecoder:
                 discards[_LENGTH] += 1
             elif place + length > len(data):
                 missing = place + length - len(data)
+                if word not in self._headers:  # it is looked at again when the rest is here
+                    self._learn(*_unpack_header(data, place))
                 break
             elif (
-                length == HEADER_SIZE
-                or crc32(data[place : place + length], ZLIB_START) == FRAME_RESIDUE
+                length != HEADER_SIZE
+                and crc32(data[place : place + length], ZLIB_START) != FRAME_RESIDUE
             ):
-                break
-            else:
                 discards[_FRAME_CRC] += 1
+            elif word & _PADS and _cannot_pad(word, length):
+                discards[_PADDING] += 1
+            else:
+                break
             known += 1
         else:
             place = end
@@ -436,14 +481,14 @@ class FrameDecoder:
         self.discarded_bytes += place - begin
         return place, missing
 
-    def _learn(self, word: int, crc16: int) -> _Header | None:
+    def _learn(self, word: int, sequence: int, crc16: int) -> _Header | None:
         """What a header with a right CRC16 says, from now on known; None if it has a fault."""
         length = word >> 8 & 0x3FF
-        if length < OVERHEAD and length != HEADER_SIZE:
+        if (length < OVERHEAD and length != HEADER_SIZE) or _cannot_pad(word, length):
             return None
         if len(self._headers) >= _CACHE_LIMIT:
             self._headers.clear()
-        header = self._headers[word] = _parse_word(word, crc16)
+        header = self._headers[word] = _parse_word(word, crc16 ^ _SEQUENCE_CRC16[sequence])
         return header
 
     # Last, because from here on the name is no type.
