@@ -12,6 +12,7 @@ from collections import deque
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
+from m100link.link.uart import read_inverted
 from m100link.sim.telemetry import is_telemetry
 from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
 
@@ -50,6 +51,9 @@ class LineFaults:
             within half a second is dropped.
         radio: The half-duplex 433 MHz modules of the document's quick start: while one side
             transmits, the other cannot, and half of what starts in that time is lost.
+        mute: The wire from the aircraft carries nothing.
+        deaf: The wire to the aircraft carries nothing.
+        inverted: The levels of both wires are inverted, as those of RS-232 are.
     """
 
     loss: float = _probability()
@@ -61,6 +65,9 @@ class LineFaults:
     noise_bytes: int = 32
     baud_rate: int | None = None
     radio: bool = False
+    mute: bool = False
+    deaf: bool = False
+    inverted: bool = False
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -109,6 +116,7 @@ class Direction:
         faults: What is wrong with it; may be replaced at any time.
         baud_rate: Of the port (8N1): a frame arrives when its last bit could. None takes no time.
         is_stalled: Nothing passes; what is sent waits, up to half a second's worth.
+        is_cut: Nothing passes, and nothing waits.
         frames: Pieces sent into it.
         lost: Pieces that do not arrive.
         busy_until: When the last bit of what was sent so far has left.
@@ -130,6 +138,7 @@ class Direction:
         self.faults = faults
         self.baud_rate = baud_rate
         self.is_stalled = False
+        self.is_cut = False
         self.frames = self.lost = self.damaged = self.duplicated = 0
 
     @property
@@ -146,11 +155,13 @@ class Direction:
         """Send a frame, or any piece of bytes, into the line."""
         faults, random = self.faults, self._random
         self.frames += 1
-        if faults.loss and random.random() < faults.loss:
+        if self.is_cut or (faults.loss and random.random() < faults.loss):
             self.lost += 1
             return
         if faults.damage and random.random() < faults.damage:
             piece = self._damage(piece)
+        if faults.inverted:
+            piece = read_inverted(piece)
         copies = 1
         if faults.duplicate and random.random() < faults.duplicate:
             copies = 2
@@ -269,6 +280,7 @@ class Line:
         self.to_host.faults = NO_FAULTS if faults.is_clean else faults
         back = faults if to_aircraft is None else to_aircraft
         self.to_aircraft.faults = NO_FAULTS if back.is_clean else back
+        self.to_host.is_cut, self.to_aircraft.is_cut = faults.mute, back.deaf
 
     def pace(self, baud_rate: int | None) -> None:
         """Let bytes take the time that they need at a baud rate; None, no time."""

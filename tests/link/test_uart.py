@@ -1,0 +1,35 @@
+"""A receiver that expects 1 when idle, on a line where 0 is."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.link.uart import read_inverted
+
+
+@pytest.mark.parametrize(
+    ("sent", "read"),
+    [
+        (b"", b""),
+        (b"\xff", b"\x00"),  # nothing but the start bit, which idle follows
+        (b"\x00", b"\x00"),  # 1 from the start bit to the last data bit, and idle
+        (b"\xaa", b"\x15"),
+    ],
+)
+def test_what_is_read_of_single_bytes(sent: bytes, read: bytes) -> None:
+    assert read_inverted(sent) == read
+
+
+def test_the_same_frame_is_always_read_as_the_same_bytes() -> None:
+    frame = bytes.fromhex("aa130001000000000500302e000000b493113d")
+    once = read_inverted(frame)
+    assert read_inverted(frame) == once
+    assert once.startswith(b"\x95")  # 0xAA without its first two edges, then the next start bit
+    assert frame[:2] not in once
+
+
+@pytest.mark.parametrize("length", range(13, 256))
+def test_frames_of_any_length_begin_recognisably(length: int) -> None:
+    read = read_inverted(bytes([0xAA, length, *bytes(10)]))
+    assert read[0] == 0x95
+    assert set(read[2:6]) <= {0xFF, 0xFE, 0xFC, 0xF8, 0xF0, 0xE0, 0xC0, 0x80, 0x7F}
