@@ -20,6 +20,8 @@ EXAMPLES = (
 )
 """Strings that work, for error messages."""
 
+_SECRET = re.compile(r"\b((?:key|app[-_]id)=)[^&]*", re.IGNORECASE)
+
 
 @dataclass(frozen=True, slots=True)
 class ConnectionString:
@@ -39,7 +41,9 @@ class ConnectionString:
         if self.scheme == "serial":
             return f"{self.target} at {self.number} baud"
         number = "" if self.number is None else f":{self.number}"
-        return f"{self.scheme}://{self.target}{number}"
+        # This is what errors and logs show, and the options of a virtual aircraft may have its key.
+        target = _SECRET.sub(r"\1…", self.target)
+        return f"{self.scheme}://{target}{number}"
 
 
 def _bad(url: str, why: str) -> BadURL:

@@ -102,3 +102,9 @@ def test_an_address_reads_as_people_say_it() -> None:
     assert str(parse_url("/dev/ttyUSB0")) == "/dev/ttyUSB0 at 230400 baud"
     assert str(parse_url("tcp://host:7000")) == "tcp://host:7000"
     assert str(parse_url("sim://")) == "sim://"
+
+
+@pytest.mark.parametrize("name", ["key", "app-id", "app_id", "KEY"])
+def test_a_secret_is_not_shown(name: str) -> None:
+    shown = str(parse_url(f"sim://?seed=7&{name}=5a5a5a&loss=0.1"))
+    assert shown == f"sim://?seed=7&{name}=…&loss=0.1"
