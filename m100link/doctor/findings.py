@@ -1,0 +1,125 @@
+"""What a diagnosis finds: a stage, what was seen there, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum, StrEnum
+from typing import Any
+
+from m100link.errors import M100Error
+
+__all__ = ["Finding", "Report", "Stage", "Verdict"]
+
+
+class Stage(Enum):
+    """What has to be right, in the order in which it is looked at.
+
+    Attributes:
+        title: What is asked, for people.
+    """
+
+    PORT = "the port exists"
+    PERMISSION = "it may be opened"
+    OWNER = "nobody else uses it"
+    INTERFERENCE = "no console, no ModemManager"
+    OPENING = "it opens"
+    LATENCY = "the adapter delivers at once"
+    BYTES = "bytes arrive"
+    FRAMES = "they are frames"
+    TELEMETRY = "telemetry arrives"
+    VERSION = "the aircraft answers"
+    FIRMWARE = "its firmware is known"
+    ACTIVATION = "it is activated"
+    KEY = "the key is the aircraft's"
+    MODE_SWITCH = "the mode switch is in F"
+    AUTHORITY = "it gives control"
+
+    @property
+    def title(self) -> str:
+        """What is asked, for people."""
+        return self.value
+
+
+class Verdict(StrEnum):
+    """What became of a stage."""
+
+    GOOD = "good"
+    DOUBTFUL = "doubtful"
+    """It works, and may be the cause of something else."""
+    FAILED = "failed"
+    """Nothing behind it can work, so the diagnosis ends here."""
+    SKIPPED = "skipped"
+    """It was not looked at, for the reason that is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One stage as it was found.
+
+    Attributes:
+        stage: Which.
+        verdict: What became of it.
+        seen: What was observed, in one sentence.
+        causes: What it may come from, the likeliest first.
+        commands: What to run or do, in this order.
+        details: Numbers and names behind it, for programs.
+        error: The typed error that a program would get, if one was raised.
+    """
+
+    stage: Stage
+    verdict: Verdict
+    seen: str
+    causes: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+    error: M100Error | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON has it."""
+        found: dict[str, Any] = {
+            "stage": self.stage.name.lower(),
+            "asked": self.stage.title,
+            "verdict": self.verdict.value,
+            "seen": self.seen,
+        }
+        for name in ("causes", "commands", "details"):
+            if getattr(self, name):
+                value = getattr(self, name)
+                found[name] = dict(value) if name == "details" else list(value)
+        if self.error is not None:
+            found["error"] = type(self.error).__name__
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was found, in order; the last finding failed if one did.
+
+    Attributes:
+        place: Where the aircraft was looked for, without secrets.
+        findings: One for each stage that was reached.
+    """
+
+    place: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def failure(self) -> Finding | None:
+        """The stage at which it ends, or None."""
+        return next((one for one in self.findings if one.verdict is Verdict.FAILED), None)
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """What works and may still be a cause."""
+        return tuple(one for one in self.findings if one.verdict is Verdict.DOUBTFUL)
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON has it."""
+        failure = self.failure
+        return {
+            "url": self.place,
+            "ok": failure is None,
+            "failed": None if failure is None else failure.stage.name.lower(),
+            "stages": [one.to_json() for one in self.findings],
+        }

@@ -1,0 +1,265 @@
+"""What this machine tells about a serial port, without opening it (Linux; elsewhere little).
+
+Everything is read below a root folder, so that a test can bring a machine of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["Adapter", "Machine", "Permission", "Process"]
+
+_TTY_MASTER = "/dev/ptmx"
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """A program that runs.
+
+    Attributes:
+        pid: Its number.
+        name: Its name.
+    """
+
+    pid: int
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.name} (process {self.pid})"
+
+
+@dataclass(frozen=True, slots=True)
+class Permission:
+    """Who may open a device.
+
+    Attributes:
+        mode: As ``ls -l`` shows it.
+        owner: Name of the owner, or the number.
+        group: Name of the group, or the number.
+        is_granted: Whether this program may read and write.
+        is_member: Whether the user belongs to the group by the user database.
+    """
+
+    mode: str
+    owner: str
+    group: str
+    is_granted: bool
+    is_member: bool
+
+    def __str__(self) -> str:
+        return f"{self.mode} {self.owner} {self.group}"
+
+
+@dataclass(frozen=True, slots=True)
+class Adapter:
+    """What a port hangs on.
+
+    Attributes:
+        driver: Name of its kernel driver, empty if unknown.
+        vendor: USB vendor id, four hex digits; empty for what is not on USB.
+        product: USB product id.
+        name: As it names itself.
+        serial: Its serial number, empty for many.
+        latency_ms: For how long an FTDI adapter collects bytes; None for others.
+    """
+
+    driver: str
+    vendor: str = ""
+    product: str = ""
+    name: str = ""
+    serial: str = ""
+    latency_ms: int | None = None
+
+    @property
+    def is_usb(self) -> bool:
+        """Whether it hangs on USB."""
+        return bool(self.vendor)
+
+
+class Machine:
+    """This machine, or a copy of what it shows of itself.
+
+    Args:
+        root: Below which ``sys``, ``proc``, ``run`` and ``dev`` are.
+    """
+
+    def __init__(self, root: Path = Path("/")) -> None:
+        self._root = root
+
+    def device(self, path: str) -> Path:
+        """The device behind a name: links are followed."""
+        return Path(os.path.realpath(Path(path).expanduser()))
+
+    def permission(self, path: str) -> Permission:
+        """Who may open it.
+
+        Raises:
+            OSError: There is no such device.
+        """
+        state = os.stat(path)  # noqa: PTH116 - a device, whatever its name
+        group = _group_name(state.st_gid)
+        return Permission(
+            mode=stat.filemode(state.st_mode),
+            owner=_user_name(state.st_uid),
+            group=group,
+            is_granted=os.access(path, os.R_OK | os.W_OK),
+            is_member=_is_member(group, state.st_gid),
+        )
+
+    def is_terminal_device(self, path: str) -> bool:
+        """Whether it is a device of characters, as every serial port is."""
+        return stat.S_ISCHR(os.stat(path).st_mode)  # noqa: PTH116 - as above
+
+    @property
+    def is_container(self) -> bool:
+        """Whether this program runs in a container, to which devices must be given."""
+        return (self._root / ".dockerenv").exists() or (self._root / "run/.containerenv").exists()
+
+    # -- who else uses it ------------------------------------------------------------------------
+
+    def holders(self, path: str) -> tuple[Process, ...]:
+        """Other programs that have the device open, where the system tells.
+
+        Who holds the master of a pseudo-terminal is its other end.
+        """
+        wanted = str(self.device(path))
+        found = []
+        for process in self._processes():
+            files = self._open_files(process)
+            if wanted in files and not (wanted.startswith("/dev/pts/") and _TTY_MASTER in files):
+                found.append(Process(int(process.name), self._name(process)))
+        return tuple(one for one in found if one.pid != os.getpid())
+
+    def login_programs(self, path: str) -> tuple[Process, ...]:
+        """Programs that ask for a login on it: they name the port and belong to root."""
+        wanted = self.device(path).name
+        found = []
+        for process in self._processes():
+            words = self._words(process)
+            if words and "getty" in Path(words[0]).name and wanted in words[1:]:
+                found.append(Process(int(process.name), self._name(process)))
+        return tuple(found)
+
+    def is_kernel_console(self, path: str) -> bool:
+        """Whether the kernel writes its messages to it."""
+        name = self.device(path).name
+        try:
+            lines = (self._root / "proc/consoles").read_text(encoding="utf-8").splitlines()
+        except OSError:
+            return False
+        return any(line.split()[:1] == [name] for line in lines)
+
+    def modem_manager(self) -> Process | None:
+        """ModemManager, if it runs: it speaks to every new serial port to see whether it is one."""
+        for process in self._processes():
+            if self._name(process) == "ModemManager":
+                return Process(int(process.name), "ModemManager")
+        return None
+
+    def is_left_alone(self, path: str) -> bool:
+        """Whether a rule keeps ModemManager away from the device."""
+        try:
+            state = os.stat(path)  # noqa: PTH116 - as above
+            numbers = f"c{os.major(state.st_rdev)}:{os.minor(state.st_rdev)}"
+            told = (self._root / "run/udev/data" / numbers).read_text(encoding="utf-8")
+        except OSError:
+            return False
+        return "E:ID_MM_DEVICE_IGNORE=1" in told.splitlines()
+
+    def _processes(self) -> Iterator[Path]:
+        yield from sorted((self._root / "proc").glob("[0-9]*"))
+
+    def _open_files(self, process: Path) -> set[str]:
+        try:
+            return {os.path.realpath(name) for name in (process / "fd").iterdir()}
+        except OSError:
+            return set()  # gone meanwhile, or not ours to look into
+
+    def _name(self, process: Path) -> str:
+        try:
+            return (process / "comm").read_text(encoding="utf-8").strip()
+        except OSError:
+            return ""
+
+    def _words(self, process: Path) -> list[str]:
+        try:
+            text = (process / "cmdline").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return []
+        # A program that names itself anew has blanks between.
+        return text.rstrip("\0").replace("\0", " ").split()
+
+    # -- the adapter -----------------------------------------------------------------------------
+
+    def adapter(self, path: str) -> Adapter:
+        """What the port hangs on."""
+        port = self._root / "sys/class/tty" / self.device(path).name / "device"
+        try:
+            place = port.resolve(strict=True)
+        except OSError:
+            return Adapter("")
+        driver = (
+            Path(os.path.realpath(place / "driver")).name if (place / "driver").exists() else ""
+        )
+        latency = _text(place / "latency_timer")
+        usb = next((one for one in (place, *place.parents) if (one / "idVendor").exists()), None)
+        return Adapter(
+            driver=driver,
+            vendor=_text(usb / "idVendor") if usb else "",
+            product=_text(usb / "idProduct") if usb else "",
+            name=" ".join(filter(None, (_text(usb / word) for word in ("manufacturer", "product"))))
+            if usb
+            else "",
+            serial=_text(usb / "serial") if usb else "",
+            latency_ms=int(latency) if latency.isdecimal() else None,
+        )
+
+    def stable_names(self, path: str) -> tuple[str, ...]:
+        """Names of the device that stay when the order of plugging changes."""
+        wanted = self.device(path)
+        folder = self._root / "dev/serial/by-id"
+        try:
+            return tuple(sorted(str(name) for name in folder.iterdir() if name.resolve() == wanted))
+        except OSError:
+            return ()
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def _user_name(number: int) -> str:
+    try:
+        import pwd
+
+        return pwd.getpwuid(number).pw_name
+    except (ImportError, KeyError):  # Windows, or a number without a name
+        return str(number)
+
+
+def _group_name(number: int) -> str:
+    try:
+        import grp
+
+        return grp.getgrgid(number).gr_name
+    except (ImportError, KeyError):
+        return str(number)
+
+
+def _is_member(group: str, number: int) -> bool:
+    """Whether the user is in the group, in this session or from the next login on."""
+    try:
+        import grp
+        import pwd
+
+        user = pwd.getpwuid(os.getuid())
+        return user.pw_gid == number or user.pw_name in grp.getgrnam(group).gr_mem
+    except (ImportError, KeyError):
+        return False

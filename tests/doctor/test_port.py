@@ -1,0 +1,145 @@
+"""A port that is looked at and not opened; each stage is made to fail."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from m100link.doctor.findings import Finding, Stage, Verdict
+from m100link.doctor.machine import Machine, Permission, Process
+from m100link.doctor.port import look_at_latency, look_at_port
+from tests.doctor.conftest import FakeMachine
+
+
+class Port(NamedTuple):
+    """A terminal that exists, and its name as the system's folders have it."""
+
+    path: str
+    name: str
+
+
+@pytest.fixture
+def port() -> Iterator[Port]:
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    yield Port(path, Path(path).name)
+    os.close(slave)
+    os.close(master)
+
+
+def looked_at(path: str, machine: Machine) -> list[Finding]:
+    return list(look_at_port(path, machine))
+
+
+def test_a_port_that_is_well(port: Port, machine: FakeMachine) -> None:
+    machine.plug_in(port.name, latency=1)
+    found = looked_at(port.path, machine)
+    assert [one.stage for one in found] == [
+        Stage.PORT,
+        Stage.PERMISSION,
+        Stage.OWNER,
+        Stage.INTERFERENCE,
+    ]
+    assert {one.verdict for one in found} == {Verdict.GOOD}
+    assert found[0].seen == f"{port.path}: FTDI FT232R USB UART"
+    assert look_at_latency(port.path, machine).seen == "latency timer 1 ms"
+
+
+def test_a_link_is_followed_and_told(port: Port, machine: FakeMachine, tmp_path: Path) -> None:
+    link = tmp_path / "m100"
+    link.symlink_to(port.path)
+    assert looked_at(str(link), machine)[0].seen == f"{link} → {port.path}"
+
+
+def test_there_is_no_such_port(machine: FakeMachine) -> None:
+    [found] = looked_at("/dev/ttyUSB99", machine)
+    assert (found.stage, found.verdict) == (Stage.PORT, Verdict.FAILED)
+    assert found.seen == "there is no device /dev/ttyUSB99"
+    assert found.causes == ("the adapter is not plugged in, or has another name",)
+    assert found.commands[0] == "m100link ports"
+
+
+def test_in_a_container_it_may_not_have_been_given(machine: FakeMachine) -> None:
+    machine.write(".dockerenv", "")
+    [found] = looked_at("/dev/ttyUSB99", machine)
+    assert found.causes[0].endswith("--device=/dev/ttyUSB99")
+
+
+def test_a_file_is_not_a_port(machine: FakeMachine, tmp_path: Path) -> None:
+    for path in (tmp_path, machine.write("notes.txt", "x")):
+        [found] = looked_at(str(path), machine)
+        assert found.seen == f"{path} is not a serial port"
+
+
+@pytest.mark.parametrize(
+    ("group", "is_member", "cause", "command"),
+    [
+        ("dialout", False, "you are not in the group dialout", "sudo usermod -aG dialout $USER"),
+        ("dialout", True, "you were added to the group dialout", "log out and in again"),
+        ("root", False, "no rule gives the device", "m100link udev --install"),
+    ],
+)
+def test_it_may_not_be_opened(
+    port: Port,
+    machine: FakeMachine,
+    monkeypatch: pytest.MonkeyPatch,
+    group: str,
+    is_member: bool,
+    cause: str,
+    command: str,
+) -> None:
+    refused = Permission("crw-rw----", "root", group, is_granted=False, is_member=is_member)
+    monkeypatch.setattr(machine, "permission", lambda _: refused)
+    found = looked_at(port.path, machine)[-1]
+    assert (found.stage, found.verdict) == (Stage.PERMISSION, Verdict.FAILED)
+    assert f"crw-rw---- root {group}" in found.seen
+    assert found.causes[0].startswith(cause)
+    assert found.commands[0] == command
+
+
+def test_another_program_has_it(
+    port: Port, machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine, "holders", lambda _: (Process(4711, "minicom"),))
+    found = looked_at(port.path, machine)[-1]
+    assert (found.stage, found.verdict) == (Stage.OWNER, Verdict.FAILED)
+    assert found.seen == "in use by minicom (process 4711)"
+    assert found.commands[0] == "end it: kill 4711"
+
+
+def test_a_login_prompt_runs_on_it(port: Port, machine: FakeMachine) -> None:
+    machine.run(99, "/sbin/agetty", "115200", port.name, "vt100")
+    found = looked_at(port.path, machine)[-1]
+    assert (found.stage, found.verdict) == (Stage.INTERFERENCE, Verdict.FAILED)
+    assert found.seen == "a login prompt runs on it: agetty (process 99)"
+    assert found.commands == (f"sudo systemctl disable --now serial-getty@{port.name}.service",)
+
+
+def test_the_kernel_writes_to_it(port: Port, machine: FakeMachine) -> None:
+    machine.write("proc/consoles", f"{port.name} -W- (EC p  )    4:64\n")
+    found = looked_at(port.path, machine)[-1]
+    assert found.seen == "the kernel writes its messages to it"
+    assert f"console={port.name}" in found.causes[0]
+
+
+def test_modem_manager_is_a_doubt_for_adapters_on_usb_only(
+    port: Port, machine: FakeMachine
+) -> None:
+    machine.run(7, "/usr/sbin/ModemManager")
+    assert looked_at(port.path, machine)[-1].verdict is Verdict.GOOD
+    machine.plug_in(port.name)
+    found = looked_at(port.path, machine)[-1]
+    assert found.verdict is Verdict.DOUBTFUL
+    assert found.commands == ("m100link udev --install",)
+
+
+def test_an_ftdi_adapter_as_it_comes_is_late(port: Port, machine: FakeMachine) -> None:
+    machine.plug_in(port.name, latency=16)
+    found = look_at_latency(port.path, machine)
+    assert (found.stage, found.verdict) == (Stage.LATENCY, Verdict.DOUBTFUL)
+    assert "latency timer 16 ms" in found.seen
+    assert found.commands[1].endswith(f"/sys/bus/usb-serial/devices/{port.name}/latency_timer")
