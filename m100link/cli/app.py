@@ -27,6 +27,15 @@ VERBS = {
         "aircraft:info",
         "Show what is at the other end: version, firmware profile, telemetry items, line quality.",
     ),
+    "doctor": (
+        "doctor:doctor",
+        "Find out why the line is silent: stage by stage, the first that fails with its cause.",
+    ),
+    "ports": ("doctor:ports", "List serial ports: adapter, who may open it, who has it open."),
+    "udev": (
+        "doctor:udev",
+        "Print a udev rule for the adapter: a stable name, its group, no ModemManager, no delay.",
+    ),
     "activate": (
         "aircraft:activate",
         "Activate the aircraft for an app; waits while the aircraft asks DJI's server.",
