@@ -1,4 +1,8 @@
-"""``m100link takeoff``, ``land``, ``home``, ``fly`` and ``release``."""
+"""``m100link takeoff``, ``land``, ``home``, ``fly`` and ``release``.
+
+What brings the aircraft down is for people in a hurry: ``land`` asks nothing, and both ``land`` and
+``home`` end whatever mission flies. What lifts or moves it refuses beside one.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, places, run_async
 from m100link.cli.options import Above0, offered
 from m100link.cli.terminal import read_line
-from m100link.errors import MissionRunning, NotObserved, UsageError
+from m100link.errors import AckTimeout, MissionRefused, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.guidance import GuidanceProgress
@@ -73,14 +77,17 @@ def land(
 ) -> int:
     """Land in place and stop the motors.
 
+    Nobody is asked, and whatever mission flies is stopped first. Ctrl-C ends the landing, and the
+    aircraft hovers.
+
     Args:
         url: Where the aircraft is.
         app: The app that is registered with DJI.
         link: How to talk to it.
-        yes: Do not ask.
+        yes: Not needed: nobody is asked before a landing.
     """
     place = (link or LinkOptions()).place(url, app)
-    return run_async(_fly(place, yes, "land", lambda control: control.land(progress=_tell)))
+    return run_async(_come_down(place, True, "land", lambda control: control.land(progress=_tell)))
 
 
 def home(
@@ -93,6 +100,8 @@ def home(
 ) -> int:
     """Fly to the home point and land there.
 
+    Whatever mission flies is stopped first.
+
     Args:
         url: Where the aircraft is.
         app: The app that is registered with DJI.
@@ -100,7 +109,9 @@ def home(
         yes: Do not ask.
     """
     place = (link or LinkOptions()).place(url, app)
-    return run_async(_fly(place, yes, "go home", lambda control: control.go_home(progress=_tell)))
+    return run_async(
+        _come_down(place, yes, "go home", lambda control: control.go_home(progress=_tell))
+    )
 
 
 def fly(
@@ -126,8 +137,9 @@ def fly(
         max_radius: Distance from here that is not exceeded, m.
         yes: Do not ask.
     """
-    where, words = (link or LinkOptions()).place_among(place, _is_number, app)
-    north, east, up = _metres(words)
+    has_place = bool(place) and not _is_number(place[0])
+    north, east, up = _metres(place[1:] if has_place else place)
+    where = (link or LinkOptions()).place(place[0] if has_place else None, app)
     if where.is_virtual:
         err.print("sim:// is a new aircraft for each command, on the ground; `m100link sim` stays")
     guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
@@ -165,7 +177,11 @@ def _metres(words: Sequence[str]) -> tuple[float, float, float]:
     strange = [word for word in words if not _is_number(word)]
     if strange or len(words) != 3:
         seen = f"{strange[0]!r} is not a number" if strange else f"{len(words)} numbers were given"
-        raise UsageError(seen, remedy="metres north, east and up: m100link fly sim:// 5 0 1.5")
+        raise UsageError(
+            seen,
+            remedy="the aircraft first, if it is named at all, then metres north, east and up: "
+            "m100link fly sim:// 5 0 1.5",
+        )
     north, east, up = map(float, words)
     return north, east, up
 
@@ -208,8 +224,45 @@ async def _fly(
         await require_no_mission(aircraft, what)
         async with aircraft.control(guards=guards) as control:
             await flight(control)
-        out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
+        _done(aircraft, what)
     return 0
+
+
+async def _come_down(place: Place, is_sure: bool, what: str, flight: _Flight) -> int:
+    """End whatever mission flies, and land, here or at home.
+
+    A person in a hurry has one command to remember. One who is asked is told of the mission.
+    """
+    credentials = place.credentials()
+    async with connect(place.url, **place.arguments()) as aircraft:
+        if not is_sure and not place.is_virtual:
+            await hear_of_mission(aircraft)
+            mission = aircraft.mission
+            ends = f"end the {mission.kind.value} and " if mission.is_running else ""
+            await confirm(aircraft, ends + what)
+        await activate_app(aircraft, credentials)
+        await hear_of_mission(aircraft)
+        async with aircraft.control() as control:
+            if aircraft.mission.is_running:
+                await _end_mission(control)
+            await flight(control)
+        _done(aircraft, what)
+    return 0
+
+
+async def _end_mission(control: Control) -> None:
+    """Stop it; if it cannot be stopped, say so and let the landing break it off."""
+    try:
+        kind = await control.stop_mission()
+    except (MissionRefused, AckTimeout) as error:
+        err.print(f"{error}\nit is told to land all the same", markup=False)
+        return
+    if kind is not MissionKind.NONE:
+        err.print(f"stopped: {kind.value}")
+
+
+def _done(aircraft: Aircraft, what: str) -> None:
+    out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
 
 
 async def activate_app(aircraft: Aircraft, credentials: Credentials) -> None:
@@ -236,8 +289,6 @@ async def hear_of_mission(aircraft: Aircraft) -> None:
 async def require_no_mission(aircraft: Aircraft, what: str) -> None:
     """See that no mission flies, before control is asked for: it would be ignored beside one.
 
-    A landing is refused as well: whoever wants it says by the stop that the mission is to end.
-
     Raises:
         MissionRunning: One does.
     """
@@ -249,7 +300,7 @@ async def require_no_mission(aircraft: Aircraft, what: str) -> None:
             "sent, and it flies on",
             cause="it was started from a phone, by another program, or by one that is gone",
             remedy="`m100link mission stop` first: the aircraft hovers then, and this can follow; "
-            "in danger the pilot takes it by the mode switch",
+            "in danger `m100link land`, or the pilot takes it by the mode switch",
         )
 
 

@@ -448,7 +448,11 @@ class Control:
     async def land(
         self, *, timeout: float | None = None, progress: TaskListener | None = None
     ) -> None:
-        """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors."""
+        """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors.
+
+        Refused while a mission flies, unless this block told it to stop and it did not: a landing
+        breaks it off as well.
+        """
         await self._run(Task.LAND, timeout, progress)
 
     async def go_home(
@@ -459,7 +463,7 @@ class Control:
 
     async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
         self._block.require_flying(task_name(task))
-        self._make_way(task_name(task))
+        self._make_way(task_name(task), is_landing=task is not Task.TAKE_OFF)
         self._steering.running_task = task
         watch = self._block.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
@@ -468,9 +472,9 @@ class Control:
         finally:
             self._steering.running_task = None
 
-    def _make_way(self, what: str) -> None:
+    def _make_way(self, what: str, *, is_landing: bool = False) -> None:
         """Setpoints end, for what the autopilot does by itself; one thing at a time."""
-        self._keeper.require_none(what)
+        self._keeper.require_none(what, is_landing=is_landing)
         if (running := self._steering.running_task) is not None:
             raise TaskRefused(
                 f"{what} was asked for during {task_name(running)}",

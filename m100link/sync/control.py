@@ -728,7 +728,11 @@ class Control:
         )
 
     def land(self, *, timeout: float | None = None, progress: TaskListener | None = None) -> None:
-        """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors."""
+        """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors.
+
+        Refused while a mission flies, unless this block told it to stop and it did not: a landing
+        breaks it off as well.
+        """
         return self._portal.wait(
             lambda caller: self._control.land(timeout=timeout, progress=caller.callback(progress))
         )

@@ -6,7 +6,7 @@ import pytest
 
 from m100link.cli.flight import release
 from m100link.cli.outcome import ExitCode
-from tests.cli.conftest import Simulator, process
+from tests.cli.conftest import CommandLine, Simulator, process
 
 # Several programs in a row fly in real time: more than the usual time-out on a busy machine.
 pytestmark = [pytest.mark.pty]
@@ -29,14 +29,15 @@ def test_take_off_fly_and_land_from_the_shell(simulator: Simulator, app: list[st
 
 
 def test_flying_wants_to_be_confirmed(simulator: Simulator, app: list[str]) -> None:
-    outcome = process("takeoff", simulator.port, *app)
-    assert outcome.status == 2
-    assert "was not confirmed" in outcome.err
-    assert "--yes" in outcome.err
+    for verb in ("takeoff", "home"):
+        outcome = process(verb, simulator.port, *app)
+        assert outcome.status == 2
+        assert "was not confirmed" in outcome.err
+        assert "--yes" in outcome.err
 
 
 def test_a_refused_landing_says_why(simulator: Simulator, app: list[str]) -> None:
-    outcome = process("land", simulator.port, "--yes", *app)
+    outcome = process("land", simulator.port, *app)
     assert outcome.status == 7
     assert "land was refused" in outcome.err
     assert "STANDBY" in outcome.err
@@ -63,3 +64,21 @@ def test_a_url_of_the_simulator_needs_no_credentials() -> None:
     outcome = process("takeoff", "sim://")
     assert outcome.status == 0
     assert "done: take off" in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("words", "seen"),
+    [
+        (("2", "0", "x", "sim://"), "'x' is not a number"),
+        (("2", "0", "1", "sim://"), "'sim://' is not a number"),
+        (("sim://", "2", "0"), "2 numbers were given"),
+        ((), "0 numbers were given"),
+    ],
+)
+def test_metres_that_are_none_are_told_before_anything_else(
+    cli: CommandLine, words: tuple[str, ...], seen: str
+) -> None:
+    outcome = cli("fly", *words)
+    assert outcome.status == ExitCode.USAGE
+    assert seen in outcome.err
+    assert "the aircraft first" in outcome.err

@@ -100,19 +100,22 @@ def test_a_program_that_is_killed_leaves_it_in_flight_for_the_next_one(
     assert process("mission", "download", later.port, *app).status == ExitCode.REFUSED
 
 
-def test_what_is_refused_beside_a_mission_does_not_end_it(
+def test_what_is_refused_beside_a_mission_does_not_end_it_and_landing_does(
     later: Simulator, app: list[str], long: str
 ) -> None:
     flying = begin(long, later.port, *app)
     flying.kill()
     flying.communicate(timeout=PATIENCE)
-    for words in (["mission", "fly", long], ["land"]):
-        outcome = process(*words, later.port, "--yes", *app)
+    for words in (["mission", "fly", long, later.port], ["fly", later.port, "1", "0", "0"]):
+        outcome = process(*words, "--yes", *app)
         assert outcome.status == ExitCode.AUTHORITY, outcome
         assert "nothing was sent, and it flies on" in outcome.err
         assert "`m100link mission stop` first" in outcome.err
         assert "broken off" not in outcome.err
-    assert process("mission", "stop", later.port, *app).out == "stopped: waypoint mission\n"
+    outcome = process("land", later.port, *app)  # nobody is asked, nothing else has to come first
+    assert outcome.status == 0, outcome
+    assert "stopped: waypoint mission" in outcome.err
+    assert "done: land" in outcome.out
 
 
 def test_ctrl_c_stops_it(later: Simulator, app: list[str], long: str) -> None:

@@ -92,14 +92,19 @@ class MissionKeeper:
         """Whether the mission that flies is one that this block answers for."""
         return self._run is not None and self._run.is_in_the_air
 
-    def require_none(self, what: str) -> None:
+    def require_none(self, what: str, *, is_landing: bool = False) -> None:
         """Raise while a mission flies: the aircraft would ignore what is asked for (facts M8).
+
+        Args:
+            what: What is asked for.
+            is_landing: It lands, here or at home, and so breaks off what a stop did not end (facts
+                M10, inferred).
 
         Raises:
             MissionRunning: With what to do about it.
         """
         name = self.flying
-        if not name:
+        if not name or (is_landing and self._is_told_to_stop):
             return
         if self.is_ours:
             raise MissionRunning(
@@ -108,11 +113,30 @@ class MissionKeeper:
                 remedy="await mission.stop(), or leave the block of the mission, first",
             )
         raise MissionRunning(
-            f"{what} was asked for while a {name} flies the aircraft, which this block did not "
-            "start; nothing was sent",
-            cause="it was started from a phone, by another program, or by one that is gone",
+            f"{what} was asked for while a {name} flies the aircraft; nothing was sent",
+            cause=self._why_it_flies(),
             remedy="let it end, or stop it first: await control.stop_mission()",
         )
+
+    def _why_it_flies(self) -> str:
+        """Where a mission comes from that this block does not answer for, or not any more."""
+        run = self._run
+        if run is not None and run.state is RunState.DETACHED:
+            return "it was detached: it flies on until it ends, or is stopped"
+        if run is not None and self._flies_all_the_same(run):
+            return "the aircraft goes on to tell of it, although it was told to have ended"
+        return (
+            "this block did not start it, but a phone did, another program, one that is gone, or "
+            "an earlier block that detached it"
+        )
+
+    @property
+    def _is_told_to_stop(self) -> bool:
+        """Whether what flies is what this block told to stop, in vain."""
+        run, since = self._run, self._watch.state.since
+        if run is not None and run.is_in_the_air:
+            return run.state is RunState.UNSTOPPED
+        return since is not None and since < self._stop_asked_at + _GOES_ON_S
 
     # -- orders to what flies, whoever started it ------------------------------------------------
 
@@ -133,7 +157,7 @@ class MissionKeeper:
                 ORDERS[kind].stop, timeout=0.5, tries=3, refusal=MissionRefused
             )
             if code is MissionCode.SUCCESS:
-                _logger.info("%s stopped, which this block did not start", kind.value)
+                _logger.info("%s stopped", kind.value)
                 stopped = kind
                 self._watch.ended(kind)
             elif code not in STOPPED_CODES:

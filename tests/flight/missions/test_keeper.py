@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from contextlib import suppress
 
 import pytest
 
-from m100link import AckTimeout, MissionKind, MissionRunning, UsageError
+from m100link import AckTimeout, MissionKind, MissionRefused, MissionRunning, UsageError
 from m100link.flight.authority import AuthorityState
 from m100link.flight.stop_path import StopAction
 from tests.flight.foreign_aircraft import ONBOARD, ForeignInMemory
@@ -37,7 +38,7 @@ async def test_a_mission_that_runs_already_is_found_and_setpoints_are_refused() 
         found = aircraft.mission
         assert (found.kind, found.index, found.is_running) == (MissionKind.WAYPOINT, 0, True)
         async with aircraft.control() as control:
-            with pytest.raises(MissionRunning, match="which this block did not start"):
+            with pytest.raises(MissionRunning, match="this block did not start it"):
                 control.send(NORTH)
             with pytest.raises(MissionRunning):
                 async with control.waypoint_mission(plan()):
@@ -191,3 +192,31 @@ async def test_one_of_somebody_else_that_was_told_to_stop_in_vain_does_not_keep_
         async with aircraft.control() as control:
             assert await control.stop_mission() is MissionKind.NONE
         assert there.device != ONBOARD
+
+
+@pytest.mark.parametrize("answer", [0xD4, 0xFE])
+async def test_a_landing_is_not_kept_from_an_aircraft_that_did_not_stop(answer: int) -> None:
+    async with foreign() as (there, aircraft):
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        there.missions.answers = {0x12: answer}
+        async with aircraft.control() as control:
+            with pytest.raises(MissionRunning, match="a phone did"):
+                await control.land()
+            assert not there.tasks
+            with suppress(MissionRefused):
+                await control.stop_mission()
+            with pytest.raises(MissionRunning):
+                control.send(NORTH)
+            await control.land()
+        assert there.tasks
+
+
+async def test_a_detached_mission_is_called_that_where_something_is_refused_beside_it() -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        async with control.waypoint_mission(plan(speed=1.0)) as mission:
+            await asyncio.sleep(1.0)
+            mission.detach()
+        with pytest.raises(MissionRunning, match="it was detached"):
+            control.send(NORTH)
+        assert there.missions.flying
