@@ -21,6 +21,7 @@ from m100link.flight.missions.waypoint_track import broken_off
 from m100link.geodesy import distance_m
 from m100link.protocol.commands import missions as wire
 from m100link.protocol.commands.follow import FollowStart, FollowTarget
+from m100link.protocol.fields import Layout, Number
 from m100link.protocol.records import Position
 
 if TYPE_CHECKING:
@@ -50,6 +51,13 @@ class Target(NamedTuple):
     longitude_deg: float
     altitude_m: float = 0.0
 
+
+_PLACE = Layout(
+    Number("latitude_deg", "d", -90, 90, "°"),
+    Number("longitude_deg", "d", -180, 180, "°"),
+    Number("altitude_m", "d", 0, 0xFFFF, "m"),
+)
+"""What a target may be: that of the wire, in the units of the program."""
 
 TargetSource = Target | AsyncIterable[Target]
 """The first target, to be renewed by :meth:`FollowFlight.set_target`; or all of them."""
@@ -167,9 +175,8 @@ class FollowFlight(MissionFlight):
 
     def _check(self, target: Target) -> None:
         """Whether it may be followed: its values, the envelope, and how far it is from the last."""
-        problems = FollowTarget(*_on_wire(target)).problems()
-        if problems:
-            raise problems[0].error(FollowTarget.NAME)
+        for problem in _PLACE.problems(target):
+            raise problem.error("the target")
         place = target.latitude_deg, target.longitude_deg
         self._deck.guards.check_target("the target", place)
         before = self._track.target
@@ -232,5 +239,5 @@ class FollowFlight(MissionFlight):
 
 def _on_wire(target: Target) -> tuple[float, float, int]:
     """Radians and whole metres."""
-    altitude = round(target.altitude_m) if math.isfinite(target.altitude_m) else -1
-    return math.radians(target.latitude_deg), math.radians(target.longitude_deg), altitude
+    latitude, longitude = math.radians(target.latitude_deg), math.radians(target.longitude_deg)
+    return latitude, longitude, round(target.altitude_m)

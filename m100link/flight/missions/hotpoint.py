@@ -344,7 +344,8 @@ def _require_legal(request: HotpointStart | HotpointSetRadius | HotpointSetRate)
     for problem in request.problems():
         if problem.field in _DEGREES:
             name, most = _DEGREES[problem.field]
-            raise Problem(name, math.degrees(problem.value), f"-{most} to {most}°").error(_NAME)
+            value = round(math.degrees(problem.value), 9)
+            raise Problem(name, value, f"-{most} to {most} °").error(_NAME)
         name = _CALLED.get(problem.field, problem.field)
         raise problem._replace(field=name).error(_NAME)
 

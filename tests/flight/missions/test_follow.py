@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator
 
 import pytest
@@ -147,15 +148,6 @@ async def test_a_source_that_fails_stops_it_and_the_program_is_told(
         await assert_rests(there)
 
 
-@pytest.mark.parametrize("target", [Target(91.0, 8.0), Target(47.0, 8.0, -5.0), Target(47.0, 8e9)])
-async def test_a_target_that_is_no_place_is_refused(target: Target) -> None:
-    async with foreign() as (there, aircraft), aircraft.control() as control:
-        with pytest.raises(BadValue):
-            async with control.follow_target(target):
-                pytest.fail("entered")
-        assert orders(there) == []
-
-
 async def test_one_that_the_aircraft_gives_up_is_raised() -> None:
     async with foreign() as (there, aircraft), aircraft.control() as control:
         with pytest.raises(MissionAborted) as caught:
@@ -196,3 +188,23 @@ async def test_below_five_metres_nothing_is_sent_and_the_remedy_is_to_climb() ->
                 pytest.fail("entered")
         assert "control.climb_to(6)" in caught.value.remedy
         assert orders(there) == []
+
+
+@pytest.mark.parametrize(
+    ("target", "field", "limit"),
+    [
+        (Target(95.0, 4.31), "latitude_deg", "-90 to 90 °"),
+        (Target(52.1, math.nan), "longitude_deg", "-180 to 180 °"),
+        (Target(52.1, 4.31, 1e5), "altitude_m", "0 to 65535 m"),
+    ],
+)
+async def test_what_is_no_place_is_told_in_the_units_of_the_program(
+    target: Target, field: str, limit: str
+) -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        with pytest.raises(BadValue, match=field) as caught:
+            async with control.follow_target(target):
+                pytest.fail("entered")
+        assert caught.value.limit == limit
+        assert caught.value.value is getattr(target, field)
+        assert not orders(there)

@@ -189,8 +189,8 @@ async def test_an_exception_stops_it() -> None:
         ("height", 3.0, "5 to 500 m"),
         ("radius", 2.0, "5 to 500 m"),
         ("rate_deg_s", 50.0, "0 to 30 °/s"),
-        ("latitude_deg", 91.0, "-90 to 90°"),
-        ("longitude_deg", -181.0, "-180 to 180°"),
+        ("latitude_deg", 91.0, "-90 to 90 °"),
+        ("longitude_deg", -181.0, "-180 to 180 °"),
         ("start", 7, "4 nearest"),
         ("heading", 9, "1 to_centre"),
     ],
@@ -200,7 +200,8 @@ async def test_what_cannot_be_sent_is_named_as_the_call_names_it(
 ) -> None:
     async with foreign() as (there, aircraft), aircraft.control() as control:
         with pytest.raises(BadValue, match=name) as caught:
-            async with control.hotpoint(**CIRCLE | {name: value}):
+            circle: dict[str, Any] = {**CIRCLE, name: value}
+            async with control.hotpoint(**circle):
                 pytest.fail("entered")
         assert caught.value.field == name
         assert caught.value.value == pytest.approx(value)
