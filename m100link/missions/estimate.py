@@ -63,8 +63,9 @@ class PlanEstimate:
         if math.isinf(self.duration_s):
             return f"{self.length_m:.0f} m, as fast as the pilot's stick"
         minutes, seconds = divmod(round(self.duration_s), 60)
+        time = f"{minutes}:{seconds:02d} min" if minutes else f"{seconds} s"
         return (
-            f"{self.length_m:.0f} m in {minutes}:{seconds:02d} min, {self.battery_percent:.0f} % "
+            f"{self.length_m:.0f} m in {time}, {self.battery_percent:.0f} % "
             f"of a battery that hovers for {self.hover_minutes:g} min"
         )
 

@@ -48,7 +48,7 @@ def test_a_straight_way_is_its_length_by_its_speed_and_its_stops() -> None:
     assert made.length_m == pytest.approx(200, abs=0.01)
     assert made.duration_s == pytest.approx(SECONDS, abs=0.01)
     assert made.battery_percent == pytest.approx(SECONDS / 12, abs=0.01)
-    assert str(made) == "200 m in 0:47 min, 4 % of a battery that hovers for 20 min"
+    assert str(made) == "200 m in 47 s, 4 % of a battery that hovers for 20 min"
     assert seconds(trace=Trace.COORDINATED_TURNS) == pytest.approx(SECONDS - STOP_S, abs=0.01)
 
 
