@@ -209,6 +209,11 @@ class Nibbles(NamedTuple):
         return tuple(self)
 
     @property
+    def halves(self) -> tuple[Number, ...]:
+        """Each as a number."""
+        return tuple(Number(name, "B", 0, 15) for name in self)
+
+    @property
     def limit(self) -> str:
         """The documented range of each."""
         return "low and high four bits, each 0 to 15"
@@ -225,8 +230,8 @@ class Nibbles(NamedTuple):
 
     def problems(self, record: object) -> Iterator[Problem]:
         """Which do not fit."""
-        for name in self:
-            yield from Number(name, "B", 0, 15).problems(record)
+        for half in self.halves:
+            yield from half.problems(record)
 
     def shown(self, record: object) -> Iterator[tuple[str, Any]]:
         """Both."""
@@ -298,6 +303,13 @@ class Layout:
         for part in self._parts:
             yield offset, part
             offset += calcsize(f"<{part.format}")
+
+    @property
+    def numbers(self) -> dict[str, Number]:
+        """What each single number may be, by name."""
+        halves = (half for part in self._parts if isinstance(part, Nibbles) for half in part.halves)
+        singles = (part for part in self._parts if isinstance(part, Number))
+        return {number.name: number for number in (*singles, *halves)}
 
     def write(self, record: object) -> bytes:
         """The bytes of a record whose values fit."""

@@ -22,8 +22,16 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.geodesy import destination
+from m100link.protocol.commands.waypoint import (
+    ACTION_PARAMETERS,
+    USED_SLOTS,
+    WaypointMission,
+    WaypointPoint,
+)
+from m100link.protocol.fields import Number
 
 PLACE = 52.1, 4.31
+MISSION, POINT = WaypointMission.LAYOUT.numbers, WaypointPoint.LAYOUT.numbers
 
 
 def at(north: float, east: float = 0.0, height: float = 20.0, **values: Any) -> Waypoint:
@@ -241,3 +249,34 @@ def test_everything_that_is_wrong_is_told_and_the_first_is_raised() -> None:
     assert [one.field for one in error.problems] == ["repeat", "speed", "height", "heading_deg"]
     assert [one.point for one in error.problems] == [None, None, 0, 1]
     assert pickle.loads(pickle.dumps(error)).problems[3].value == 500
+
+
+@pytest.mark.parametrize(
+    ("beyond", "on_wire", "factor"),
+    [
+        ({"point": {"height": 1e9}}, POINT["altitude"], 1),
+        ({"point": {"heading_deg": 1e9}}, POINT["yaw"], 1),
+        ({"point": {"longitude_deg": 1e9}}, POINT["longitude"], 180 / math.pi),
+        ({"point": {"damping": 1e9}}, POINT["damping"], 1),
+        ({"point": {"action_time_limit": 1e9}}, POINT["action_time_limit"], 1),
+        ({"point": {"action_repeat": 1e9}}, POINT["action_repeat"], 1),
+        ({"point": {"actions": [Stay(1e9)]}}, ACTION_PARAMETERS["stay"], 0.001),
+        ({"point": {"actions": [TurnTo(1e9)]}}, ACTION_PARAMETERS["turn_to"], 1),
+        ({"point": {"actions": [GimbalPitch(1e9)]}}, ACTION_PARAMETERS["gimbal_pitch"], 1),
+        # The 30° that a point may carry are those of later aircraft.
+        ({"point": {"gimbal_pitch_deg": 1e9}}, ACTION_PARAMETERS["gimbal_pitch"], 1),
+        ({"max_speed": 1e9}, MISSION["max_speed"], 1),
+        ({"repeat": 1e9}, MISSION["repeat"], 1),
+    ],
+)
+def test_a_plan_allows_what_its_commands_carry(
+    beyond: dict[str, Any], on_wire: Number, factor: float
+) -> None:
+    """Its ranges are its own, because who plans loads no commands; here they are held together."""
+    assert problem(**beyond).limit == pytest.approx((on_wire.low * factor, on_wire.high * factor))
+
+
+def test_counts_are_those_of_the_commands() -> None:
+    [too_few] = problems_of([at(0)])
+    assert too_few.limit == (MISSION["count"].low, MISSION["count"].high)
+    assert problem(point={"actions": [TakePhoto()] * 16}).limit == (0, USED_SLOTS)

@@ -27,6 +27,8 @@ from m100link.protocol.firmware import FirmwareProfile
 
 __all__ = [
     "ACTIONS",
+    "ACTION_PARAMETERS",
+    "USED_SLOTS",
     "IdleSpeedAnswer",
     "WaypointDownloadMission",
     "WaypointDownloadPoint",
@@ -106,15 +108,16 @@ class WaypointMission(Laid, MissionRequest[MissionCode]):
 ACTIONS = ("stay", "take_photo", "start_video", "stop_video", "turn_to", "gimbal_pitch")
 """Actions at a waypoint, by their number."""
 
-_PARAMETERS = {
-    0: Number("parameter", "h", 0, 32767, "ms"),
-    4: Number("parameter", "h", -180, 180, "°"),
-    5: Number("parameter", "h", -90, 0, "°"),
+ACTION_PARAMETERS = {
+    "stay": Number("parameter", "h", 0, 32767, "ms"),
+    "turn_to": Number("parameter", "h", -180, 180, "°"),
+    "gimbal_pitch": Number("parameter", "h", -90, 0, "°"),
 }
 """What the parameter of an action may be; that of the others means nothing."""
 
 _SLOTS = 16
-_USED_SLOTS = 15
+USED_SLOTS = 15
+"""Actions of a point at most, although there are 16 places for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,19 +200,19 @@ class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer]):
         """90 bytes, or the 87 that the documents print: 15 actions and 15 parameters."""
         if len(value) == cls.DOCUMENT_SIZE:
             actions = cls.LAYOUT.size - 3 * _SLOTS
-            parameters = actions + _USED_SLOTS
+            parameters = actions + USED_SLOTS
             value = value[:parameters] + b"\0" + value[parameters:] + b"\0\0"
         return super(WaypointPoint, cls).parse(value, profile)
 
     def _used(self) -> range:
-        return range(min(self.action_count, _USED_SLOTS) if self.has_action else 0)
+        return range(min(self.action_count, USED_SLOTS) if self.has_action else 0)
 
     def problems(self) -> list[Problem]:
         """With parameters that do not fit their action."""
         found = self.LAYOUT.problems(self)
         if not found:
             for slot in self._used():
-                allowed = _PARAMETERS.get(self.actions[slot])
+                allowed = ACTION_PARAMETERS.get(ACTIONS[self.actions[slot]])
                 parameter = self.parameters[slot]
                 if allowed and not allowed.fits(parameter):
                     found.append(Problem(f"parameters[{slot}]", parameter, allowed.limit))
@@ -227,9 +230,9 @@ class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer]):
 
 def _action(action: int, parameter: int) -> dict[str, Any]:
     word = ACTIONS[action] if action < len(ACTIONS) else action
-    if action == 0:
+    if word == "stay":
         return {"action": word, "time_s": parameter / 1000.0}
-    return {"action": word} | ({"angle_deg": parameter} if action in _PARAMETERS else {})
+    return {"action": word} | ({"angle_deg": parameter} if word in ACTION_PARAMETERS else {})
 
 
 @dataclass(frozen=True, slots=True)
