@@ -408,7 +408,7 @@ def uvloop(session: nox.Session) -> None:
 @nox.session(default=False)
 def bench(session: nox.Session) -> None:
     """The benchmarks, beside their rivals on the same machine; `-- frames` for one program."""
-    session.install("-e", PACKAGE, *group("bench", "uvloop"))
+    session.install("-e", PACKAGE, *group("bench", "browser", "uvloop"))
     session.run("python", "-m", "benchmarks", *session.posargs)
 
 

@@ -22,7 +22,12 @@ HEAD = (
     '<link rel="icon" type="image/svg+xml" href="/console/icon.svg">'
     '<meta name="theme-color" content="#12202f">'
     '<meta name="mobile-web-app-capable" content="yes">'
-    "<script>navigator.serviceWorker?.register('/sw.js').catch(() => {})</script>"
+    # What shell.js imports, asked for with it and not after it.
+    + "".join(
+        f'<link rel="modulepreload" href="/console/{name}.js">'
+        for name in ("shell", "socket", "steer", "instruments", "map")
+    )
+    + "<script>navigator.serviceWorker?.register('/sw.js').catch(() => {})</script>"
 )
 """What the page has in its head. Beyond this machine workers need TLS; without, there is none."""
 
