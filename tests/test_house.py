@@ -249,6 +249,10 @@ TESTED_ELSEWHERE = {
         "station/console/view/test_words.py",
         "one catalogue, tested as a whole",
     ),
+    "station/console/view/catalogue/link.py": (
+        "station/console/view/test_words.py",
+        "one catalogue, tested as a whole",
+    ),
     "station/console/view/catalogue/status.py": (
         "station/console/view/test_words.py",
         "one catalogue, tested as a whole",

@@ -32,6 +32,7 @@ from m100link.agent.messages import (
     LeaseAsk,
     LeaseChanged,
     LeaseGranted,
+    LinkCounted,
     Message,
     MissionTold,
     Note,
@@ -75,6 +76,7 @@ class AgentClient:
     Attributes:
         state: Where the agent stands.
         holder: Who has the lease.
+        link: What was counted on the line to the aircraft; None before, and while there is none.
         telemetry: Newest values and their ages; None while no aircraft is connected. When the
             agent itself is gone the values stay, and grow old.
         events: What happened lately.
@@ -96,6 +98,7 @@ class AgentClient:
         self.state = State(at=self.now)
         self.heard_at = self.now
         self.holder = LeaseChanged(0, "")
+        self.link: LinkCounted | None = None
         self.telemetry: AircraftState | None = None
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.background = BackgroundTasks()
@@ -117,6 +120,7 @@ class AgentClient:
             Telemetry: self._on_telemetry,
             FromMobile: self._on_from_mobile,
             Event: self._on_event,
+            LinkCounted: self._on_link_counted,
             LeaseChanged: self._on_lease_changed,
             LeaseGranted: self._answers.granted,
             TakeOverOffered: self._answers.offered,
@@ -212,9 +216,12 @@ class AgentClient:
     def _on_state(self, state: State) -> None:
         self.state = state
         if state.connection != "connected":
-            self.telemetry = None
+            self.telemetry = self.link = None
         elif self.telemetry is None:
             self.telemetry = AircraftState(self._clock)
+
+    def _on_link_counted(self, message: LinkCounted) -> None:
+        self.link = message
 
     def _on_telemetry(self, message: Telemetry) -> None:
         profile = PROFILES.get(message.profile)

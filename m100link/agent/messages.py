@@ -1,14 +1,13 @@
 """What an agent and its fronts tell each other: a few typed messages.
 
-A front is what strangers reach: rosbridge, the console, a bridge to other protocols. It owns
-nothing of the aircraft. What it knows comes in these messages, and what it wants goes out in them,
-whatever carries them (``m100link.agent.carriers``).
+A front is what strangers reach: rosbridge, the console. It owns nothing of the aircraft. What it
+knows comes in these messages, what it wants goes out in them (``m100link.agent.carriers``).
 
 ==================  ========================================================================
 Both ways           Hello, Goodbye
-From the agent      Telemetry, FromMobile, Event, State, LeaseChanged, LeaseGranted,
-                    TakeOverOffered, Activating, AuthorityTaken, MissionTold, SteerRefused,
-                    Outcome
+From the agent      Telemetry, FromMobile, Event, State, LinkCounted, LeaseChanged,
+                    LeaseGranted, TakeOverOffered, Activating, AuthorityTaken, MissionTold,
+                    SteerRefused, Outcome
 From a front        LeaseAsk, Steer, Ask, Note
 ==================  ========================================================================
 
@@ -17,8 +16,10 @@ What a carrier makes of them is in ``m100link.agent.message_bytes``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 from m100link.agent.fault import Fault
 from m100link.agent.lease import LeaseChange
@@ -39,6 +40,7 @@ __all__ = [
     "LeaseChanged",
     "LeaseGranted",
     "Limits",
+    "LinkCounted",
     "Message",
     "MissionTold",
     "Note",
@@ -52,9 +54,8 @@ __all__ = [
     "Topic",
 ]
 
-VERSION = 4
+VERSION = 5
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
-
 
 # -- both ways ------------------------------------------------------------------------------------
 
@@ -212,6 +213,23 @@ class State:
     dropped_writes: int = 0
     mismatches: int = 0
     limits: Limits = Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class LinkCounted:
+    """What was counted on the line to the aircraft since it was opened, once a second.
+
+    Attributes:
+        at: When it was so, s.
+        counters: Numbers of :class:`~m100link.link.statistics.LinkStatistics` by their names.
+        discards: Discarded starts and frames by their causes.
+        loop_lag: Seconds that the agent was late at worst in the last second.
+    """
+
+    at: float
+    counters: Mapping[str, Any]
+    discards: Mapping[str, Any]
+    loop_lag: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -465,6 +483,7 @@ Message = (
     | FromMobile
     | Event
     | State
+    | LinkCounted
     | LeaseChanged
     | LeaseGranted
     | TakeOverOffered

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import asdict
 
 from m100link.agent.agent import Agent
 from m100link.agent.carriers import Channel
@@ -16,6 +17,7 @@ from m100link.agent.messages import (
     Event,
     FromMobile,
     LeaseChanged,
+    LinkCounted,
     Message,
     MissionTold,
     State,
@@ -118,10 +120,23 @@ class Service:
         self._tell_state()
 
     async def _keep_telling(self) -> None:
+        lags: list[float] = []
         while True:
+            due = self._agent.now + STATE_INTERVAL
             await asyncio.sleep(STATE_INTERVAL)
+            lags.append(max(0.0, self._agent.now - due))
             self._told = ()
             self._tell_state()
+            if len(lags) * STATE_INTERVAL >= 1.0:
+                self._tell_counters(max(lags))
+                lags.clear()
+
+    def _tell_counters(self, lag: float) -> None:
+        aircraft = self._agent.connection.aircraft
+        if aircraft is not None:
+            counters = asdict(aircraft.statistics())
+            discards = counters.pop("discards")
+            self._tell(LinkCounted(self._agent.now, counters, discards, lag))
 
     def _tell_state(self) -> None:
         """Tell the state if it has changed: always before what is told because of it."""

@@ -24,7 +24,7 @@ from m100link.protocol.items import ITEMS
 from m100link.telemetry.columns import columns_of
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["COLUMNS", "INTERVAL", "KEPT_S", "LINK_COLUMNS", "History"]
+__all__ = ["COLUMNS", "INTERVAL", "KEPT_S", "LINE_COLUMNS", "History"]
 
 INTERVAL = 0.1
 """Seconds between two rows."""
@@ -34,13 +34,13 @@ KEPT_S = 600.0
 
 _STALE_AFTER = 2.0  # items at 1 Hz are drawn as a line, not as points
 
-LINK_COLUMNS = (
-    *("link.packages_per_s", "link.round_trip_ms", "link.discards", "link.late_acks"),
-    *("link.dropped_writes", "link.front_lag_ms"),
+LINE_COLUMNS = (
+    *("line.packages_per_s", "line.round_trip_ms", "line.discards", "line.late_acks"),
+    *("line.dropped_writes", "line.front_lag_ms"),
 )
 """Numbers of the way to the aircraft, beside those of the telemetry."""
 
-COLUMNS = (*columns_of(item.record for item in ITEMS), *LINK_COLUMNS)
+COLUMNS = (*columns_of(item.record for item in ITEMS), *LINE_COLUMNS)
 """What can be drawn, as ``item.field``."""
 
 _READERS = [
@@ -106,7 +106,7 @@ class History:
             for read in readers:
                 yield None if found is None else read(found)
         if telemetry is None:
-            yield from [None] * (len(LINK_COLUMNS) - 1)
+            yield from [None] * (len(LINE_COLUMNS) - 1)
         else:
             rates = (telemetry.statistics(record).rate_hz for record, _ in _READERS)
             yield max((rate for rate in rates if rate is not None), default=0.0)

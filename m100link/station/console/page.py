@@ -159,6 +159,9 @@ class Page:
                 problem=tab.problem,
                 plan=tab.plan,
                 events=tuple(agent.events),
+                link=agent.link,
+                front_lag=self._deck.history.lag,
+                page_trip=tab.round_trip,
                 fleet=self._fleet(),
             )
         )

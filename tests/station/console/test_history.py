@@ -26,7 +26,7 @@ async def test_rows_are_taken_ten_times_a_second_and_a_stalled_line_is_a_gap(rig
     assert rig.front.telemetry is not None
     position = rig.front.telemetry.get(Position)
     assert position is not None
-    rows = history.rows([HEIGHT, "link.packages_per_s"])
+    rows = history.rows([HEIGHT, "line.packages_per_s"])
     assert rows[-1][1] == pytest.approx(position.height_m, abs=0.5)
     assert rows[-1][2] == pytest.approx(100.0, abs=5.0)
     assert rows[-1][0] - rows[0][0] == pytest.approx(5.0, abs=0.3)
@@ -40,7 +40,7 @@ def test_the_oldest_rows_go() -> None:
     size = round(KEPT_S / INTERVAL)
     for number in range(size + 50):
         history.add(float(number), None, STATE)
-    rows = history.rows(["link.front_lag_ms"])
+    rows = history.rows(["line.front_lag_ms"])
     assert len(rows) == size
     assert rows[0][0] == 50.0
     assert rows[-1][0] == size + 49.0
@@ -79,9 +79,9 @@ def test_a_download_has_a_line_for_each_row_and_nothing_where_there_was_no_value
     history.lag = 0.0125
     for number in range(3):
         history.add(1e9 + number / 10, None, STATE)
-    text = history.csv([HEIGHT, "link.front_lag_ms"], until=2)
+    text = history.csv([HEIGHT, "line.front_lag_ms"], until=2)
     assert text.splitlines() == [
-        "utc,position.height_m,link.front_lag_ms",
+        "utc,position.height_m,line.front_lag_ms",
         "2001-09-09T01:46:40.000Z,,12.5",
         "2001-09-09T01:46:40.100Z,,12.5",
     ]

@@ -10,8 +10,11 @@ from m100link.station.console.parts.fields import card, field
 from m100link.station.console.parts.part import Deck
 from m100link.station.console.view.link import LINK_ITEMS
 from m100link.station.console.view.view import View
+from m100link.station.console.view.words import Speaker, Text, say
 
 __all__ = ["LinkPart"]
+
+_RATE_COLUMNS = ("item", "rate", "jitter", "longest_gap")
 
 
 class LinkPart:
@@ -24,18 +27,46 @@ class LinkPart:
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
         self._numbers: dict[str, Any] = {}
+        self._tables: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 
     def build(self) -> None:
-        """Lay it out. The page itself fills in the two that it measures."""
-        with card("Link"):
-            for name, label in LINK_ITEMS:
-                self._numbers[name] = field(name, label)[1]
-            field("browser_ms", "Browser and back")
-            field("age", "Newest package")
+        """Lay it out. The page itself fills in the age that it measures."""
+        speak = Speaker()
+        with card(speak(say("link.title"))):
+            for name in LINK_ITEMS:
+                self._numbers[name] = field(name, speak(Text(f"link.{name}")))[1]
+            field("age", speak(say("link.age")))
             self._reason = ui.label().classes("problem").props("id=connection-error")
+        for name in ("causes", "rates"):
+            with card(speak(Text(f"link.{name}"))):
+                box = ui.element("div").props(f"id=link-{name}").classes("w-full")
+                self._tables[name] = box, ()
 
     def update(self, view: View) -> None:
         """Show what is."""
         for name, text in view.link.texts.items():
             self._numbers[name].set_text(text)
         self._reason.set_text(view.link.reason)
+        speak = Speaker()
+        none = ((speak(say("link.none")), ""),)
+        self._fill("causes", ("", ""), view.link.causes or none)
+        heads = tuple(speak(Text(f"link.{name}")) for name in _RATE_COLUMNS)
+        rows = tuple((one.name, one.rate, one.jitter, one.longest_gap) for one in view.link.rates)
+        self._fill("rates", heads, rows)
+
+    def _fill(self, name: str, heads: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> None:
+        """A table of texts: its cells stay as long as it has as many."""
+        box, cells = self._tables[name]
+        texts = [text for row in ((heads, *rows) if any(heads) else rows) for text in row]
+        if len(cells) != len(texts):
+            box.clear()
+            with (
+                box,
+                ui.element("div")
+                .classes("table")
+                .style(f"grid-template-columns: 1fr{' auto' * (len(heads) - 1)}"),
+            ):
+                cells = tuple(ui.label() for _ in texts)
+            self._tables[name] = box, cells
+        for cell, text in zip(cells, texts, strict=True):
+            cell.set_text(text)

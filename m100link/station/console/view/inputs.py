@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from m100link.agent.messages import Event, LeaseChanged, State
+from m100link.agent.messages import Event, LeaseChanged, LinkCounted, State
 from m100link.missions.plan import WaypointPlan
 from m100link.telemetry.state import AircraftState
 
@@ -49,6 +49,9 @@ class Inputs:
         problem: What was refused to that tab last.
         plan: What that tab uploaded last.
         events: What happened lately, oldest first.
+        link: What was counted on the line; None while there is none.
+        front_lag: Seconds that the front was late at worst in the last second.
+        page_trip: Seconds to the page and back.
         fleet: Every aircraft of the station, this one among them.
     """
 
@@ -62,6 +65,9 @@ class Inputs:
     problem: str = ""
     plan: WaypointPlan | None = None
     events: tuple[Event, ...] = ()
+    link: LinkCounted | None = None
+    front_lag: float = 0.0
+    page_trip: float | None = None
     fleet: tuple[Ship, ...] = ()
 
     @property

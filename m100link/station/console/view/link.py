@@ -1,24 +1,44 @@
-"""The link in numbers."""
+"""The link in numbers: both ways, what was damaged and why, what arrives how often."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+from m100link.protocol.items import ITEMS
 from m100link.station.console.view.inputs import Inputs
 
-__all__ = ["LINK_ITEMS", "LinkView", "link_of"]
+__all__ = ["LINK_ITEMS", "ItemRate", "LinkView", "link_of"]
+
+_COUNTERS = (
+    *("frames_received", "frames_sent", "bytes_received", "bytes_sent", "discarded_bytes"),
+    *("acks", "repeats", "expired", "duplicate_acks", "late_acks", "foreign_acks"),
+    "dropped_writes",
+)
 
 LINK_ITEMS = (
-    ("connection", "Connection"),
-    ("firmware", "Firmware"),
-    ("aircraft_ms", "Aircraft and back"),
-    ("discards", "Damaged frames"),
-    ("late", "Late and foreign acks"),
-    ("dropped", "Frames not written"),
-    ("mismatches", "Packages refused"),
-    ("clients", "Lease"),
+    *("connection", "firmware", "clients", "aircraft_ms", "page_ms", "agent_lag", "front_lag"),
+    *("discards", "mismatches"),
+    *_COUNTERS,
 )
-"""Name and label of each number, in the order of the page."""
+"""Names of the numbers, in the order of the page; ``link.<name>`` is what each is called."""
+
+
+@dataclass(frozen=True, slots=True)
+class ItemRate:
+    """How a telemetry item arrives.
+
+    Attributes:
+        name: Of the item.
+        rate: Arrivals per second lately.
+        jitter: Mean deviation of their intervals, ms.
+        longest_gap: Longest interval so far, s.
+    """
+
+    name: str
+    rate: str
+    jitter: str
+    longest_gap: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,28 +46,63 @@ class LinkView:
     """How the link does.
 
     Attributes:
-        texts: A text by the name of each of :data:`LINK_ITEMS`.
+        texts: A text by the name of each of :data:`LINK_ITEMS`; a dash for what nobody knows.
+        causes: Causes of damaged frames, each with how many, the most first.
+        rates: How each telemetry item arrives that ever did.
         reason: Why there is no connection; empty when there is.
     """
 
     texts: dict[str, str]
+    causes: tuple[tuple[str, str], ...]
+    rates: tuple[ItemRate, ...]
     reason: str
 
 
 def link_of(inputs: Inputs) -> LinkView:
-    """The numbers as they are now; a dash for what nobody knows."""
-    state, holder, trip = inputs.state, inputs.holder, inputs.state.round_trip
-    texts = {name: "–" for name, _ in LINK_ITEMS}
+    """The numbers as they are now."""
+    state, holder, counted = inputs.state, inputs.holder, inputs.link
+    texts = dict.fromkeys(LINK_ITEMS, "–")
     texts["connection"] = "silent" if inputs.is_silent else state.connection
     texts["clients"] = f"{holder.name}, {state.lease_remaining:.0f} s" if holder.number else "free"
+    texts["front_lag"] = _ms(inputs.front_lag)
+    texts["page_ms"] = "–" if inputs.page_trip is None else _ms(inputs.page_trip)
     if inputs.telemetry is not None:
+        trip = state.round_trip
         texts |= {
             "firmware": state.firmware,
-            "aircraft_ms": "no answer" if trip is None else f"{1000 * trip:.0f} ms",
+            "aircraft_ms": "no answer" if trip is None else _ms(trip),
             "discards": str(state.discards),
-            "late": str(state.late_acks),
-            "dropped": str(state.dropped_writes),
             "mismatches": str(state.mismatches),
         }
+    causes: dict[str, Any] = {}
+    if counted is not None:
+        texts["agent_lag"] = _ms(counted.loop_lag)
+        texts |= {name: str(counted.counters.get(name, "–")) for name in _COUNTERS}
+        causes = dict(sorted(counted.discards.items(), key=lambda one: -one[1]))
     fault = state.connection_fault
-    return LinkView(texts, str(fault.error()) if fault is not None else "")
+    return LinkView(
+        texts,
+        tuple((cause, str(count)) for cause, count in causes.items()),
+        _rates(inputs),
+        str(fault.error()) if fault is not None else "",
+    )
+
+
+def _ms(seconds: float) -> str:
+    return f"{1000.0 * seconds:.0f} ms"
+
+
+def _rates(inputs: Inputs) -> tuple[ItemRate, ...]:
+    if inputs.telemetry is None:
+        return ()
+    told = [inputs.telemetry.statistics(item.record) for item in ITEMS]
+    return tuple(
+        ItemRate(
+            one.name,
+            "–" if one.rate_hz is None else f"{one.rate_hz:.1f}",
+            "–" if one.jitter_s is None else f"{1000.0 * one.jitter_s:.1f}",
+            f"{one.longest_gap_s:.2f}",
+        )
+        for one in told
+        if one.count
+    )

@@ -23,7 +23,7 @@ __all__ = [
 
 FIRST_CHOICE = (
     *("position.height_m", "velocity.ground_speed_m_s"),
-    *("angular_velocity.yaw_rate_deg_s", "link.packages_per_s"),
+    *("angular_velocity.yaw_rate_deg_s", "line.packages_per_s"),
 )
 """What is drawn until somebody chooses."""
 

@@ -31,8 +31,8 @@ from m100link.station.console.view.plots import (
         ("angular_velocity.yaw_rate_deg_s", "angular velocity: yaw rate, °/s"),
         ("battery.percent", "battery: percent, %"),
         ("flight_status.status", "flight status: status"),
-        ("link.round_trip_ms", "link: round trip, ms"),
-        ("link.packages_per_s", "link: packages, 1/s"),
+        ("line.round_trip_ms", "line: round trip, ms"),
+        ("line.packages_per_s", "line: packages, 1/s"),
     ],
 )
 def test_a_number_is_called_by_what_it_is_and_its_unit(name: str, shown: str) -> None:

@@ -5,11 +5,11 @@ A key begins with the name of its file. Whatever stands in braces stands in both
 
 from __future__ import annotations
 
-from m100link.station.console.view.catalogue import alarms, fleet, status, unit
+from m100link.station.console.view.catalogue import alarms, fleet, link, status, unit
 
 __all__ = ["CATALOGUE", "PARTS"]
 
-PARTS = (alarms, fleet, status, unit)
+PARTS = (alarms, fleet, link, status, unit)
 """The files."""
 
 CATALOGUE: dict[str, tuple[str, str]] = {

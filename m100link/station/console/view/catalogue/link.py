@@ -1,0 +1,36 @@
+"""The link page: what each number is called."""
+
+__all__ = ["WORDS"]
+
+WORDS: dict[str, tuple[str, str]] = {
+    "link.title": ("Link", "Verbindung"),
+    "link.connection": ("Connection", "Verbindung"),
+    "link.firmware": ("Firmware", "Firmware"),
+    "link.clients": ("Lease", "Steuerrecht"),
+    "link.aircraft_ms": ("Aircraft and back", "Zum Fluggerät und zurück"),
+    "link.page_ms": ("Page and back", "Zur Seite und zurück"),
+    "link.age": ("Newest package", "Neuestes Paket"),
+    "link.agent_lag": ("Agent late, worst of a second", "Agent verspätet, höchstens je Sekunde"),
+    "link.front_lag": ("Front late, worst of a second", "Front verspätet, höchstens je Sekunde"),
+    "link.discards": ("Damaged frames", "Beschädigte Rahmen"),
+    "link.mismatches": ("Packages refused", "Abgelehnte Pakete"),
+    "link.frames_received": ("Frames received", "Rahmen empfangen"),
+    "link.frames_sent": ("Frames sent", "Rahmen gesendet"),
+    "link.bytes_received": ("Bytes received", "Bytes empfangen"),
+    "link.bytes_sent": ("Bytes sent", "Bytes gesendet"),
+    "link.discarded_bytes": ("Bytes of no frame", "Bytes ohne Rahmen"),
+    "link.acks": ("Acks in time", "Antworten rechtzeitig"),
+    "link.repeats": ("Requests repeated", "Anfragen wiederholt"),
+    "link.expired": ("Requests given up", "Anfragen aufgegeben"),
+    "link.duplicate_acks": ("Acks once more", "Antworten doppelt"),
+    "link.late_acks": ("Acks too late", "Antworten zu spät"),
+    "link.foreign_acks": ("Acks of nothing asked here", "Antworten ohne Anfrage"),
+    "link.dropped_writes": ("Frames not written", "Rahmen nicht gesendet"),
+    "link.causes": ("Damaged frames by cause", "Beschädigte Rahmen nach Ursache"),
+    "link.none": ("none", "keine"),
+    "link.rates": ("Telemetry items", "Telemetrie"),
+    "link.item": ("item", "Wert"),
+    "link.rate": ("Hz", "Hz"),
+    "link.jitter": ("jitter, ms", "Jitter, ms"),
+    "link.longest_gap": ("longest gap, s", "längste Lücke, s"),
+}
