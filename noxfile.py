@@ -120,6 +120,7 @@ def elsewhere(*folders: str) -> list[str]:
 
 
 OWN_SESSIONS = ("tests/interop", "tests/browser")
+CONSOLE = "tests/browser/long"
 # Their tests begin processes and wait for them.
 SERVERS = ("tests/attacks", "tests/benchmarks", "tests/cli", "tests/station")
 CHECKED = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
@@ -139,7 +140,8 @@ KINDS = {
         groups=("test",),
     ),
     "browser": Kind(
-        {"browser": [pytest(*workers(2), "tests/browser")]}, groups=("test", "browser")
+        {"browser": [pytest(*workers(2), "tests/browser", *elsewhere(CONSOLE))]},
+        groups=("test", "browser"),
     ),
     "examples": Kind({program: [("python", "-W", "error", program)] for program in PROGRAMS}),
     # Beside rosbridge_suite's own library it has a session to itself.
@@ -229,6 +231,13 @@ def interop(session: nox.Session) -> None:
 def browser(session: nox.Session) -> None:
     """The console in Chromium; skipped with a reason where there is none."""
     run_kind(session, "browser")
+
+
+@nox.session(default=False)
+def console(session: nox.Session) -> None:
+    """The console in Chromium at length: what happens in flight when something is lost."""
+    install(session, PACKAGE, *group("test", "browser"))
+    session.run(*pytest(CONSOLE, *session.posargs))
 
 
 @nox.session(default=False)
