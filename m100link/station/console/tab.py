@@ -82,6 +82,11 @@ class Tab:
         agent.on_authority_taken.append(self._authority_taken)
 
     @property
+    def has_spoken(self) -> bool:
+        """Whether its page ever said anything that could be used."""
+        return self._last_number >= 0
+
+    @property
     def round_trip(self) -> float | None:
         """Seconds to the page and back, None before it was measured."""
         return self._way.round_trip

@@ -25,7 +25,7 @@ LIVE_INTERVAL = 0.05
 OTHERS_INTERVAL = 0.5
 """Seconds between two places of the aircraft that the page does not show."""
 
-MOVE_PATIENCE = 5.0
+MOVE_PATIENCE = 8.0
 """Seconds for which control goes along to the page of another aircraft; then it is given back."""
 
 PLACES = 32
@@ -62,10 +62,12 @@ class _Move:
     Attributes:
         name: Who it is.
         kept: Control that goes along.
+        tab: The page of the other aircraft, once it was asked for.
     """
 
     name: str
     kept: KeptLeases
+    tab: Tab | None = None
 
 
 class Tabs:
@@ -97,10 +99,8 @@ class Tabs:
         tab = Tab(self.agents[aircraft], f"console {self._count}", aircraft)
         move = self._moves.pop(moved, None)
         if move is not None:
-            tab.name, tab.kept = move.name, move.kept
+            tab.name, tab.kept, move.tab = move.name, move.kept, tab
             tab.lease = tab.kept.take(aircraft)
-            if tab.lease is not None:
-                tab.agent.keep(tab.lease)
         self.tabs[key] = tab
         return key, tab
 
@@ -124,19 +124,23 @@ class Tabs:
             kept.add(tab.aircraft, agent, lease)
             tab.lease = None
         code = secrets.token_urlsafe(16)
-        self._moves[code] = _Move(tab.name, kept)
-        self._agent.background.spawn(self._keep_until_opened(code), "move")
+        move = self._moves[code] = _Move(tab.name, kept)
+        self._agent.background.spawn(self._keep_until_heard(code, move), "move")
         return f"/?{urlencode({'aircraft': to, 'moved': code})}"
 
-    async def _keep_until_opened(self, code: str) -> None:
+    async def _keep_until_heard(self, code: str, move: _Move) -> None:
+        """Keep control until the page that it goes to says something, and not for longer than that.
+
+        A page that was asked for and says nothing loses it when the leases run out.
+        """
         until = self._agent.now + MOVE_PATIENCE
-        while (move := self._moves.get(code)) is not None:
-            if self._agent.now >= until:
-                del self._moves[code]
-                move.kept.let_go()
-                return
+        while self._agent.now < until and not (move.tab is not None and move.tab.has_spoken):
             move.kept.renew(self._agent.now)
+            if move.tab is not None and move.tab.lease is not None and move.tab.has_lease:
+                move.tab.agent.keep(move.tab.lease)
             await asyncio.sleep(RENEWAL)
+        if self._moves.pop(code, None) is not None:
+            move.kept.let_go()
 
     def close(self, key: str) -> None:
         """A tab is gone for good."""

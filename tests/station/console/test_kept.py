@@ -119,6 +119,19 @@ async def test_control_that_nobody_takes_along_is_given_back(fleet: Fleet) -> No
     await rig.until(lambda: not rig.agent.holding.has_authority, within=3.0)
 
 
+async def test_a_page_that_is_slow_to_load_does_not_lose_control(fleet: Fleet) -> None:
+    first = await fleet.flown("kite")
+    address = fleet.tabs.move(first.tab, "crow")
+    await anyio.sleep(2.0)
+    second = fleet.page("crow", address)
+    await anyio.sleep(MOVE_PATIENCE - 3.0)  # longer than a lease lasts
+    second.say("alive")
+    await anyio.sleep(1.0)
+    assert "kite" in second.tab.kept
+    await anyio.sleep(3.5)  # and from now on it counts whether it is heard
+    assert "kite" not in second.tab.kept
+
+
 async def test_a_page_that_is_lost_gives_back_everything_it_kept(fleet: Fleet) -> None:
     first = await fleet.flown("kite")
     second = fleet.page("crow", fleet.tabs.move(first.tab, "crow"))
