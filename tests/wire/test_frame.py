@@ -14,6 +14,7 @@ from m100link.wire import frame as module
 from tests.support import (
     KEY,
     all_frames,
+    crc16,
     encrypted_frame,
     load_vectors,
     raw_frame,
@@ -383,6 +384,16 @@ def test_the_simple_model_agrees_with_the_golden_streams() -> None:
         found = all_frames(bytes.fromhex(vector["bytes"]), key)
         wanted = [bytes.fromhex(frame["data"]) for frame in vector["frames"]]
         assert [frame.data for frame in found] == wanted
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_a_header_with_another_start_byte_begins_nothing(bit: int) -> None:
+    """Its checksum is right: that alone makes no frame."""
+    header = bytes((0xAA ^ 1 << bit, *raw_frame(sequence=7)[1:10]))
+    wire = header + crc16(header).to_bytes(2, "little")
+    for stream in (wire, GOOD + wire, wire + GOOD):
+        frames, _ = decode(stream)
+        assert frames == [GOOD_DECODED] * (stream != wire)
 
 
 # -- checksums, bit by bit -------------------------------------------------------------------------
