@@ -255,6 +255,24 @@ async def test_one_timer_serves_all_requests() -> None:
     await link.close()
 
 
+async def test_what_waited_for_a_session_is_repeated_after_its_own_time_out() -> None:
+    """The ack that frees the session comes long before the timer of the others."""
+    link, peer, _ = await connected(silent)
+    others = [
+        asyncio.ensure_future(link.request(b"%d" % n, timeout=5.0, tries=1)) for n in range(30)
+    ]
+    await settle()
+    waiting = asyncio.ensure_future(link.request(b"waiting", timeout=0.2, tries=2))
+    await asyncio.sleep(1.0)
+    assert b"waiting" not in peer.data
+    echo(peer, peer.received[0])
+    with pytest.raises(AckTimeout, match="after 2 tries"):
+        await waiting
+    assert now() == pytest.approx(1.4)
+    await link.close()
+    await asyncio.gather(*others, return_exceptions=True)
+
+
 # -- pushes, acks, keys ----------------------------------------------------------------------------
 
 
@@ -507,6 +525,16 @@ async def test_a_peer_that_takes_nothing_delays_closing_by_a_second_at_most() ->
     await link.close()
     assert 0.9 < now() < 1.1
     assert transport.is_closing()
+
+
+async def test_a_port_that_does_not_report_its_end_is_waited_for_a_second(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    link, _, transport = await connected()
+    monkeypatch.setattr(transport, "abort", lambda: None)
+    await link.close()
+    assert now() == pytest.approx(1.0)
+    assert "did not report its end" in caplog.text
 
 
 async def test_closing_a_link_from_which_everything_has_left_takes_no_time() -> None:
