@@ -14,6 +14,7 @@ from m100link import (
     BadSetpoint,
     Control,
     GuardRefused,
+    LinkLost,
     M100Error,
     NoAuthority,
     Setpoint,
@@ -183,6 +184,56 @@ async def test_before_the_block_nothing_is_sent() -> None:
         assert len(flown.moves) == 0
 
 
+async def test_a_setpoint_beside_a_closed_loop_hears_first_what_ended_the_block() -> None:
+    async with rig() as flown:
+        control = await flown.aircraft.control().obtain()
+        await control.take_off()
+        climbing = asyncio.create_task(control.climb_to(15.0))
+        await asyncio.sleep(1.0)
+        with pytest.raises(UsageError, match="closed loop"):
+            control.send(NORTH)
+        control.interrupt()
+        with pytest.raises(NoAuthority, match="over with this block"):
+            control.send(NORTH)
+        await control.release()
+        await asyncio.gather(climbing, return_exceptions=True)
+
+
+async def test_where_a_block_is_in_its_life_can_be_asked() -> None:
+    async with rig() as flown:
+        control = flown.aircraft.control(stop="land")
+        seen = []
+
+        def look() -> None:
+            seen.append((control.is_flying, control.is_stopping, control.is_over))
+
+        async def fly() -> None:
+            async with control:
+                await control.take_off()
+                look()
+
+        look()
+        flight = asyncio.create_task(fly())
+        await asyncio.sleep(8.0)  # it lands
+        look()
+        await flight
+        look()
+        assert seen == [
+            (False, False, False),
+            (True, False, False),
+            (False, True, False),
+            (False, False, True),
+        ]
+
+
+async def test_a_take_off_without_authority_is_not_first_a_matter_of_the_battery() -> None:
+    async with rig() as flown:
+        flown.virtual.battery_percent = 15
+        await asyncio.sleep(1.5)
+        with pytest.raises(NoAuthority):
+            await flown.aircraft.control().take_off()
+
+
 # -- hold -----------------------------------------------------------------------------------------
 
 
@@ -326,6 +377,22 @@ async def test_follow_at_a_slower_rate_keeps_the_setpoint_alive_between_its_tick
     assert control.setpoints_expired == 0
 
 
+async def test_a_slow_source_that_says_nothing_more_is_believed_for_two_of_its_ticks(
+    flying: tuple[Rig, Control],
+) -> None:
+    flown, control = flying
+
+    async def source() -> AsyncIterator[Setpoint]:
+        yield north(1.0)
+        await asyncio.sleep(5.0)
+
+    begun_at = flown.now
+    await control.follow(source(), rate_hz=4)
+    moves = zip(flown.moves.times, flown.moves, strict=True)
+    last = max(time for time, move in moves if move.roll_or_x)
+    assert 0.45 < last - begun_at < 0.51
+
+
 async def test_follow_that_fails_leaves_neutral(flying: tuple[Rig, Control]) -> None:
     flown, control = flying
 
@@ -382,6 +449,16 @@ async def test_stop_does_not_silence_what_was_sent_after_it(flying: tuple[Rig, C
     count = len(flown.moves)
     await asyncio.sleep(0.1)
     assert len(flown.moves) > count + 3
+
+
+async def test_a_task_silences_the_setpoint_before_it(flying: tuple[Rig, Control]) -> None:
+    flown, control = flying
+    control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
+    await asyncio.sleep(1.0)
+    count = len(flown.moves)
+    await control.land()
+    assert len(flown.moves) <= count + 1, "the autopilot lands: nobody steers beside it"
+    assert flown.virtual.height == 0.0
 
 
 async def test_stop_with_nothing_to_stop_takes_no_time(flying: tuple[Rig, Control]) -> None:
@@ -481,6 +558,24 @@ async def test_an_error_in_the_sending_task_takes_the_stop_path_and_reaches_the_
         flown.assert_stopped_in_order()
         assert flown.is_released
         assert flown.is_running is (stop == "hover")
+
+
+async def test_a_line_that_is_found_gone_by_sending_ends_the_block(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def find_it_gone(*_: object) -> None:
+        raise LinkLost("the line is gone")
+
+    async with rig() as flown:
+        with pytest.raises(LinkLost):
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                control.send(NORTH, lifetime=1.0)
+                monkeypatch.setattr(Requests, "push", find_it_gone)
+                found_at = flown.now
+                await asyncio.sleep(30.0)
+        assert flown.now - found_at < 0.1
+        monkeypatch.undo()
 
 
 async def test_a_program_that_cancels_every_other_task_does_not_fly_on_unheard() -> None:

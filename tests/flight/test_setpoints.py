@@ -181,6 +181,31 @@ async def test_a_program_that_ticks_at_50_hz_itself_is_never_a_period_stale(
     assert len(rig.frames) == 100
 
 
+async def stand_still(rig: Rig, begin: float, end: float) -> None:
+    """The process runs up to a moment, and then not before another."""
+    await asyncio.sleep(begin - rig.loop.time())
+    assert isinstance(rig.loop, VirtualClockEventLoop)
+    rig.loop._jumping.now = end
+
+
+async def test_a_slow_rate_keeps_its_grid_through_small_lateness(rig: Rig) -> None:
+    rig.setpoints.set(NORTH, lifetime=10.0, period=0.1)
+    await stand_still(rig, 0.099, 0.105)
+    await asyncio.sleep(0.2)
+    assert rig.times == pytest.approx([0.0, 0.105, 0.2, 0.3])
+
+
+async def test_news_at_a_slow_rate_keep_the_grid_of_50_hz_through_small_lateness(rig: Rig) -> None:
+    rig.setpoints.set(NORTH, lifetime=0.9, period=0.5)
+    await asyncio.sleep(0.005)
+    rig.setpoints.set(EAST, lifetime=0.9, period=0.5)
+    await stand_still(rig, 0.019, 0.025)
+    await asyncio.sleep(0.001)
+    rig.setpoints.set(STILL, lifetime=0.9, period=0.5)
+    await asyncio.sleep(0.03)
+    assert rig.times == pytest.approx([0.0, 0.025, 0.04])
+
+
 async def test_a_blocked_program_makes_a_gap_not_a_burst(rig: Rig) -> None:
     rig.set(NORTH, lifetime=10.0)
     await asyncio.sleep(0.1)
@@ -455,3 +480,40 @@ async def test_a_task_that_fails_says_so_and_the_next_setpoint_begins_another(ri
     await asyncio.sleep(0.1)
     assert {setpoint for _, setpoint in rig.frames[1:]} == {STILL}
     assert len(rig.frames) >= 5
+
+
+async def test_a_neutral_that_is_asked_for_by_who_hears_of_a_failure_goes_out_for_its_time(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the stop path does it: within the task that has failed, which sends nothing more."""
+
+    def stop(failure: Exception) -> None:
+        rig.failures.append(failure)
+        rig.is_failing = False
+        rig.setpoints.neutralise()
+
+    monkeypatch.setattr(rig.setpoints, "_on_failure", stop)
+    rig.set(NORTH, lifetime=1.0)
+    rig.is_failing = True
+    await asyncio.sleep(1.0)
+    assert len(rig.failures) == 1
+    assert [setpoint for _, setpoint in rig.frames] == [NORTH] + [STILL] * (len(rig.frames) - 1)
+    assert len(rig.frames) >= NEUTRAL_TIME / PERIOD - 1
+
+
+async def test_a_send_that_blocks_for_longer_than_a_period_does_not_starve_the_others(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop = rig.loop
+    assert isinstance(loop, VirtualClockEventLoop)
+
+    def block(setpoint: Setpoint) -> None:
+        loop._jumping.now += 2.5 * PERIOD
+
+    monkeypatch.setattr(rig.setpoints, "_send", block)
+    rig.set(NORTH, lifetime=1.0)
+    turns = 0
+    while loop.time() < 0.9 and turns < 1000:
+        await asyncio.sleep(0)
+        turns += 1
+    assert 15 <= turns < 100

@@ -22,18 +22,22 @@ from m100link import (
     LinkLost,
     MissionAborted,
     MissionKind,
+    MissionRunning,
     OnRCLoss,
     Reached,
     Stay,
     Stopped,
     TakePhoto,
     Target,
+    TaskRefused,
+    UsageError,
     Waypoint,
     WaypointPlan,
 )
 from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
 from m100link.missions.waypoint import WaypointAction
+from m100link.protocol.commands.control import Move
 from m100link.sim import LineFaults
 from tests.rig import NORTH, Rig, rig
 
@@ -305,3 +309,50 @@ async def test_a_target_is_followed_at_its_distance() -> None:
             assert abs(north) < 1.0
             assert 25.0 < east < 31.0
             await assert_at_rest(flown)
+
+
+# -- what steers makes way -------------------------------------------------------------------------
+
+
+async def test_no_mission_begins_beside_a_closed_loop() -> None:
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        climbing = asyncio.create_task(control.climb_to(15.0))
+        await asyncio.sleep(1.0)
+        with pytest.raises(UsageError, match="closed loop"):
+            async with control.waypoint_mission(long_way(flown.aircraft)):
+                pytest.fail("entered")
+        await climbing
+        assert flown.virtual.height == pytest.approx(15.0, abs=0.6)
+
+
+async def test_a_mission_begins_behind_the_neutral_of_the_setpoint_before_it() -> None:
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
+        await asyncio.sleep(1.0)
+        async with control.waypoint_mission(long_way(flown.aircraft)):
+            flown.assert_stopped_in_order()
+            count = len(flown.moves)
+            await asyncio.sleep(2.0)
+            assert len(flown.moves) == count
+
+
+async def test_no_mission_begins_beside_a_task() -> None:
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        landing = asyncio.create_task(control.land())
+        await asyncio.sleep(0.5)
+        with pytest.raises(TaskRefused, match="during land"):
+            async with control.waypoint_mission(long_way(flown.aircraft)):
+                pytest.fail("entered")
+        await landing
+        assert flown.virtual.height == 0.0
+
+
+async def test_while_one_flies_the_experts_door_is_shut() -> None:
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        async with control.waypoint_mission(long_way(flown.aircraft)):
+            with pytest.raises(MissionRunning, match="raw movement"):
+                control.send_raw_move_as_expert(Move(0, 0.0, 0.0, 0.0, 0.0))

@@ -151,6 +151,16 @@ async def test_what_was_refused_beside_a_mission_of_somebody_else_does_not_end_i
         assert "authority is not given back" in caplog.text
 
 
+async def test_a_take_off_beside_a_mission_is_not_first_a_matter_of_the_battery() -> None:
+    async with foreign() as (there, aircraft):
+        there.battery = 10
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        async with aircraft.control() as control:
+            with pytest.raises(MissionRunning):
+                await control.take_off()
+
+
 async def test_a_detached_mission_is_not_broken_off_by_a_later_block() -> None:
     async with foreign() as (there, aircraft):
         async with aircraft.control() as control:
