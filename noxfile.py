@@ -27,6 +27,10 @@ nox.needs_version = ">=2025.2.9"
 nox.options.sessions = ["check"]
 nox.options.reuse_venv = "yes"
 
+# Hundreds of processes begin here: where the environment forbids bytecode, and uv leaves none, each
+# of them would compile every package that it imports, for three times the cost of its start.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 PYPROJECT = nox.project.load_toml("pyproject.toml")
 EXTRAS = PYPROJECT["project"].get("optional-dependencies", {})
 PACKAGE = f".[{','.join(EXTRAS)}]"
