@@ -173,6 +173,14 @@ def test_the_list_of_verbs_loads_none_of_them() -> None:
     }
 
 
+def test_a_verb_for_a_port_does_not_load_the_virtual_aircraft() -> None:
+    asked = "import sys; sys.argv = ['m100link', 'info', '/dev/none']"
+    run_it = "from m100link.cli import main\ntry: main()\nexcept SystemExit: pass"
+    loaded = own(f"{asked}\n{run_it}")
+    assert "m100link.aircraft" in loaded
+    assert "m100link.sim" not in loaded
+
+
 def test_decoding_a_frame_loads_neither_an_event_loop_nor_an_aircraft_nor_a_console() -> None:
     asked = "import sys; sys.argv = ['m100link', 'decode', 'aa']\nfrom m100link.cli import main"
     loaded = loaded_by(f"{asked}\ntry: main()\nexcept SystemExit: pass")

@@ -18,7 +18,6 @@ from m100link.cli.outcome import ExitCode, complain
 from m100link.errors import UsageError
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import PROFILES
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.station.config import ENVIRONMENT, Settings, resolve
 
 __all__ = ["AppOptions", "LinkOptions", "Place", "Url", "err", "out", "places", "run_async"]
@@ -95,6 +94,8 @@ class Place:
         """
         app = self.settings
         if self.is_virtual and (app.app_id, app.key, app.key_file) == (None,) * 3:
+            from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY  # loads the simulator
+
             return Credentials(DEMO_APP_ID, DEMO_KEY, level=app.level)
         if app.origins.get("key") == "command line":
             err.print("[yellow]warning:[/] --key shows the key to everybody who lists processes")
