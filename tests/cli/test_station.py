@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from tests.cli.conftest import CommandLine
 from tests.waiting import PATIENCE
 
 pytest.importorskip("cyclopts")
@@ -101,10 +102,20 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "TLS files"),
     ],
 )
-def test_mistakes_are_told_with_a_remedy(arguments: tuple[str, ...], says: str) -> None:
-    done = run(*arguments, M100LINK_PORT="0")
+def test_mistakes_are_told_with_a_remedy(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], says: str
+) -> None:
+    monkeypatch.setenv("M100LINK_PORT", "0")
+    done = cli(*arguments)
+    assert done.status == 2
+    assert says in done.err.replace("\n", " ")
+    assert "Traceback" not in done.err
+
+
+def test_a_mistake_ends_the_process() -> None:
+    done = run("serve", M100LINK_PORT="0")
     assert done.returncode == 2
-    assert says in done.stderr.replace("\n", " ")
+    assert "no aircraft was named" in done.stderr.replace("\n", " ")
     assert "Traceback" not in done.stderr
 
 
