@@ -15,9 +15,10 @@ _LEGEND = """
 <b>Esc</b> leaves, gamepad: hold a shoulder button</div>
 <div class="choices">
 <button type="button" data-steer="slower" aria-label="slower">−</button>
-<span>speed <b data-level>1</b></span>
+<span>speed</span><output data-level>1</output>
 <button type="button" data-steer="faster" aria-label="faster">+</button>
-<button type="button" data-steer="mode">mode <b data-mode>1</b></button>
+<button type="button" data-steer="mode">mode <b data-mode>1</b>
+<span class="hint" data-hint></span></button>
 </div>
 """
 

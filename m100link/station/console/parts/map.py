@@ -7,6 +7,7 @@ import json
 from nicegui import ui
 
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.view.chart import Chart
 from m100link.station.console.view.view import View
 
 __all__ = ["MapPart"]
@@ -36,7 +37,7 @@ class MapPart:
 
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
-        self._route: tuple[tuple[float, float], ...] = ()
+        self._shown = Chart(None, ())
 
     def build(self) -> None:
         """Lay it out."""
@@ -58,10 +59,15 @@ class MapPart:
         ui.label().props("id=map-home").classes("map-home")
 
     def update(self, view: View) -> None:
-        """Show the plan when it is another one; what moves comes by the socket."""
-        if view.mission.route != self._route:
-            self._route = view.mission.route
+        """Show plan and envelope when they are others; what moves comes by the socket."""
+        chart = view.chart
+        if chart != self._shown:
+            self._shown = chart
+            fence = chart.fence and [
+                [chart.fence.latitude_deg, chart.fence.longitude_deg],
+                chart.fence.radius_m,
+            ]
             ui.run_javascript(
                 'import("/console/shell.js").then(({m100}) => m100.onMap('
-                f"(map) => map.setRoute({json.dumps(self._route)})))"
+                f"(map) => map.setChart({json.dumps(chart.route)}, {json.dumps(fence)})))"
             )

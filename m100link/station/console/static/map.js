@@ -43,7 +43,6 @@ export class FlightMap {
     this.isHeadingUp = false;
     this.track = [];
     this.runs = [];       // of the track, one for each stretch of a colour
-    this.images = [];     // tests look here
     this.home = null;
     this.drawnAt = 0;
     
@@ -54,7 +53,7 @@ export class FlightMap {
     this.route = L.polyline([], {color: "#ab47bc", weight: 3, renderer: this.canvas}).addTo(leaflet);
     this.vector = L.polyline([], {color: "#ffb300", weight: 3}).addTo(leaflet);
     this.nose = L.polyline([], {color: "#e53935", weight: 2, dashArray: "6 6"}).addTo(leaflet);
-    this.fence = L.circle([0, 0], {radius: 1, color: "#ef6c00", fill: false, dashArray: "8 6"});
+    this.fence = L.circle([0, 0], {radius: 1, color: "#ef6c00", fill: false, interactive: false, dashArray: "8 6"});
     this.aircraft = null;
     leaflet.on("dragstart", () => this.setFollow(false));
     document.addEventListener("click", (event) => this.choose(event.target.closest("[data-map]")));
@@ -93,14 +92,12 @@ export class FlightMap {
     this.element.parentElement.style.setProperty("--turned", `${this.turned}deg`);
   }
 
-  // The route of a plan: [[latitude, longitude], …].
-  setRoute(points) {
-    this.route.setLatLngs(points);
-  }
-
-  // Where the guards let nobody fly beyond.
-  setFence(centre, radius) {
-    this.fence.setLatLng(centre).setRadius(radius).addTo(this.leaflet);
+  // The route of a plan, [[latitude, longitude], …], and [centre, radius] beyond which the guards
+  // let nobody fly, or null.
+  setChart(route, fence) {
+    this.route.setLatLngs(route);
+    if (fence) this.fence.setLatLng(fence[0]).setRadius(fence[1]).addTo(this.leaflet);
+    else this.fence.remove();
   }
 
   setHome(home) {
@@ -128,7 +125,8 @@ export class FlightMap {
     const isFirst = !this.position;
     this.position = position;
     if (isFirst) {
-      this.leaflet.setView(position, this.leaflet.getZoom(), {animate: false});
+      this.leaflet.setView(position, 19, {animate: false});
+      this.keepInSight();
       this.grid.redraw();
     }
     if (!this.home) this.setHome(position.slice(0, 2));
@@ -191,11 +189,36 @@ export class FlightMap {
   // Moved only when it has to be: a map that stands still costs nothing.
   keepInSight() {
     if (!this.position) return;
+    const view = this.element.closest("#map-view").getBoundingClientRect(), free = freeOf(view);
+    const x = (free.left + free.right) / 2 - view.left, y = (free.top + free.bottom) / 2 - view.top;
+    const frame = this.element.parentElement.style;
+    frame.setProperty("--x", `${x}px`);
+    frame.setProperty("--y", `${y}px`);
     const size = this.leaflet.getSize(), at = this.leaflet.latLngToContainerPoint(this.position);
-    const off = Math.max(Math.abs(at.x / size.x - 0.5), Math.abs(at.y / size.y - 0.5));
-    if (off > (this.isHeadingUp ? 0.01 : 0.2))
-      this.leaflet.panTo(this.position.slice(0, 2), {animate: off < 0.4 && !this.isHeadingUp, duration: 0.4});
+    const target = this.isHeadingUp ? size.divideBy(2) : window.L.point(x, y);
+    const off = at.subtract(target);
+    const slack = this.isHeadingUp ? [2, 2] : [(free.right - free.left) / 4, (free.bottom - free.top) / 4];
+    if (Math.abs(off.x) > slack[0] || Math.abs(off.y) > slack[1])
+      this.leaflet.panBy(off, {animate: !this.isHeadingUp && off.distanceTo([0, 0]) < size.y / 2, duration: 0.4});
   }
+}
+
+// What of the map is not covered: each thing over it takes the side where it costs least.
+function freeOf(view) {
+  const free = {left: view.left, top: view.top, right: view.right, bottom: view.bottom};
+  for (const element of document.querySelectorAll(".place.steering, .place.hud > *, .place.orders > *")) {
+    const box = element.getBoundingClientRect();
+    if (!box.width || !box.height) continue;
+    const wide = free.right - free.left, high = free.bottom - free.top;
+    const costs = {
+      left: Math.max(0, box.right - free.left) * high, right: Math.max(0, free.right - box.left) * high,
+      top: Math.max(0, box.bottom - free.top) * wide, bottom: Math.max(0, free.bottom - box.top) * wide,
+    };
+    const side = Object.keys(costs).reduce((one, two) => costs[two] < costs[one] ? two : one);
+    const edge = {left: box.right, right: box.left, top: box.bottom, bottom: box.top}[side];
+    free[side] = side === "left" || side === "top" ? Math.max(free[side], edge) : Math.min(free[side], edge);
+  }
+  return free;
 }
 
 // A grid in metres, for where there are no tiles: its lines go through home.

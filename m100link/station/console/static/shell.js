@@ -36,6 +36,7 @@ export function start(key) {
     tab.addEventListener("click", () => show(tab.dataset.go));
   show("fly");
   keepAboveKeyboard();
+  keepBelowHeader(find("#header"));
   FlightMap.find(find("#map"), (map) => {
     m100.map = map;
     m100.onLive((live) => map.draw(live));
@@ -125,6 +126,12 @@ function holdToPress() {
   document.addEventListener("focusout", (event) => event.target === held?.button && end());
   document.addEventListener("visibilitychange", end);
   window.addEventListener("blur", end);
+}
+
+// The header grows with what it has to say; nothing lies under it.
+function keepBelowHeader(header) {
+  const fit = () => document.documentElement.style.setProperty("--top", `${header.offsetHeight}px`);
+  new ResizeObserver(fit).observe(header, {box: "border-box"});
 }
 
 // Where a keyboard on the screen covers the page instead of making it smaller.

@@ -232,7 +232,8 @@ export class Steering {
 
   show() {
     this.pad.querySelector("[data-level]").textContent = this.level;
-    this.pad.querySelector("[data-mode]").textContent =
-      this.mode === 1 ? "1 (angles, W forward)" : "2 (velocity, W north)";
+    this.pad.querySelector("[data-mode]").textContent = this.mode;
+    this.pad.querySelector("[data-hint]").textContent =
+      this.mode === 1 ? "(angles, W forward)" : "(velocity, W north)";
   }
 }

@@ -18,22 +18,18 @@ class MissionView:
         plan: The plan in one line.
         state: What flies, in words.
         part: How much of it is flown, 0 to 1.
-        route: Latitude and longitude of its waypoints, degrees.
     """
 
     plan: str
     state: str
     part: float
-    route: tuple[tuple[float, float], ...]
 
 
 def mission_of(inputs: Inputs) -> MissionView:
     """The mission as it is now."""
     plan, state = inputs.plan, inputs.state
     text, part = progress(plan, state.mission, state.mission_index)
-    points = plan.waypoints if plan is not None else ()
-    route = tuple((point.latitude_deg, point.longitude_deg) for point in points)
-    return MissionView(summary(plan), text, part, route)
+    return MissionView(summary(plan), text, part)
 
 
 def summary(plan: WaypointPlan | None) -> str:

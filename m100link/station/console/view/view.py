@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from m100link.agent.messages import Event
 from m100link.station.console.view.actions import actions_of
 from m100link.station.console.view.fleet import FleetRow, fleet_of
+from m100link.station.console.view.chart import Chart, chart_of
 from m100link.station.console.view.inputs import Inputs
 from m100link.station.console.view.instruments import Instruments, instruments_of
 from m100link.station.console.view.link import LinkView, link_of
@@ -27,6 +28,7 @@ class View:
         at: Time on the agent's clock, s.
         status: The status line.
         instruments: Values of the telemetry, each with its age.
+        chart: What stands on the map besides what moves.
         actions: Names of the buttons that can be pressed.
         mission: The mission.
         link: The link in numbers.
@@ -37,6 +39,7 @@ class View:
     at: float
     status: StatusLine
     instruments: Instruments
+    chart: Chart
     actions: frozenset[str]
     mission: MissionView
     link: LinkView
@@ -50,6 +53,7 @@ def view_of(inputs: Inputs) -> View:
         at=inputs.now,
         status=status_of(inputs),
         instruments=instruments_of(inputs),
+        chart=chart_of(inputs),
         actions=actions_of(inputs),
         mission=mission_of(inputs),
         link=link_of(inputs),
