@@ -19,6 +19,7 @@ from m100link.agent.flying import MissionOrder, Pattern
 from m100link.agent.holding import Holding, HoldingInput, HoldingState
 from m100link.agent.journal import Journal
 from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
+from m100link.agent.messages import Topic
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import UsageError
@@ -311,7 +312,7 @@ class Agent:
         The protocol has no command that ends a task. Giving control authority back is the only
         thing this side can do about it.
         """
-        self.journal.note("stop")
+        self.journal.note("stop", topic=Topic.STOPPED)
         is_in_task = self.holding.task is not None
         self.halt("stop")
         if is_in_task or self._unclaimed is not None:

@@ -119,6 +119,7 @@ class Topic(Enum):
     """What an event is about, where programs have to know it."""
 
     NONE = ""
+    STOPPED = "stopped"  # somebody pressed STOP
     MISSION_ABORTED = "mission aborted"  # the aircraft or a guard ended it before its end
 
 
@@ -174,8 +175,7 @@ class State:
         is_activated: Whether the aircraft is active and its key in use.
         activation_code: Last answer to an activation.
         activation_fault: Why the last activation failed.
-        holding: State of control authority, by the names of
-            :class:`~m100link.agent.holding.HoldingState`.
+        holding: State of control authority, a :class:`~m100link.agent.holding.HoldingState`.
         has_authority: Whether setpoints and tasks are obeyed.
         task: What the aircraft flies by itself; empty for nothing.
         pattern: Name of the program that flies; empty for none.

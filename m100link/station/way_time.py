@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["MAX_LATE", "MAX_ROUND_TRIP", "MAX_UNHEARD", "WayTime"]
+__all__ = ["MAX_LATE", "MAX_ORDER_LATE", "MAX_ROUND_TRIP", "MAX_UNHEARD", "WayTime"]
 
 MAX_LATE = 0.3
 """Seconds that a setpoint may be later than the fastest message of its client."""
@@ -14,6 +14,10 @@ MAX_ROUND_TRIP = 0.4
 
 MAX_UNHEARD = 1.0
 """Seconds for which a page that steers may not have heard the station."""
+
+MAX_ORDER_LATE = 2.0
+"""Seconds that a pressed button may be on its way: a browser keeps what it cannot send until the
+network is back."""
 
 _WINDOW = 15.0
 

@@ -12,14 +12,15 @@ nobody steers by a picture that is old.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, TypeGuard
 
 from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, TakeOver
-from m100link.agent.messages import Action, LeaseChanged
+from m100link.agent.messages import Action, Event, LeaseChanged, Topic
 from m100link.agent.steering import setpoint_of
 from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error
 from m100link.missions.plan import WaypointPlan
@@ -27,7 +28,13 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.station.config import ONLY_NAME
 from m100link.station.console.kept import KeptLeases
-from m100link.station.way_time import MAX_LATE, MAX_ROUND_TRIP, MAX_UNHEARD, WayTime
+from m100link.station.way_time import (
+    MAX_LATE,
+    MAX_ORDER_LATE,
+    MAX_ROUND_TRIP,
+    MAX_UNHEARD,
+    WayTime,
+)
 
 __all__ = ["BEAT_LIFETIME", "Tab"]
 
@@ -77,7 +84,12 @@ class Tab:
         self._way = WayTime()
         self._complained_at = -math.inf
         self._is_closed = False
+        self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
         agent.on_steer_refused.append(self._steer_refused)
+        # After STOP, whoever it was, a hand that still holds something moves nothing.
+        self._has_to_let_go = False
+        self._beat_at = -math.inf  # the last one, flown or refused
+        agent.on_event.append(self._event)
         agent.on_lease.append(self._lease_changed)
         agent.on_authority_taken.append(self._authority_taken)
 
@@ -181,6 +193,27 @@ class Tab:
         """Stop. Any tab may."""
         await self._agent.stop()
 
+    def check_order(self, said_at: object) -> None:
+        """Refuse a button that was pressed too long ago, or nobody knows when.
+
+        Args:
+            said_at: The station's time at the press, s, as the page reckoned it.
+
+        Raises:
+            GuardRefused: It waited on its way for more than 2 s.
+        """
+        late = self._agent.now - float(said_at) if _is_number(said_at) else math.inf
+        if late > MAX_ORDER_LATE:
+            waited = f"was {late:.0f} s on its way" if late < math.inf else "has no time"
+            raise GuardRefused(
+                f"a pressed button {waited}; nothing was done",
+                guard="order_late",
+                measured=late,
+                limit=MAX_ORDER_LATE,
+                cause="the network between the browser and the station was slow or blocked",
+                remedy="look at the aircraft, then press again",
+            )
+
     # -- what its socket says --------------------------------------------------------------------
 
     def receive(self, text: str | bytes) -> dict[str, Any] | None:
@@ -189,6 +222,8 @@ class Tab:
         if message is None:
             self.refused += 1
             return None
+        if message["op"] == "stop":
+            self._stop_now()  # be it old, or a second time
         number = message["n"]
         if number <= self._last_number:
             self.refused += 1  # an old message again
@@ -205,9 +240,17 @@ class Tab:
                 self._steer(self.lease, message, late, held)
             else:
                 if message["op"] == "rest":
+                    self._has_to_let_go = False
                     self._agent.halt()
                 self._agent.keep(self.lease)
         return {"op": "echo", "at": message["at"], "told": now}
+
+    def _stop_now(self) -> None:
+        """STOP by the socket: the way of the page's other events may be blocked."""
+        if self._stopping is None or self._stopping.done():
+            self._stopping = self._agent.background.spawn(
+                self.attempt(self.stop), f"stop of {self.name}"
+            )
 
     def _check_way(self, late: float, held: float) -> None:
         """Refuse what was decided too long ago, or by a picture that was old.
@@ -236,9 +279,33 @@ class Tab:
                     remedy="wait, or let go and let the pilot fly",
                 )
 
+    def _event(self, event: Event) -> None:
+        if event.topic is Topic.STOPPED:
+            self._has_to_let_go = True
+
+    def _check_let_go(self) -> None:
+        """Refuse what is held since before a STOP.
+
+        Raises:
+            GuardRefused: It was not let go of since.
+        """
+        now = self._agent.now
+        if now - self._beat_at > BEAT_LIFETIME:
+            self._has_to_let_go = False
+        self._beat_at = now
+        if self._has_to_let_go:
+            raise GuardRefused(
+                "STOP was pressed, and something is still held; it was not flown",
+                guard="let_go",
+                measured=None,
+                limit=None,
+                remedy="let go of keys, sticks and shoulder buttons, then press again",
+            )
+
     def _steer(self, lease: Lease, message: dict[str, Any], late: float, held: float) -> None:
         self.problem = ""
         try:
+            self._check_let_go()
             self._check_way(late, held)
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]
@@ -286,6 +353,7 @@ class Tab:
             return
         self._is_closed = True
         self._agent.on_steer_refused.remove(self._steer_refused)
+        self._agent.on_event.remove(self._event)
         self._agent.on_lease.remove(self._lease_changed)
         self._agent.on_authority_taken.remove(self._authority_taken)
 
@@ -298,7 +366,7 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
         message = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(message, dict) or message.get("op") not in ("beat", "rest", "alive"):
+    if not isinstance(message, dict) or message.get("op") not in ("beat", "rest", "alive", "stop"):
         return None
     wanted = ("at", "x", "y", "z", "w") if message["op"] == "beat" else ("at",)
     if not all(_is_number(message.get(name)) for name in wanted):
@@ -319,7 +387,7 @@ def _is_told(message: dict[str, Any]) -> bool:
     )
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any) -> TypeGuard[float]:
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return abs(value) < 1e15  # neither NaN nor what overflows when it is reckoned with

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 from typing import Any
@@ -13,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
-from m100link.errors import LossReason
+from m100link.errors import GuardRefused, LossReason
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude, RcMode, Velocity
 from m100link.station.console.tab import BEAT_LIFETIME, Tab, _read
 from m100link.station.console.view.instruments import FIELDS, live, read
+from m100link.station.way_time import MAX_ORDER_LATE
 from tests.station.conftest import Rig
 
 pytestmark = pytest.mark.anyio
@@ -348,3 +350,65 @@ async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
     assert "att" not in live(telemetry, rig.agent.now)
     assert read(FIELDS[0], None).is_stale
     assert live(None, 1.0) == {"op": "live", "t": 1.0}
+
+
+def speed(rig: Rig) -> float:
+    telemetry = rig.front.telemetry
+    assert telemetry is not None
+    velocity = telemetry.get(Velocity)
+    assert velocity is not None
+    return velocity.ground_speed_m_s
+
+
+async def test_who_holds_something_while_somebody_presses_stop_has_to_let_go(rig: Rig) -> None:
+    flying, other = await airborne(rig), Browser(rig, "other")
+    await flying.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    other.say("stop")
+    await flying.hold(2.5, x=-8)  # the key stays pressed
+    assert speed(rig) < 0.2
+    assert "STOP was pressed" in flying.tab.problem
+    flying.say("rest")
+    await flying.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    assert flying.tab.problem == ""
+
+
+async def test_stop_by_the_socket_needs_no_lease_and_runs_once_at_a_time(rig: Rig) -> None:
+    flying, other = await airborne(rig), Browser(rig, "other")
+    flying.beat(1, x=-8)
+    for _ in range(50):  # a page that says it in a loop
+        other.say("stop")
+        flying.beat(1, x=-8)
+    assert sum("stop of other" in task.get_name() for task in asyncio.all_tasks()) == 1
+    await anyio.sleep(2.0)
+    assert speed(rig) < 0.2
+    assert [event.text for event in rig.front.events].count("stop") == 1
+
+
+async def test_stop_is_heard_from_a_page_that_is_slow(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(1.0, x=-8)
+    late = browser.message("stop")
+    await browser.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    browser.tab.receive(late)  # behind others that were said later
+    await anyio.sleep(2.5)
+    assert speed(rig) < 0.2
+
+
+@pytest.mark.parametrize("said_at", [None, "now", True, math.nan, -1e300, [1.0]])
+async def test_an_order_without_a_time_is_refused(rig: Rig, said_at: object) -> None:
+    tab = Browser(rig).tab
+    with pytest.raises(GuardRefused, match="has no time"):
+        tab.check_order(said_at)
+
+
+async def test_an_order_that_waited_is_refused(rig: Rig) -> None:
+    tab, said_at = Browser(rig).tab, rig.agent.now
+    await anyio.sleep(MAX_ORDER_LATE - 0.1)
+    tab.check_order(said_at)
+    await anyio.sleep(0.2)
+    with pytest.raises(GuardRefused, match="2 s on its way") as refused:
+        tab.check_order(said_at)
+    assert refused.value.limit == MAX_ORDER_LATE

@@ -7,11 +7,15 @@ from collections.abc import Awaitable, Callable, Set
 from typing import Any
 
 from nicegui import ui
+from nicegui.events import GenericEventArguments
 
 from m100link.agent.client import AgentClient
 from m100link.station.console.tab import Tab
 
 __all__ = ["Buttons"]
+
+_ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
+"""What ends a motion is done however late it comes."""
 
 
 class Buttons:
@@ -51,13 +55,22 @@ class Buttons:
         if hold:
             button.classes("hold")
 
-        async def pressed() -> None:
+        async def pressed(event: GenericEventArguments) -> None:
+            async def order() -> None:
+                if name not in _ENDS:
+                    self._tab.check_order(event.args)
+                await work()
+
             # The page goes on while the aircraft flies.
-            self._agent.background.spawn(self._tab.attempt(work), f"{name} of {self._tab.name}")
+            self._agent.background.spawn(self._tab.attempt(order), f"{name} of {self._tab.name}")
             await asyncio.sleep(0)
 
         # A tap with a second finger makes no click: STOP is told by what the page makes of it.
-        button.on({"stop": "stopped"}.get(name, "held" if hold else "click"), pressed)
+        button.on(
+            {"stop": "stopped"}.get(name, "held" if hold else "click"),
+            pressed,
+            js_handler="() => emit(m100.socket.saidAt)",
+        )
         self._buttons.setdefault(name, []).append((button, True))
         return button
 

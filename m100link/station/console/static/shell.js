@@ -70,6 +70,7 @@ function stopAtOnce(button) {
   let pressedAt = -Infinity;
   const stop = () => {
     m100.steering.rest();
+    m100.socket.send({op: "stop"});  // by both ways that there are
     button.dispatchEvent(new CustomEvent("stopped", {detail: {}}));
   };
   button.addEventListener("pointerdown", (event) => {

@@ -44,10 +44,16 @@ export class Socket {
 
   send(message) {
     if (this.socket.readyState !== WebSocket.OPEN) return;
-    if (this.socket.bufferedAmount > 4096) return;  // old beats are worse than none
+    // Old beats are worse than none.
+    if (this.socket.bufferedAmount > 4096 && message.op !== "stop") return;
     const at = performance.now();
     const heard = this.told ? {told: this.told.told, held: at - this.told.at} : {};
     this.socket.send(JSON.stringify({...message, ...heard, n: ++this.count, at}));
+  }
+
+  // The station's time now, s, or null. It is told with a button, which may be long on its way.
+  get saidAt() {
+    return this.told ? this.told.told + (performance.now() - this.told.at) / 1000 : null;
   }
 
   // Seconds that what is shown is old, by the page's own clock.
