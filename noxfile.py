@@ -239,7 +239,7 @@ def browser(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def console(session: nox.Session) -> None:
-    """The console in Chromium at length: what happens in flight when something is lost."""
+    """The console in Chromium at length: every size and input, and what is lost in flight."""
     install(session, PACKAGE, *group("test", "browser"))
     session.run(*pytest(CONSOLE, *session.posargs))
 

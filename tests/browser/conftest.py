@@ -158,9 +158,9 @@ async def running_console(*options: str) -> AsyncIterator[tuple[dict[str, Any], 
 
 
 @contextlib.asynccontextmanager
-async def context_of(browser: Any) -> AsyncIterator[Any]:
+async def context_of(browser: Any, **options: Any) -> AsyncIterator[Any]:
     """A context of the browser, with nothing that another test left."""
-    context = await browser.new_context(viewport={"width": 1500, "height": 1100})
+    context = await browser.new_context(**{"viewport": {"width": 1500, "height": 1100}} | options)
     context.set_default_timeout(1000 * PATIENCE)
     yield context
     await context.close()

@@ -19,6 +19,7 @@ export class Socket {
   forget() {
     this.told = null;  // the station's time that was heard last, and when
     this.live = null;
+    this.clock = null;  // the station's, as it was told last by any message
     this.best = Infinity;  // of the differences between our clock and the station's, the smallest
   }
 
@@ -29,6 +30,7 @@ export class Socket {
     this.socket.onmessage = (event) => {
       this.heardAt = performance.now();
       const message = JSON.parse(event.data);
+      this.clock = {t: message.op === "echo" ? message.told : message.t, at: this.heardAt};
       if (message.op === "echo") {
         this.told = {told: message.told, at: performance.now()};
         this.roundTrip(performance.now() - message.at);
@@ -53,7 +55,7 @@ export class Socket {
 
   // The station's time now, s, or null. It is told with a button, which may be long on its way.
   get saidAt() {
-    return this.told ? this.told.told + (performance.now() - this.told.at) / 1000 : null;
+    return this.clock ? this.clock.t + (performance.now() - this.clock.at) / 1000 : null;
   }
 
   // Seconds that what is shown is old, by the page's own clock.

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from m100link.agent.messages import Event
 from m100link.station.console.view.actions import actions_of
-from m100link.station.console.view.fleet import FleetRow, fleet_of
 from m100link.station.console.view.chart import Chart, chart_of
+from m100link.station.console.view.fleet import FleetRow, fleet_of
 from m100link.station.console.view.inputs import Inputs
 from m100link.station.console.view.instruments import Instruments, instruments_of
 from m100link.station.console.view.link import LinkView, link_of

@@ -1,0 +1,106 @@
+"""Boxes in every state, at every size, dark and light: STOP is hit, nothing lies over anything."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+from tests.browser.boxes import SIZES, faults
+from tests.browser.conftest import Console
+from tests.browser.test_console import airborne, look_at, press
+
+pytestmark = [pytest.mark.anyio]
+
+
+async def flying(console: Console) -> Any:
+    """In the air, a key held."""
+    page = await airborne(console)
+    await page.click("#pad")
+    await page.keyboard.down("w")
+    return page
+
+
+async def refused(console: Console) -> Any:
+    """The longest problem that is easily had: an activation that was refused."""
+    page = await console.open()
+    await look_at(page, "settings")
+    await page.click("#sim-refuse")
+    await look_at(page, "fly")
+    await press(page, "activate")
+    await page.wait_for_selector("#problem:not(:empty)")
+    return page
+
+
+async def asked(console: Console) -> Any:
+    """The question whether to take over."""
+    await airborne(console)
+    second = await console.open()
+    await press(second, "obtain")
+    await second.wait_for_selector("#take-over")
+    await second.wait_for_timeout(600)  # it comes with a movement
+    return second
+
+
+async def heading_up(console: Console) -> Any:
+    page = await console.open()
+    await page.click("[data-map=turn]")
+    return page
+
+
+async def typing(console: Console) -> Any:
+    """A name is typed: on a phone the keyboard takes half of the page."""
+    page = await console.open()
+    await look_at(page, "settings")
+    await page.locator("#name").focus()
+    return page
+
+
+STATES: tuple[Callable[[Console], Awaitable[Any]], ...] = (
+    flying,
+    refused,
+    asked,
+    heading_up,
+    typing,
+)
+
+
+@pytest.mark.parametrize("state", STATES)
+async def test_in_this_state(console: Console, state: Callable[[Console], Awaitable[Any]]) -> None:
+    page = await state(console)
+    found: dict[str, list[str]] = {}
+    for scheme in ("light", "dark"):
+        await page.emulate_media(color_scheme=scheme)
+        for width, height in SIZES:
+            shown = height if state is not typing or width > 800 else height * 55 // 100
+            await page.set_viewport_size({"width": width, "height": shown})
+            seen = await faults(page)
+            if seen:
+                found[f"{scheme}, {width} x {shown}"] = seen
+    assert found == {}
+
+
+async def test_the_station_that_is_lost(console: Console) -> None:
+    page = await console.open()
+    await page.evaluate("m100.socket.connect = () => {}; m100.socket.socket.close()")
+    await page.wait_for_selector("body.station-lost")
+    for width, height in SIZES:
+        await page.set_viewport_size({"width": width, "height": height})
+        assert await faults(page) == [], (width, height)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+async def test_every_view(console: Console, scheme: str) -> None:
+    page = await console.open()
+    await page.emulate_media(color_scheme=scheme)
+    found: dict[str, list[str]] = {}
+    for view in ("fly", "plan", "check", "events", "settings", "data"):
+        await look_at(page, view)
+        await page.wait_for_selector(f"section[data-view={view}] > *", state="attached")
+        for width, height in SIZES:
+            await page.set_viewport_size({"width": width, "height": height})
+            seen = await faults(page)
+            if seen:
+                found[f"{view} at {width} x {height}"] = seen
+    assert found == {}
