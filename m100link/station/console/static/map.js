@@ -114,6 +114,9 @@ export class FlightMap {
     this.element.dataset.stale = live.pos ? "" : "stale";
     this.attitude = live.att;
     if (live.pos) this.add(live.pos);
+    // Home is where it stood last: a page that comes in flight does not know.
+    if (live.pos && live.ground && !(this.home && Math.hypot(...metres(live.pos, this.home)) < 1))
+      this.setHome(live.pos.slice(0, 2));
     if (live.att) this.turn();
     if (!this.position) return;
     this.drawAircraft(live);
@@ -129,7 +132,6 @@ export class FlightMap {
       this.keepInSight();
       this.grid.redraw();
     }
-    if (!this.home) this.setHome(position.slice(0, 2));
     const last = this.track[this.track.length - 1];
     if (last && Math.hypot(...metres(position, last), position[2] - last[2]) < MOVED_M) return;
     this.track.push(position);
@@ -179,7 +181,8 @@ export class FlightMap {
 
   drawHome(live) {
     const text = document.querySelector("#map-home");
-    if (!text || !this.home) return;
+    if (!text) return;
+    if (!this.home) return void (text.textContent = "home was not seen");
     const far = Math.hypot(...metres(this.home, this.position));
     const way = far < 1 ? "" : ` · ${Math.round(bearing(this.home, this.position)) % 360}°`;
     const shown = live.pos ? `home ${far.toFixed(0)} m${way}` : "home: position is old";

@@ -11,6 +11,7 @@ from m100link.protocol.records import (
     Attitude,
     Battery,
     ControlDevice,
+    FlightPhase,
     FlightStatus,
     Gimbal,
     Position,
@@ -155,6 +156,9 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     velocity = state.fresh(Velocity, within=1.0)
     rates = state.fresh(AngularVelocity, within=1.0)
     rc = state.fresh(RemoteControl, within=1.0)
+    status = state.fresh(FlightStatus, within=2.0)
+    if status is not None and status.phase is FlightPhase.STANDBY:
+        message["ground"] = True
     if attitude is not None:
         message["att"] = [
             round(angle, 2) for angle in (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import anyio
 import pytest
 
 from m100link.protocol.records import Attitude
@@ -25,7 +26,9 @@ async def test_each_field_has_its_reading_and_grows_old(rig: Rig) -> None:
 
 
 async def test_the_socket_tells_speed_over_ground_and_where_to(rig: Rig) -> None:
+    await anyio.sleep(1.5)  # the flight status comes once a second
     told = live(rig.front.telemetry, 1.0)
     assert told["op"] == "live"
     assert len(told["vel"]) == 4
+    assert told["ground"]  # home is where it stands
     assert len(str(told)) < 400  # twenty times a second
