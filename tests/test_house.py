@@ -181,15 +181,18 @@ def test_the_manuals_house_names_places_that_exist() -> None:
 # Module → the test that shows what it does, and why that one stands elsewhere.
 TESTED_ELSEWHERE = {
     "activation.py": ("aircraft/test_aircraft.py", "activating is one method of the aircraft"),
+    "agent/actions.py": ("agent/test_message_bytes.py", "each comes out as it went in"),
     "agent/activation.py": ("agent/test_agent.py", "a part that only the agent has"),
     "agent/answers.py": ("agent/test_client.py", "a part that only the client has"),
     "agent/codec.py": ("agent/test_message_bytes.py", "what is said, and how it is written down"),
     "agent/connect.py": ("agent/test_agent.py", "three lines that each open a connection"),
     "agent/connection.py": ("agent/test_agent.py", "a part that only the agent has"),
     "agent/front.py": ("agent/test_service.py", "a front is what the service is asked by"),
+    "agent/guided.py": ("agent/test_guiding.py", "wishes, and what flies of them"),
     "agent/messages.py": ("agent/test_message_bytes.py", "each comes out as it went in"),
     "agent/orders.py": ("agent/test_service.py", "each is asked for by a message"),
     "agent/patterns.py": ("station/ros/test_node_2015.py", "flown by the commands of 2015"),
+    "agent/plan_told.py": ("agent/test_client.py", "there and back is what a client sees"),
     "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
     "aircraft/events.py": ("aircraft/test_aircraft.py", "two names and what they carry"),
     "aircraft/connecting.py": ("aircraft/test_aircraft.py", "whoever tests it connects first"),
@@ -241,6 +244,14 @@ TESTED_ELSEWHERE = {
     "sim/vehicle/settings.py": ("sim/test_telemetry.py", "numbers that the others use"),
     "sim/virtual.py": ("sim/test_autopilot.py", "it hands on to vehicle, autopilot and line"),
     "station/console/app.py": ("browser/test_console.py", "a page is seen in a browser"),
+    "station/console/view/catalogue/click.py": (
+        "station/console/view/test_words.py",
+        "both languages of the catalogue are compared there",
+    ),
+    "station/console/view/catalogue/plan.py": (
+        "station/console/view/test_words.py",
+        "both languages of the catalogue are compared there",
+    ),
     "station/console/view/catalogue/alarms.py": (
         "station/console/view/test_words.py",
         "one catalogue, tested as a whole",

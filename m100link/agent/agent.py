@@ -16,6 +16,7 @@ from m100link.agent.activation import Activation
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.connection import Connect, Connection
 from m100link.agent.flying import MissionOrder, Pattern
+from m100link.agent.guided import GuidedOrder
 from m100link.agent.holding import Holding, HoldingInput, HoldingState
 from m100link.agent.journal import Journal
 from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
@@ -333,6 +334,29 @@ class Agent:
         """
         self._renewed(token)
         await self.holding.require().fly(task, accepted)
+
+    async def guide(
+        self, token: str, order: GuidedOrder, accepted: Callable[[], None] = _ignore
+    ) -> None:
+        """Fly to where somebody points; done when it is there, and the newest one wins.
+
+        It ends, and the aircraft hovers, when whoever asked for it loses the lease, when a stick is
+        moved, by :meth:`halt`, and when anything else is asked for.
+
+        Args:
+            token: Proof of the lease.
+            order: Where.
+            accepted: Called when it has begun.
+
+        Raises:
+            LeaseRefused: The token is not in force.
+            MissionRunning, TaskRefused: A mission or a task flies the aircraft.
+            NotObserved: Something else ended it, or it did not arrive in time.
+            GuardRefused, NoAuthority, TelemetryStalled, UsageError: See
+                :meth:`m100link.Control.fly_to`.
+        """
+        self._renewed(token)
+        await self.holding.require().guide(order, accepted)
 
     async def fly_mission(self, token: str, plan: WaypointPlan, *, take_off: bool = False) -> None:
         """Upload a plan and let the aircraft fly it by itself; done when it has begun.

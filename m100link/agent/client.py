@@ -18,6 +18,7 @@ from m100link.agent.answers import Answers
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.carriers import Channel
 from m100link.agent.fault import Fault, agent_gone
+from m100link.agent.guided import GuidedOrder
 from m100link.agent.lease import Lease, LeaseRefused, TakeOver
 from m100link.agent.messages import (
     VERSION,
@@ -37,14 +38,17 @@ from m100link.agent.messages import (
     MissionTold,
     Note,
     Outcome,
+    PlanTold,
     State,
     Steer,
     SteerRefused,
     TakeOverOffered,
     Telemetry,
 )
+from m100link.agent.plan_told import plan_of
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.errors import AuthorityLost, LayoutMismatch, M100Error
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import PROFILES
@@ -59,11 +63,6 @@ MAX_SILENCE = 2.0
 """Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz."""
 
 _MAX_EVENTS = 200
-_ACTIONS = {
-    Task.TAKE_OFF: Action.TAKE_OFF,
-    Task.LAND: Action.LAND,
-    Task.GO_HOME: Action.GO_HOME,
-}
 
 
 class AgentClient:
@@ -81,7 +80,9 @@ class AgentClient:
             agent itself is gone the values stay, and grow old.
         events: What happened lately.
         background: Tasks that end with this client.
-        unread: Telemetry packages that this version cannot read.
+        unread: Telemetry packages and plans that this version cannot read.
+        plan: What somebody uploaded and may start, or flies; None for none.
+        plan_by: Who uploaded it, for people.
         on_event: Called with each event.
         on_activating: Called with each answer of the aircraft to an activation.
         on_authority_taken: Called when somebody else took control authority.
@@ -103,6 +104,8 @@ class AgentClient:
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.background = BackgroundTasks()
         self.unread = 0
+        self.plan: WaypointPlan | None = None
+        self.plan_by = ""
         self.on_event: list[Callable[[Event], None]] = []
         self.on_activating: list[Callable[[ActivationCode], None]] = []
         self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
@@ -129,6 +132,7 @@ class AgentClient:
             AuthorityTaken: self._on_authority_taken,
             SteerRefused: self._on_steer_refused,
             MissionTold: self._on_mission_told,
+            PlanTold: self._on_plan_told,
         }
 
     @property
@@ -203,6 +207,7 @@ class AgentClient:
             holding="none",
             task="",
             pattern="",
+            guided=None,
         )
         self.holder = LeaseChanged(0, "")
         self._answers.end(reason)
@@ -271,6 +276,10 @@ class AgentClient:
     def _on_mission_told(self, message: MissionTold) -> None:
         for callback in self.on_mission_told:
             callback(message)
+
+    def _on_plan_told(self, message: PlanTold) -> None:
+        self.plan, self.plan_by = plan_of(message), message.name
+        self.unread += self.plan is None and message.mission != b""
 
     # -- what goes out ---------------------------------------------------------------------------
 
@@ -439,11 +448,29 @@ class AgentClient:
             task: Which of them.
             accepted: Called when the aircraft has begun.
 
-        Raises:
-            LeaseRefused, NoAuthority, TaskRefused, TaskFailed, NotObserved, AckTimeout, LinkError:
-                See each class.
+        Raises: as :meth:`m100link.agent.agent.Agent.fly`, and LinkError.
         """
-        await self.ask(_ACTIONS[task], lease, accepted=accepted)
+        await self.ask(Action[task.name], lease, accepted=accepted)
+
+    async def guide(
+        self,
+        lease: Lease | None,
+        order: GuidedOrder,
+        accepted: Callable[[], None] | None = None,
+    ) -> None:
+        """Fly to where somebody points; done when it is there. :meth:`halt` ends it.
+
+        Args:
+            lease: The lease.
+            order: Where, of :mod:`m100link.agent.guided`; the newest one wins.
+            accepted: Called when it has begun.
+
+        Raises: as :meth:`m100link.agent.agent.Agent.guide`, and LinkError.
+        """
+        fence = lease.number if lease is not None else 0
+        await self._answers.question(
+            lambda number: replace(order, id=number, fence=fence), accepted
+        )
 
     async def start_pattern(self, lease: Lease | None, number: int) -> None:
         """Let the simple task of that number fly, until it ends or anything stops it.

@@ -25,6 +25,9 @@ MAX_BYTES = 2048
 MAX_ENTRIES = 32
 """Most entries of a mapping."""
 
+MAX_PIECES = 99
+"""Most bytes of a list: the waypoints of the longest plan."""
+
 _MAX_INTEGER = 1 << 63
 
 _Codec = tuple[Callable[[Any], Any], Callable[[Any], Any]]
@@ -114,6 +117,18 @@ def _read_details(value: Any) -> Mapping[str, Any]:
     return {_read_text(name): _read_scalar(one) for name, one in value.items()}
 
 
+def _write_pieces(value: tuple[bytes, ...]) -> list[str]:
+    if len(value) > MAX_PIECES:
+        raise BadValue(f"more than {MAX_PIECES} pieces")
+    return [_write_bytes(one) for one in value]
+
+
+def _read_pieces(value: Any) -> tuple[bytes, ...]:
+    if type(value) is not list or len(value) > MAX_PIECES:
+        raise BadValue(f"not a list of at most {MAX_PIECES} pieces")
+    return tuple(_read_bytes(one) for one in value)
+
+
 _PLAIN: dict[Any, _Codec] = {
     int: (_same, _read_int),
     float: (_write_float, _read_float),
@@ -149,6 +164,8 @@ def _codec(kind: Any) -> _Codec:
     if isinstance(kind, types.UnionType):
         (one,) = (part for part in get_args(kind) if part is not type(None))
         return _optional(_codec(one))
+    if kind == tuple[bytes, ...]:
+        return _write_pieces, _read_pieces
     if isinstance(kind, type) and issubclass(kind, Enum):
         return _choice(kind)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):

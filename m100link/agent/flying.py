@@ -10,6 +10,8 @@ from typing import Any, Literal
 import anyio
 
 from m100link.agent.background import BackgroundTasks
+from m100link.agent.guided import GuidedOrder, name_of
+from m100link.agent.guiding import Guiding
 from m100link.agent.journal import Journal
 from m100link.agent.messages import Limits
 from m100link.agent.mission import FlyingMission
@@ -49,6 +51,7 @@ class Flying:
     Attributes:
         task: Name of the task that was asked of the aircraft and has not ended, or None.
         mission: The waypoint mission, while one flies.
+        guiding: The flight to where somebody points, while one flies.
     """
 
     def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
@@ -57,6 +60,7 @@ class Flying:
         self._background = background
         self.task: str | None = None
         self.mission = FlyingMission(control, journal, background)
+        self.guiding = Guiding(control, journal, background)
         # The setpoint to neutralise when motion has to stop; None when nothing was sent.
         self._last: Setpoint | None = None
         self._running_task: asyncio.Task[None] | None = None
@@ -88,11 +92,11 @@ class Flying:
         Raises:
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
-        if self._pattern is not None or self.mission.is_flying:
+        if self._pattern is not None or self.guiding.order is not None or self.mission.is_flying:
             if setpoint == setpoint.neutral():
                 return
             self.mission.require_none("a setpoint")
-            self._end_pattern("the stick was moved")
+            self._end_program("the stick was moved")
         self._send(setpoint, lifetime)
 
     def _send(self, setpoint: Setpoint, lifetime: float) -> None:
@@ -109,7 +113,7 @@ class Flying:
         A take-off, landing or go-home goes on in the autopilot.
         """
         self.mission.end(why or "halted")
-        self._end_pattern(why)
+        self._end_program(why or "halted")
         last, self._last = self._last, None
         if last is None:
             return
@@ -139,7 +143,7 @@ class Flying:
                 f"{name} was asked for during {self.task}", remedy="wait for its end, or stop it"
             )
         self.mission.require_none(name)
-        self._end_pattern(f"{name} was asked for")
+        self._end_program(f"{name} was asked for")
         self.task, self._last = name, None
         work = self._running_task = self._background.spawn(self._fly(task, name, accepted), name)
         try:
@@ -181,7 +185,7 @@ class Flying:
             NoAuthority, GuardRefused, TaskRefused, TelemetryStalled, AckTimeout: See each class.
         """
         name = "arm" if on else "disarm"
-        self._end_pattern(f"{name} was asked for")
+        self._end_program(f"{name} was asked for")
         self._last = None
         await (self._control.arm() if on else self._control.disarm())
         self._journal.note("the motors were started" if on else "the motors were stopped")
@@ -195,7 +199,7 @@ class Flying:
             MissionRunning: A mission flies.
         """
         self.mission.require_none(name)
-        self._end_pattern("another one begins")
+        self._end_program("another one begins")
         self._pattern = (name, self._background.spawn(self._run_pattern(name, fly), name))
 
     async def _run_pattern(self, name: str, fly: Pattern) -> None:
@@ -213,12 +217,38 @@ class Flying:
             self._pattern = None
             self._journal.note(outcome, level)
 
-    def _end_pattern(self, why: str) -> None:
+    def _end_program(self, why: str) -> None:
+        self.guiding.end(why)
         pattern, self._pattern = self._pattern, None
         if pattern is not None:
             name, work = pattern
             work.cancel()
             self._journal.note(f"{name} ended: {why}")
+
+    # -- guided flights --------------------------------------------------------------------------
+
+    async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = _ignore) -> None:
+        """Fly to where somebody points; done when it is there. Ends a program; the newest one wins.
+
+        Args:
+            order: Where.
+            accepted: Called when it has begun.
+
+        Raises:
+            MissionRunning, TaskRefused: A mission or a task flies the aircraft.
+            NotObserved, GuardRefused, NoAuthority, TelemetryStalled, UsageError: See
+                :meth:`m100link.Control.fly_to`.
+        """
+        name = name_of(order)
+        if self.task is not None:
+            raise TaskRefused(
+                f"a {name} was asked for during {self.task}",
+                remedy="wait for its end, or stop it",
+            )
+        self.mission.require_none(f"a {name}")
+        self._end_program(f"a {name} was asked for")
+        self._last = None
+        await self.guiding.fly(order, accepted)
 
     # -- missions --------------------------------------------------------------------------------
 
@@ -227,7 +257,7 @@ class Flying:
 
         Raises: as :meth:`m100link.Control.waypoint_mission`.
         """
-        self._end_pattern("a mission was asked for")
+        self._end_program("a mission was asked for")
         self._last = None
         await self.mission.start(plan, take_off=take_off)
 
@@ -236,7 +266,7 @@ class Flying:
 
         Raises: as :meth:`m100link.Control.hotpoint`.
         """
-        self._end_pattern("a hotpoint was asked for")
+        self._end_program("a hotpoint was asked for")
         self._last = None
         await self.mission.circle(request)
 
@@ -265,12 +295,13 @@ class Flying:
         """Control ends: so does what was using it."""
         self._is_ended = True
         self.mission.end("control ended")
-        self._end_pattern("control ended")
+        self._end_program("control ended")
         if self._running_task is not None:
             self._running_task.cancel()
             with anyio.CancelScope(shield=True):  # a lost authority cancels this block, too
                 await asyncio.wait([self._running_task])
         with anyio.CancelScope(shield=True):
+            await self.guiding.ended()
             await self.mission.ended()
 
 

@@ -7,12 +7,13 @@ that it was granted end: the aircraft hovers, and control authority goes back.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from m100link.agent.agent import Agent
 from m100link.agent.carriers import Channel
 from m100link.agent.fault import Fault, MessageError, fault_of
+from m100link.agent.guided import GuidedOrder, name_of
 from m100link.agent.lease import LeaseChange, LeaseRefused
 from m100link.agent.messages import (
     VERSION,
@@ -26,6 +27,7 @@ from m100link.agent.messages import (
     Message,
     Note,
     Outcome,
+    PlanTold,
     Stage,
     State,
     Steer,
@@ -33,7 +35,9 @@ from m100link.agent.messages import (
     TakeOverOffered,
 )
 from m100link.agent.orders import Orders, Result
+from m100link.agent.plan_told import told_of
 from m100link.errors import GuardRefused, M100Error, UsageError
+from m100link.missions.plan import WaypointPlan
 
 __all__ = ["MAX_SETPOINT_AGE", "Front"]
 
@@ -54,6 +58,7 @@ class Front:
         channel: The way to it.
         on_gone: Called when it has gone.
         before_outcome: Called before each outcome, so that the state is there first.
+        on_plan: Called with each plan that it has uploaded.
     """
 
     def __init__(
@@ -63,6 +68,7 @@ class Front:
         *,
         on_gone: Callable[[Front], None],
         before_outcome: Callable[[], None],
+        on_plan: Callable[[PlanTold], None],
     ) -> None:
         self._agent = agent
         self._channel = channel
@@ -72,7 +78,8 @@ class Front:
         # Tokens of the leases that were granted over this channel, by number.
         self._tokens: dict[int, str] = {}
         self._asks = 0
-        self._orders = Orders(agent)
+        self._orders = Orders(agent, self._uploaded)
+        self._on_plan = on_plan
         self._notes = _MAX_NOTES
         self._noted_at = agent.now
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
@@ -80,17 +87,19 @@ class Front:
             Steer: self._on_steer,
             Ask: self._on_ask,
             Note: self._on_note,
+            **dict.fromkeys(GuidedOrder.__args__, self._on_guided),
         }
 
     # -- the connection --------------------------------------------------------------------------
 
-    def greet(self, state: State) -> None:
+    def greet(self, state: State, plan: PlanTold) -> None:
         """Say hello and where everything stands, then listen."""
         agent = self._agent
         self.tell(Hello(VERSION, "agent", agent.now))
         lease = agent.desk.holder(agent.now)
         self.tell(LeaseChanged(lease.number, lease.name) if lease else LeaseChanged(0, ""))
         self.tell(state)
+        self.tell(plan)
         for event in agent.journal.events:
             self.tell(event)
         self._channel.open(self._receive, self._closed)
@@ -210,17 +219,43 @@ class Front:
         if ask.action is Action.HALT:
             self._agent.halt(ask.text)
             self._answer(ask, Stage.DONE)
-        elif self._asks >= _MAX_ASKS:
+            return
+        self._spawn(
+            ask,
+            ask.action.value,
+            lambda: self._orders.doing(
+                ask, self._token(ask.fence), lambda: self._answer(ask, Stage.ACCEPTED)
+            ),
+        )
+
+    def _on_guided(self, order: GuidedOrder) -> None:
+        self._spawn(
+            order,
+            name_of(order),
+            lambda: self._agent.guide(
+                self._token(order.fence), order, lambda: self._answer(order, Stage.ACCEPTED)
+            ),
+        )
+
+    def _uploaded(self, plan: WaypointPlan) -> None:
+        lease = self._agent.desk.holder(self._agent.now)
+        who = lease.name if lease is not None else self._name
+        self._agent.journal.note(f"{who} uploaded a plan of {len(plan.waypoints)} waypoints")
+        self._on_plan(told_of(plan, who))
+
+    def _spawn(
+        self, ask: Ask | GuidedOrder, name: str, doing: Callable[[], Awaitable[Result | None]]
+    ) -> None:
+        if self._asks >= _MAX_ASKS:
             error = UsageError(f"{self._asks} questions of this front wait already")
             self._answer(ask, Stage.FAILED, error)
         else:
             self._asks += 1
-            name = f"{ask.action.value} for {self._name}"
-            self._agent.background.spawn(self._carry_out(ask), name)
+            self._agent.background.spawn(self._carry_out(ask, doing), f"{name} for {self._name}")
 
     def _answer(
         self,
-        ask: Ask,
+        ask: Ask | GuidedOrder,
         stage: Stage,
         error: M100Error | None = None,
         result: Result = ("", 0),
@@ -229,11 +264,11 @@ class Front:
         if ask.id:
             self.tell(Outcome(ask.id, stage, fault_of(error), *result))
 
-    async def _carry_out(self, ask: Ask) -> None:
+    async def _carry_out(
+        self, ask: Ask | GuidedOrder, doing: Callable[[], Awaitable[Result | None]]
+    ) -> None:
         try:
-            result = await self._orders.doing(
-                ask, self._token(ask.fence), lambda: self._answer(ask, Stage.ACCEPTED)
-            )
+            result = await doing()
         except M100Error as error:
             self._answer(ask, Stage.FAILED, error)
         except Exception:

@@ -17,6 +17,7 @@ from enum import Enum
 
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.flying import Flying, limits_of
+from m100link.agent.guided import GuidedOrder
 from m100link.agent.journal import Journal
 from m100link.agent.messages import Limits
 from m100link.agent.mission import MissionListener
@@ -178,6 +179,11 @@ class Holding:
     def limits(self) -> Limits:
         """What the guards allow; without control, what they would."""
         return limits_of(Guards(), None) if self.flying is None else self.flying.limits
+
+    @property
+    def guided_order(self) -> GuidedOrder | None:
+        """Where somebody has pointed and the aircraft flies to, or None."""
+        return self.flying.guiding.order if self.flying is not None else None
 
     def require(self) -> Flying:
         """What flies.

@@ -7,8 +7,9 @@ knows comes in these messages, what it wants goes out in them (``m100link.agent.
 Both ways           Hello, Goodbye
 From the agent      Telemetry, FromMobile, Event, State, LinkCounted, LeaseChanged,
                     LeaseGranted, TakeOverOffered, Activating, AuthorityTaken, MissionTold,
-                    SteerRefused, Outcome
-From a front        LeaseAsk, Steer, Ask, Note
+                    PlanTold, SteerRefused, Outcome
+From a front        LeaseAsk, Steer, Ask, Note; FlyTo, FlyAround, ChangeHeight,
+                    ChangeHeading (``m100link.agent.guided``)
 ==================  ========================================================================
 
 What a carrier makes of them is in ``m100link.agent.message_bytes``.
@@ -21,7 +22,15 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from m100link.agent.actions import Action, LeaseAction, Stage
 from m100link.agent.fault import Fault
+from m100link.agent.guided import (
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedFlight,
+)
 from m100link.agent.lease import LeaseChange
 from m100link.protocol.setpoint import Setpoint
 
@@ -45,6 +54,7 @@ __all__ = [
     "MissionTold",
     "Note",
     "Outcome",
+    "PlanTold",
     "Stage",
     "State",
     "Steer",
@@ -179,6 +189,7 @@ class State:
         has_authority: Whether setpoints and tasks are obeyed.
         task: What the aircraft flies by itself; empty for nothing.
         pattern: Name of the program that flies; empty for none.
+        guided: The flight to where somebody points, with what remains of it; None for none.
         mission: The kind of mission that the aircraft says it flies, whoever started it, by the
             names of :class:`~m100link.flight.mission_state.MissionKind`; empty when nobody knows.
         mission_index: Waypoint that it flies to, counted from 0; -1 when nobody knows.
@@ -203,6 +214,7 @@ class State:
     has_authority: bool = False
     task: str = ""
     pattern: str = ""
+    guided: GuidedFlight | None = None
     mission: str = ""
     mission_index: int = -1
     mission_status: int = -1
@@ -321,6 +333,21 @@ class MissionTold:
 
 
 @dataclass(frozen=True, slots=True)
+class PlanTold:
+    """The plan that waits to be started, or flies: told when it is whole, and when it is void.
+
+    Attributes:
+        name: Who uploaded it, for people; empty for none.
+        mission: The command 0x03/0x10, as on the wire; empty for none.
+        points: The commands 0x03/0x11, in order.
+    """
+
+    name: str = ""
+    mission: bytes = b""
+    points: tuple[bytes, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class SteerRefused:
     """A setpoint was not flown; what flew before is stopped, or expires.
 
@@ -331,14 +358,6 @@ class SteerRefused:
 
     fence: int
     fault: Fault
-
-
-class Stage(Enum):
-    """How far something that was asked for has come."""
-
-    ACCEPTED = "accepted"  # the aircraft has begun; another outcome follows
-    DONE = "done"
-    FAILED = "failed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,16 +380,6 @@ class Outcome:
 
 
 # -- from a front ---------------------------------------------------------------------------------
-
-
-class LeaseAction(Enum):
-    """What a front may want of the lease."""
-
-    ACQUIRE = "acquire"
-    RENEW = "renew"
-    RELEASE = "release"
-    TAKE_OVER = "take_over"  # first step: who would lose it?
-    CONFIRM = "confirm"  # second step: take it from exactly that one
 
 
 @dataclass(frozen=True, slots=True)
@@ -405,40 +414,6 @@ class Steer:
     sent_at: float
     lifetime: float
     setpoint: Setpoint
-
-
-class Action(Enum):
-    """What the agent can be asked to do."""
-
-    ACTIVATE = "activate"
-    OBTAIN = "obtain"  # control authority
-    RELEASE = "release"
-    TAKE_OFF = "take_off"
-    LAND = "land"
-    GO_HOME = "go_home"
-    PATTERN = "pattern"  # the simple task of that number
-    HALT = "halt"  # no motion; a task goes on
-    STOP = "stop"  # no motion, and no task
-    GIMBAL_ANGLES = "gimbal_angles"
-    GIMBAL_RATES = "gimbal_rates"
-    TAKE_PHOTO = "take_photo"
-    START_VIDEO = "start_video"
-    STOP_VIDEO = "stop_video"
-    ARM = "arm"
-    DISARM = "disarm"
-    MISSION_PLAN = "mission_plan"  # a new plan, of which the points follow
-    MISSION_POINT = "mission_point"
-    MISSION_START = "mission_start"
-    HOTPOINT_START = "hotpoint_start"
-    HOTPOINT_RADIUS = "hotpoint_radius"
-    HOTPOINT_RATE = "hotpoint_rate"
-    HOTPOINT_HEADING = "hotpoint_heading"  # back to where it is to point
-    MISSION_STOP = "mission_stop"  # of whatever kind, like the next two
-    MISSION_PAUSE = "mission_pause"
-    MISSION_RESUME = "mission_resume"
-    MISSION_SPEED = "mission_speed"
-    VERSION = "version"
-    SEND_TO_MOBILE = "send_to_mobile"
 
 
 @dataclass(frozen=True, slots=True)
@@ -490,11 +465,16 @@ Message = (
     | Activating
     | AuthorityTaken
     | MissionTold
+    | PlanTold
     | SteerRefused
     | Outcome
     | LeaseAsk
     | Steer
     | Ask
+    | FlyTo
+    | FlyAround
+    | ChangeHeight
+    | ChangeHeading
     | Note
 )
 """Any of them."""

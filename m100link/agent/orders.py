@@ -11,6 +11,7 @@ from m100link.agent.mission import read_command as read
 from m100link.agent.patterns import pattern
 from m100link.aircraft import AircraftCamera
 from m100link.errors import UsageError
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -33,10 +34,12 @@ class Orders:
 
     Args:
         agent: What carries it out.
+        on_plan: Called with each plan that is whole.
     """
 
-    def __init__(self, agent: Agent) -> None:
+    def __init__(self, agent: Agent, on_plan: Callable[[WaypointPlan], None]) -> None:
         self._agent = agent
+        self._on_plan = on_plan
         self._staged, self._staged_under = StagedPlan(), 0  # the lease that it came under
 
     def doing(self, ask: Ask, token: str, accepted: Callable[[], None]) -> Awaitable[Result | None]:
@@ -95,7 +98,10 @@ class Orders:
             self._staged_under = ask.fence
             self._staged.begin(read(WaypointMission, ask.data))
         else:
-            self._plan_of(ask).add(read(WaypointPoint, ask.data))
+            staged = self._plan_of(ask)
+            staged.add(read(WaypointPoint, ask.data))
+            if staged.plan is not None:
+                self._on_plan(staged.plan)
 
     def _plan_of(self, ask: Ask) -> StagedPlan:
         """The plan that came under this lease: nobody flies what somebody else left.

@@ -20,6 +20,7 @@ from m100link.agent.messages import (
     LinkCounted,
     Message,
     MissionTold,
+    PlanTold,
     State,
     Telemetry,
 )
@@ -51,6 +52,7 @@ class Service:
         self._agent = agent
         self._fronts: set[Front] = set()
         self._told: tuple[object, ...] = ()
+        self._plan = PlanTold()  # of the lease in force: what came under another one is void
         agent.connection.on_sample.append(self._sample)
         agent.connection.on_aircraft.append(self._aircraft_changed)
         agent.journal.on_event.append(self._event)
@@ -62,9 +64,15 @@ class Service:
 
     def attach(self, channel: Channel) -> None:
         """Serve the front at the other end of this channel."""
-        front = Front(self._agent, channel, on_gone=self._gone, before_outcome=self._tell_state)
+        front = Front(
+            self._agent,
+            channel,
+            on_gone=self._gone,
+            before_outcome=self._tell_state,
+            on_plan=self._plan_uploaded,
+        )
         self._fronts.add(front)
-        front.greet(self._state())
+        front.greet(self._state(), self._plan)
 
     def close(self) -> None:
         """Close the channels of all fronts."""
@@ -118,6 +126,12 @@ class Service:
             front.forget_leases(but=number)
         self._tell(LeaseChanged(number, name, why))
         self._tell_state()
+        if self._plan != PlanTold():
+            self._plan_uploaded(PlanTold())
+
+    def _plan_uploaded(self, plan: PlanTold) -> None:
+        self._plan = plan
+        self._tell(plan)
 
     async def _keep_telling(self) -> None:
         lags: list[float] = []
@@ -152,6 +166,7 @@ class Service:
             holding.has_authority,
             holding.task,
             holding.pattern,
+            holding.guided_order,
             connection.aircraft.mission if connection.aircraft is not None else None,
         )
         if told != self._told:
@@ -166,6 +181,7 @@ class Service:
         aircraft = connection.aircraft if is_connected else None
         link = aircraft.statistics() if aircraft is not None else None
         mission = aircraft.mission if aircraft is not None else MissionState()
+        flying = holding.flying
         return State(
             at=agent.now,
             connection=connection.state.value,
@@ -178,6 +194,7 @@ class Service:
             has_authority=holding.has_authority,
             task=holding.task or "",
             pattern=holding.pattern or "",
+            guided=flying.guiding.told() if flying is not None else None,
             mission=mission.kind.value if mission.is_running or mission.kind is _NONE else "",
             mission_index=-1 if mission.index is None else mission.index,
             mission_status=-1 if mission.status is None else mission.status,

@@ -27,6 +27,9 @@ __all__ = ["Envelope", "GuardKeeper", "Guards"]
 GPS_HEALTH_NEEDED = 3
 """From this health on the autopilot holds a position (document 2.2.3.1)."""
 
+MAX_COMMAND_M_S = 10.0
+"""Of velocity setpoints on each axis (document 3.2)."""
+
 STICK_SPEED = 17.0
 """What full deflection may fly in P, m/s: the fastest that the maker says of this aircraft."""
 
@@ -93,12 +96,18 @@ class GuardKeeper:
     Args:
         guards: Which are on.
         state: Telemetry.
+        origin: Where control began; by default where GPS first knows the aircraft.
+
+    Attributes:
+        guards: As given.
     """
 
-    def __init__(self, guards: Guards, state: AircraftState) -> None:
+    def __init__(
+        self, guards: Guards, state: AircraftState, origin: LocalFrame | None = None
+    ) -> None:
         self.guards = guards
         self._state = state
-        self._origin: LocalFrame | None = None  # where control began, once GPS knows it
+        self._origin = origin
         self._began_at = -math.inf
 
     def start(self) -> None:
@@ -111,6 +120,12 @@ class GuardKeeper:
         """Latitude and longitude of where control began, °; None while nobody knows."""
         start = self._origin
         return None if start is None else (start.latitude_deg, start.longitude_deg)
+
+    @property
+    def fastest_m_s(self) -> float:
+        """What a velocity setpoint may ask for, m/s."""
+        envelope = self.guards.envelope
+        return min(MAX_COMMAND_M_S, envelope.max_speed_m_s if envelope else math.inf)
 
     async def admit_take_off(self) -> None:
         """Wait up to 1.5 s for what the guards compare, then say whether a take-off may begin.
@@ -290,8 +305,9 @@ class GuardKeeper:
 
     def _may_still_come(self, record: type[Any]) -> bool:
         """Whether an item has never come, and had no time yet."""
-        now = asyncio.get_running_loop().time()
-        return self._state.get(record) is None and now - self._began_at < FIRST_VALUES_S
+        if self._began_at == -math.inf or self._state.get(record) is not None:
+            return False
+        return asyncio.get_running_loop().time() - self._began_at < FIRST_VALUES_S
 
     def _unknown(
         self, what: str, record: type[Any], *, guard: str, limit: object, off: str = ""

@@ -17,7 +17,15 @@ from m100link.protocol.setpoint import Setpoint
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["Arrival", "Guidance", "GuidanceProgress", "Progress", "heading_of", "position_of"]
+__all__ = [
+    "Arrival",
+    "Guidance",
+    "GuidanceProgress",
+    "Progress",
+    "heading_of",
+    "position_of",
+    "require_in_the_air",
+]
 
 FRESH_S = 0.5
 """Seconds after which what was measured is too old to steer by."""
@@ -108,6 +116,20 @@ def _is_on_ground(state: AircraftState) -> bool:
     return status is not None and status.status == FlightPhase.STANDBY
 
 
+def require_in_the_air(state: AircraftState, name: str) -> None:
+    """Whether setpoints mean anything.
+
+    Raises:
+        UsageError: The aircraft stands on the ground.
+    """
+    if _is_on_ground(state):
+        raise UsageError(
+            f"{name} was asked for on the ground ({describe_situation(state.situation())})",
+            cause="on the ground the aircraft ignores setpoints",
+            remedy="take off first: await control.take_off()",
+        )
+
+
 class _Settling:
     """True once the error stayed within tolerance for a moment, at low speed."""
 
@@ -183,13 +205,7 @@ class Guidance:
                 f"{name} was asked for while another closed loop is flying: {self.flying}",
                 remedy="await one before the next, or cancel its task",
             )
-        if _is_on_ground(self._state):
-            raise UsageError(
-                f"{name} was asked for on the ground "
-                f"({describe_situation(self._state.situation())})",
-                cause="on the ground the aircraft ignores setpoints",
-                remedy="take off first: await control.take_off()",
-            )
+        require_in_the_air(self._state, name)
 
     async def run(
         self,

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from m100link.errors import UsageError
-from m100link.flight.guards import GuardKeeper
+from m100link.flight.guards import MAX_COMMAND_M_S, GuardKeeper
 from m100link.flight.guidance import (
     FRESH_S,
     Arrival,
@@ -32,11 +32,11 @@ from m100link.protocol.setpoint import Setpoint
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["ClosedLoops"]
+__all__ = ["BRAKING_PER_S", "ClosedLoops", "check_height", "check_speed"]
 
 _MAX_OFFSET_M = 10.0  # the autopilot flies larger offsets no faster; a wrong fix must not matter
-_MAX_COMMAND_M_S = 10.0  # of velocity setpoints on each axis (document 3.2)
-_BRAKING = 0.5  # m/s for each metre that remains
+BRAKING_PER_S = 0.5
+"""Speed towards a place, m/s, for each metre that remains."""
 _BEGINS_WITHIN_M = 0.5  # of the first point of an orbit: nearer needs no flight to it
 
 Place = tuple[float, float, float]
@@ -112,23 +112,11 @@ class ClosedLoops:
             "fly_to",
             target,
             yaw_deg=yaw_deg,
-            speed=None if speed is None else self._checked_speed(speed),
+            speed=None if speed is None else check_speed(speed),
             tolerance_m=tolerance_m,
             timeout=timeout,
             progress=progress,
         )
-
-    def _checked_speed(self, speed: float) -> float:
-        if not 0 < speed <= _MAX_COMMAND_M_S:
-            raise UsageError(
-                f"{speed:g} m/s cannot be flown", remedy=f"0 to {_MAX_COMMAND_M_S:g} m/s"
-            )
-        return speed
-
-    def _fastest(self) -> float:
-        """What a velocity setpoint may ask for, m/s."""
-        envelope = self._guards.guards.envelope
-        return min(_MAX_COMMAND_M_S, envelope.max_speed_m_s if envelope else math.inf)
 
     async def _fly_straight(
         self,
@@ -203,9 +191,9 @@ class ClosedLoops:
         start = frame.to_local(here.latitude_deg, here.longitude_deg)
         path = Path(
             [(*start, max(0.0, here.height_m)), *points],
-            speed=self._checked_speed(speed),
+            speed=check_speed(speed),
             corner_radius=corner_radius,
-            max_speed=self._fastest(),
+            max_speed=self._guards.fastest_m_s,
         )
         for index, (north, east, height) in enumerate(points):
             place = frame.to_geodetic(north, east)
@@ -252,7 +240,7 @@ class ClosedLoops:
         Raises: as :meth:`fly_to`.
         """
         self._guidance.admit("climb_to")
-        self._guards.check_target("climb_to", height=height)
+        self._guards.check_target("climb_to", height=check_height(height))
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
             here = position_of(self._state)
@@ -308,6 +296,7 @@ class ClosedLoops:
         clockwise: bool = True,
         timeout: float = 300.0,
         progress: Progress | None = None,
+        approach: Progress | None = None,
     ) -> Arrival:
         """Fly a circle around a point, looking at it.
 
@@ -327,7 +316,8 @@ class ClosedLoops:
             turns: How many, more than 0.
             clockwise: Seen from above.
             timeout: Seconds until it gives up, hovering; for the flight to its beginning as well.
-            progress: Called at each tick.
+            progress: Called at each tick on the circle.
+            approach: Called at each tick on the way to it, with what remains of that.
 
         Raises: as :meth:`fly_to`.
         """
@@ -348,7 +338,7 @@ class ClosedLoops:
             speed=speed,
             turns=turns,
             clockwise=clockwise,
-            max_speed=self._fastest(),
+            max_speed=self._guards.fastest_m_s,
         )
         place = center.latitude_deg, center.longitude_deg
         self._guards.check_target("orbit", place, height=height, radius=radius, speed=speed)
@@ -362,7 +352,7 @@ class ClosedLoops:
                 speed=None,
                 tolerance_m=_BEGINS_WITHIN_M,
                 timeout=timeout,
-                progress=None,
+                progress=approach,
             )
             self._guidance.admit("orbit")
         return await self._fly_around(orbit, center, height, timeout, progress)
@@ -420,7 +410,7 @@ def _towards(
         scale = min(1.0, _MAX_OFFSET_M / distance) if distance else 0.0
         north, east = remaining[0] * scale, remaining[1] * scale
         return Setpoint.position_offset(north=north, east=east, height=height, yaw_deg=heading)
-    scale = min(_BRAKING, speed / distance) if distance else 0.0
+    scale = min(BRAKING_PER_S, speed / distance) if distance else 0.0
     north, east = remaining[0] * scale, remaining[1] * scale
     return Setpoint.velocity(north=north, east=east, height=height, yaw_deg=heading)
 
@@ -465,9 +455,29 @@ def _target_height(here: Position, up: float | None, height: float | None) -> fl
         )
     target = here.height_m + up if up is not None else height
     assert target is not None
-    if not math.isfinite(target) or target < 0:
+    return check_height(target)
+
+
+def check_height(height: float) -> float:
+    """A height above take-off that can be flown to, m.
+
+    Raises:
+        UsageError: It is none.
+    """
+    if not math.isfinite(height) or height < 0:
         raise UsageError(
-            f"a height of {target:g} m cannot be flown to",
+            f"a height of {height:g} m cannot be flown to",
             remedy="a finite number, 0 m or more above take-off",
         )
-    return target
+    return height
+
+
+def check_speed(speed: float) -> float:
+    """A speed that can be flown, m/s.
+
+    Raises:
+        UsageError: It is none.
+    """
+    if not 0 < speed <= MAX_COMMAND_M_S:
+        raise UsageError(f"{speed:g} m/s cannot be flown", remedy=f"0 to {MAX_COMMAND_M_S:g} m/s")
+    return speed

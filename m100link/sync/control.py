@@ -458,6 +458,7 @@ class Control:
         clockwise: bool = True,
         timeout: float = 300.0,
         progress: Progress | None = None,
+        approach: Progress | None = None,
     ) -> Arrival:
         """Fly a circle around a point, looking at it.
 
@@ -477,7 +478,8 @@ class Control:
             turns: How many, more than 0.
             clockwise: Seen from above.
             timeout: Seconds until it gives up, hovering; for the flight to its beginning as well.
-            progress: Called at each tick.
+            progress: Called at each tick on the circle.
+            approach: Called at each tick on the way to it, with what remains of that.
 
         Raises: as :meth:`fly_to`.
         """
@@ -494,6 +496,7 @@ class Control:
                 clockwise=clockwise,
                 timeout=timeout,
                 progress=caller.callback(progress),
+                approach=approach,
             )
         )
 

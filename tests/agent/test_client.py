@@ -12,11 +12,14 @@ from m100link.agent.agent import Agent
 from m100link.agent.carriers.memory import MemoryChannel, memory_channels
 from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver
-from m100link.agent.lease import LeaseHeld, LeaseRefused
-from m100link.agent.messages import VERSION, Hello, State, Telemetry
+from m100link.agent.guided import ChangeHeight
+from m100link.agent.lease import Lease, LeaseHeld, LeaseRefused
+from m100link.agent.messages import VERSION, Action, Hello, PlanTold, State, Telemetry
 from m100link.agent.service import Service
-from m100link.errors import LinkError, M100Error, NoAuthority, TaskRefused
+from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority, TaskRefused
+from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.control import Task
+from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Attitude
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.subscription import Newest
@@ -239,3 +242,44 @@ async def test_an_agent_that_is_reached_again_tells_nothing_twice(
     await anyio.sleep(0.1)
     assert [event.text for event in client.events].count("once") == 1
     assert client.is_connected
+
+
+async def test_where_somebody_points_and_the_plan_are_known_to_all(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    first, second = clients
+    lease = await first.acquire("first")
+    rig.agent.background.spawn(_keeping(first, lease), "keeping")
+    await first.obtain(lease)
+    await first.fly(lease, Task.TAKE_OFF)
+    began: list[bool] = []
+    await first.guide(lease, ChangeHeight(6.0), lambda: began.append(True))
+    assert began == [True]
+    assert rig.aircraft.height == pytest.approx(6.0, abs=0.5)
+    with pytest.raises(GuardRefused, match="the envelope ends at 50 m"):
+        await first.guide(lease, ChangeHeight(60.0))
+    with pytest.raises(LeaseRefused):
+        await second.guide(None, ChangeHeight(5.0))
+    plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.1003, 4.31, height=25)])
+    mission, points = plan.to_wire()
+    await first.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
+    for point in points:
+        await first.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
+    assert second.plan == WaypointPlan.from_wire(mission, points)
+    assert second.plan_by == "first"
+    await first.release_lease(lease.token)
+    assert [second.plan, second.plan_by] == [None, ""]
+
+
+async def _keeping(client: AgentClient, lease: Lease) -> None:
+    while True:
+        await anyio.sleep(0.5)
+        client.keep(lease)
+
+
+async def test_a_plan_that_cannot_be_read_is_counted(rig: Rig) -> None:
+    ours, its = memory_channels()
+    async with AgentClient(ours, "front") as client:
+        its.open(lambda _: None, lambda _: None)
+        its.send(PlanTold("somebody", b"\x02", (b"\xff",)))
+        assert (client.plan, client.unread) == (None, 1)

@@ -14,6 +14,13 @@ from hypothesis import strategies as st
 
 from m100link.agent.codec import MAX_BYTES, MAX_TEXT
 from m100link.agent.fault import Fault, MessageError
+from m100link.agent.guided import (
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedFlight,
+)
 from m100link.agent.lease import LeaseChange
 from m100link.agent.message_bytes import MAX_SIZE, decode, encode
 from m100link.agent.messages import (
@@ -31,10 +38,12 @@ from m100link.agent.messages import (
     LeaseChanged,
     LeaseGranted,
     LinkCounted,
+    Limits,
     Message,
     MissionTold,
     Note,
     Outcome,
+    PlanTold,
     Stage,
     State,
     Steer,
@@ -67,6 +76,8 @@ EXAMPLES: list[Message] = [
         has_authority=True,
         task="land",
         pattern="simple task 0",
+        guided=GuidedFlight("flight to a place", 52.1, 4.31, 20.0, distance_m=12.5),
+        limits=Limits(50.0, None, 10.0, 20, latitude_deg=52.1, longitude_deg=4.31),
         lease_remaining=2.5,
         round_trip=0.01,
         discards=1,
@@ -82,6 +93,8 @@ EXAMPLES: list[Message] = [
     Activating(6),
     AuthorityTaken(FAULT),
     MissionTold(2, b"\x07\x04\0\0\0"),
+    PlanTold(),
+    PlanTold("tab", b"\x02", (b"", b"\x01\xff")),
     SteerRefused(3, FAULT),
     Outcome(5, Stage.FAILED, FAULT),
     Outcome(6, Stage.DONE, None, "SDK-v1.0", 0xFFFFFFFF),
@@ -96,6 +109,10 @@ EXAMPLES: list[Message] = [
     ),
     Ask(9, Action.SEND_TO_MOBILE, 3, 0, b"data"),
     Ask(0, Action.HALT, text="its client stopped it"),
+    FlyTo(52.1, 4.31, 20.0, 5.0, None, 7, 3),
+    FlyAround(52.1, 4.31, 20.0, 15.0, clockwise=False, id=8, fence=3),
+    ChangeHeight(12.5, 9, 3),
+    ChangeHeading(-90.0, 10, 3),
     Note("info", "something"),
 ]
 

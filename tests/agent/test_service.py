@@ -12,6 +12,7 @@ import pytest
 from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.flying import limits_of
 from m100link.agent.front import MAX_SETPOINT_AGE
+from m100link.agent.guided import FlyTo
 from m100link.agent.messages import (
     VERSION,
     Action,
@@ -26,6 +27,7 @@ from m100link.agent.messages import (
     Message,
     Note,
     Outcome,
+    PlanTold,
     Stage,
     State,
     Steer,
@@ -35,7 +37,10 @@ from m100link.agent.messages import (
 )
 from m100link.agent.service import STATE_INTERVAL, Service
 from m100link.flight.guards import Envelope, Guards
+from m100link.geodesy import LocalFrame
+from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
@@ -108,7 +113,8 @@ async def test_a_front_is_greeted_with_everything_it_has_to_know(
     rig: Rig, service: Service
 ) -> None:
     front = Front(rig, service)
-    hello, lease, state, *events = front.inbox
+    hello, lease, state, plan, *events = front.inbox
+    assert plan == PlanTold()
     assert isinstance(hello, Hello)
     assert hello.version == VERSION
     assert lease == LeaseChanged(0, "")
@@ -340,3 +346,99 @@ async def test_gimbal_camera_and_motors_by_messages() -> None:
         fault = (await front.outcome(18, Stage.FAILED)).fault
         assert fault is not None
         assert not rig.aircraft.vehicle.flight.dynamics.motors_on
+
+
+def ahead(rig: Rig, north: float) -> FlyTo:
+    position = rig.agent.connection.require_aircraft().state.position
+    assert position is not None
+    frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+    return FlyTo(*frame.to_geodetic(north, 0.0), height=position.height_m)
+
+
+def speed_of(rig: Rig) -> float:
+    dynamics = rig.aircraft.vehicle.flight.dynamics
+    return math.hypot(dynamics.velocity_north, dynamics.velocity_east)
+
+
+async def test_a_flight_to_a_place_by_messages(rig: Rig, service: Service) -> None:
+    front, watcher = Front(rig, service), Front(rig, service)
+    fence = await front.airborne()
+    order = ahead(rig, 30.0)
+    front.send(replace(order, id=7, fence=fence))
+    await front.outcome(7, Stage.ACCEPTED)
+    await anyio.sleep(2.0)
+    for one in (front, watcher):  # whoever draws it
+        guided = one.all(State)[-1].guided
+        assert guided is not None
+        assert (guided.latitude_deg, guided.longitude_deg) == (
+            order.latitude_deg,
+            order.longitude_deg,
+        )
+        assert guided.distance_m is not None
+        assert 5.0 < guided.distance_m < 30.0
+    await front.outcome(7)
+    assert front.all(State)[-1].guided is None
+    watcher.send(replace(order, id=8, fence=fence))
+    fault = (await watcher.outcome(8, Stage.FAILED)).fault
+    assert fault is not None
+    assert fault.kind == "LeaseRefused"
+
+
+async def test_telling_what_remains_does_not_tell_the_state_more_often(
+    rig: Rig, service: Service
+) -> None:
+    front = Front(rig, service)
+    fence = await front.airborne()
+    front.send(replace(ahead(rig, 60.0), id=7, fence=fence))
+    await anyio.sleep(1.0)
+    states = len(front.all(State))
+    await anyio.sleep(4.0)
+    assert len(front.all(State)) - states == pytest.approx(4.0 / STATE_INTERVAL, abs=2)
+
+
+@pytest.mark.parametrize("how", ["closes", "hangs", "halts"])
+async def test_a_flight_to_a_place_ends_with_its_front(
+    rig: Rig, service: Service, how: str
+) -> None:
+    front, watcher = Front(rig, service), Front(rig, service)
+    fence = await front.airborne()
+    front.send(replace(ahead(rig, 100.0), id=7, fence=fence))
+    await anyio.sleep(5.0)
+    assert speed_of(rig) > 3.0
+    if how == "closes":
+        front.channel.close("killed")
+    elif how == "hangs":
+        for task in tuple(rig.agent.background._tasks):
+            if "alive" in task.get_name():
+                task.cancel()
+    else:
+        watcher.send(Ask(0, Action.HALT, text="another console"))
+    await rig.until(lambda: rig.holding.guided_order is None, within=4.0)
+    await anyio.sleep(3.0)
+    assert speed_of(rig) < 0.1
+    assert watcher.all(State)[-1].guided is None
+
+
+async def test_a_plan_is_told_to_all_until_its_lease_ends() -> None:
+    async with Rig(firmware="3.1").running() as rig:
+        rig.agent.desk.release(rig.token, rig.agent.now)
+        service = Service(rig.agent)
+        front, watcher = Front(rig, service), Front(rig, service)
+        assert watcher.all(PlanTold) == [PlanTold()]
+        fence = front.lease().number
+        plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.1003, 4.31, height=25)])
+        mission, points = plan.to_wire()
+        front.send(Ask(1, Action.MISSION_PLAN, fence, data=mission.value(FIRMWARE_3_1)))
+        for number, point in enumerate(points, 2):
+            front.send(Ask(number, Action.MISSION_POINT, fence, data=point.value(FIRMWARE_3_1)))
+            await front.outcome(number)
+        told = watcher.all(PlanTold)[-1]
+        assert told.name == "pilot"
+        parsed = [WaypointPoint.parse(one, FIRMWARE_3_1) for one in told.points]
+        assert WaypointPlan.from_wire(
+            WaypointMission.parse(told.mission, FIRMWARE_3_1), parsed
+        ) == WaypointPlan.from_wire(mission, points)
+        assert Front(rig, service).all(PlanTold) == [told]  # who comes later sees it, too
+        assert any("pilot uploaded a plan of 2" in one.text for one in watcher.all(Event))
+        front.channel.close("gone")
+        await rig.until(lambda: watcher.all(PlanTold)[-1] == PlanTold())

@@ -1,0 +1,142 @@
+"""What an operator points at: where to fly, what to fly around, how high, which way to look.
+
+These are messages of a front and values of its program. Each is flown by a closed loop of the
+agent, under the lease and through the guards, and ends as a program of the agent ends: when it is
+there, when the stick is moved, when something else is asked for, and when the lease, the front, the
+page or control authority is lost. The aircraft hovers then. The newest one wins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "ChangeHeading",
+    "ChangeHeight",
+    "FlyAround",
+    "FlyTo",
+    "GuidedFlight",
+    "GuidedOrder",
+    "name_of",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class FlyTo:
+    """Fly straight to a place and hover there.
+
+    Attributes:
+        latitude_deg: WGS 84.
+        longitude_deg: WGS 84.
+        height: Metres above the take-off point.
+        speed: Horizontally, at most, m/s up to 10.
+        yaw_deg: Heading to fly with, °; None for the present one.
+        id: Comes back in each outcome; 0 asks for none.
+        fence: Number of the lease it is asked under.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height: float
+    speed: float = 5.0
+    yaw_deg: float | None = None
+    id: int = 0
+    fence: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FlyAround:
+    """Fly a circle around a place, looking at it, and hover at its end.
+
+    Attributes:
+        latitude_deg: Of the centre, WGS 84.
+        longitude_deg: Of the centre, WGS 84.
+        height: Metres above the take-off point.
+        radius: m, 1 or more.
+        speed: Along the circle, m/s up to 10.
+        turns: How many, more than 0.
+        clockwise: Seen from above.
+        id: Comes back in each outcome; 0 asks for none.
+        fence: Number of the lease it is asked under.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height: float
+    radius: float
+    speed: float = 2.0
+    turns: float = 1.0
+    clockwise: bool = True
+    id: int = 0
+    fence: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeHeight:
+    """Climb or descend in place.
+
+    Attributes:
+        height: Metres above the take-off point.
+        id: Comes back in each outcome; 0 asks for none.
+        fence: Number of the lease it is asked under.
+    """
+
+    height: float
+    id: int = 0
+    fence: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeHeading:
+    """Turn in place.
+
+    Attributes:
+        yaw_deg: Heading, °, 0 north, 90 east; any number of turns is taken off.
+        id: Comes back in each outcome; 0 asks for none.
+        fence: Number of the lease it is asked under.
+    """
+
+    yaw_deg: float
+    id: int = 0
+    fence: int = 0
+
+
+GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
+"""Any of them."""
+
+_NAMES: dict[type[GuidedOrder], str] = {
+    FlyTo: "flight to a place",
+    FlyAround: "flight around a place",
+    ChangeHeight: "change of height",
+    ChangeHeading: "change of heading",
+}
+
+
+def name_of(order: GuidedOrder) -> str:
+    """What it is called in the journal, and in the state."""
+    return _NAMES[type(order)]
+
+
+@dataclass(frozen=True, slots=True)
+class GuidedFlight:
+    """What of them flies now, for whoever draws it.
+
+    Attributes:
+        what: By the names of :func:`name_of`.
+        latitude_deg: Of the target or the centre; None where the place stays.
+        longitude_deg: Likewise.
+        height: Metres above the take-off point; None where it stays.
+        radius: Of the circle, m; 0 for none.
+        yaw_deg: Heading at the end; None where nobody asked for one.
+        distance_m: What remains of the way, m; None before it is known.
+        seconds: What it will take, roughly; None before it is known.
+    """
+
+    what: str
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    height: float | None = None
+    radius: float = 0.0
+    yaw_deg: float | None = None
+    distance_m: float | None = None
+    seconds: float | None = None

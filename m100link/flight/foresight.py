@@ -1,0 +1,241 @@
+"""What a closed loop would take, and what would refuse it, before it is asked for.
+
+Nothing here flies, waits or sends. The times are those of the loops' own laws (the speed falls with
+the distance that remains) and of an aircraft that climbs at :data:`CLIMB_M_S` and turns at
+:data:`TURN_DEG_S`; the virtual aircraft's flights take as long within 20 %. Nothing of it is
+measured on an aircraft. The battery lasts as long as that of a plan's estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from m100link.errors import M100Error, UsageError
+from m100link.flight.guards import GuardKeeper
+from m100link.flight.guidance import heading_of, position_of, require_in_the_air
+from m100link.flight.known import known
+from m100link.flight.loops import BRAKING_PER_S, check_height, check_speed
+from m100link.flight.orbit import Orbit
+from m100link.geodesy import LocalFrame, normalize_degrees
+from m100link.missions.estimate import HOVER_MINUTES
+from m100link.protocol.records import Attitude, Position
+from m100link.protocol.setpoint import Setpoint
+
+if TYPE_CHECKING:
+    from m100link.telemetry.state import AircraftState
+
+__all__ = [
+    "Foresight",
+    "foresee_climb",
+    "foresee_flight",
+    "foresee_orbit",
+    "foresee_turn",
+    "frame_at",
+    "seconds_around",
+    "seconds_climbing",
+    "seconds_straight",
+    "seconds_turning",
+]
+
+CLIMB_M_S = 3.0
+TURN_DEG_S = 90.0
+ARRIVED_M = 0.5
+APPROACH_M_S = 3.0
+"""How fast the autopilot flies to where a circle begins: users report about this value."""
+SETTLE_S = 1.5
+"""What stopping, and being seen to have stopped, adds to a flight."""
+
+_STAND = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Foresight:
+    """What a closed loop would do from where the aircraft is.
+
+    Attributes:
+        distance_m: Of the way, horizontally; 0 while nobody knows where the aircraft is.
+        climb_m: Positive upwards.
+        turn_deg: −180 to 180, positive clockwise.
+        seconds: How long it takes, roughly.
+        battery_percent: What that is of a full battery, roughly.
+        refusals: What would refuse it now, each with its reason and remedy; empty for nothing.
+    """
+
+    distance_m: float = 0.0
+    climb_m: float = 0.0
+    turn_deg: float = 0.0
+    seconds: float = 0.0
+    battery_percent: float = 0.0
+    refusals: tuple[M100Error, ...] = ()
+
+
+# -- times ----------------------------------------------------------------------------------------
+
+
+def seconds_straight(distance: float, speed: float) -> float:
+    """Of a way at a speed that falls with the distance that remains, s."""
+    braking_from = speed / BRAKING_PER_S
+    fast = max(0.0, distance - braking_from) / speed
+    slow = min(distance, braking_from)
+    return fast + (math.log(slow / ARRIVED_M) / BRAKING_PER_S if slow > ARRIVED_M else 0.0)
+
+
+def seconds_climbing(climb: float) -> float:
+    """Of a change of height, m, s."""
+    return abs(climb) / CLIMB_M_S
+
+
+def seconds_turning(turn: float) -> float:
+    """Of a turn, °, s."""
+    return abs(turn) / TURN_DEG_S
+
+
+def seconds_around(radius: float, speed: float, turns: float) -> float:
+    """Of a way along a circle, s."""
+    return math.tau * radius * turns / speed
+
+
+# -- flights --------------------------------------------------------------------------------------
+
+
+def foresee_flight(
+    state: AircraftState,
+    guards: GuardKeeper,
+    *,
+    latitude_deg: float,
+    longitude_deg: float,
+    height: float,
+    speed: float,
+    yaw_deg: float | None = None,
+) -> Foresight:
+    """Of :meth:`m100link.Control.fly_to`, to a place."""
+    place = latitude_deg, longitude_deg
+    refusals = _refusals(
+        *_always(state, guards, "fly_to"),
+        lambda: heading_of(state) if yaw_deg is None else None,
+        lambda: frame_at(*place),
+        lambda: check_speed(speed),
+        lambda: check_height(height),
+        lambda: guards.check_target("fly_to", place, height=height, speed=speed),
+    )
+    distance, climb = _way(state, place, height)
+    turn = 0.0 if yaw_deg is None else _turn(state, yaw_deg)
+    flying = seconds_straight(distance, speed) if speed > 0 else 0.0
+    seconds = max(flying, seconds_climbing(climb), seconds_turning(turn))
+    return _foresight(distance, climb, turn, seconds, refusals)
+
+
+def foresee_orbit(
+    state: AircraftState,
+    guards: GuardKeeper,
+    *,
+    latitude_deg: float,
+    longitude_deg: float,
+    height: float,
+    radius: float,
+    speed: float,
+    turns: float,
+) -> Foresight:
+    """Of :meth:`m100link.Control.orbit`, around a place, with the way to the circle."""
+    place = latitude_deg, longitude_deg
+
+    def circle() -> Orbit:
+        fastest = guards.fastest_m_s
+        return Orbit(radius=radius, speed=speed, turns=turns, clockwise=True, max_speed=fastest)
+
+    refusals = _refusals(
+        *_always(state, guards, "orbit"),
+        lambda: frame_at(*place),
+        circle,
+        lambda: check_height(height),
+        lambda: guards.check_target("orbit", place, height=height, radius=radius, speed=speed),
+    )
+    to_centre, climb = _way(state, place, height)
+    approach = abs(to_centre - radius)
+    around = seconds_around(radius, speed, turns) if speed > 0 else 0.0
+    seconds = max(seconds_straight(approach, APPROACH_M_S), seconds_climbing(climb)) + around
+    distance = approach + math.tau * max(0.0, radius * turns)
+    return _foresight(distance, climb, 0.0, seconds, refusals)
+
+
+def foresee_climb(state: AircraftState, guards: GuardKeeper, height: float) -> Foresight:
+    """Of :meth:`m100link.Control.climb_to`."""
+    refusals = _refusals(
+        *_always(state, guards, "climb_to"),
+        lambda: check_height(height),
+        lambda: guards.check_target("climb_to", height=height),
+    )
+    _, climb = _way(state, None, height)
+    return _foresight(0.0, climb, 0.0, seconds_climbing(climb), refusals)
+
+
+def foresee_turn(state: AircraftState, guards: GuardKeeper, yaw_deg: float) -> Foresight:
+    """Of :meth:`m100link.Control.turn_to`."""
+    refusals = _refusals(*_always(state, guards, "turn_to"), lambda: heading_of(state))
+    turn = _turn(state, yaw_deg)
+    return _foresight(0.0, 0.0, turn, seconds_turning(turn), refusals)
+
+
+def frame_at(latitude_deg: float, longitude_deg: float) -> LocalFrame:
+    """Metres north and east of a place.
+
+    Raises:
+        UsageError: Nothing can be flown to there.
+    """
+    try:
+        return LocalFrame(latitude_deg, longitude_deg)
+    except ValueError as error:
+        raise UsageError(
+            f"{latitude_deg:g}° {longitude_deg:g}° cannot be flown to: {error}"
+        ) from None
+
+
+def _always(
+    state: AircraftState, guards: GuardKeeper, name: str
+) -> tuple[Callable[[], object], ...]:
+    """What every loop needs: to be in the air, to know where it is, battery and GPS."""
+    return (
+        lambda: require_in_the_air(state, name),
+        lambda: position_of(state),
+        lambda: guards.check(_STAND),
+    )
+
+
+def _refusals(*checks: Callable[[], object]) -> tuple[M100Error, ...]:
+    found = []
+    for check in checks:
+        try:
+            check()
+        except M100Error as error:
+            found.append(error)
+    return tuple(found)
+
+
+def _way(
+    state: AircraftState, place: tuple[float, float] | None, height: float
+) -> tuple[float, float]:
+    """Metres to a place and up to a height, as far as anybody knows."""
+    here = known(state, Position)
+    if here is None:
+        return 0.0, 0.0
+    climb = height - here.height_m
+    if place is None or not abs(here.latitude_deg) <= 89:
+        return 0.0, climb
+    frame = LocalFrame(here.latitude_deg, here.longitude_deg)
+    return math.hypot(*frame.to_local(*place)), climb
+
+
+def _turn(state: AircraftState, yaw_deg: float) -> float:
+    attitude = known(state, Attitude)
+    return 0.0 if attitude is None else normalize_degrees(yaw_deg - attitude.yaw_deg)
+
+
+def _foresight(
+    distance: float, climb: float, turn: float, seconds: float, refusals: tuple[M100Error, ...]
+) -> Foresight:
+    seconds += SETTLE_S
+    share = 100.0 * seconds / (60.0 * HOVER_MINUTES)
+    return Foresight(distance, climb, turn, seconds, share, refusals)
