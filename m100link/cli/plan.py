@@ -19,6 +19,7 @@ from m100link.missions import files
 from m100link.missions.checks import leg_lengths
 from m100link.missions.estimate import HOVER_MINUTES, PlanEstimate
 from m100link.missions.plan import WaypointPlan
+from m100link.missions.survey import survey as lines_over
 from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
 
 __all__ = ["FileOptions", "app", "read_plan"]
@@ -318,9 +319,14 @@ def convert(
         to: What is written, whatever the name says; JSON on standard output without it.
         force: Write over a file that is there.
     """
-    found = read_plan(source, file)
+    return _write(read_plan(source, file), target, to, force=force)
+
+
+def _write(
+    plan: WaypointPlan, target: str, to: Literal["json", "plan"] | None, *, force: bool
+) -> int:
     kind = to or ("plan" if files.is_named_plan(target) else "json")
-    text = found.to_qgroundcontrol() if kind == "plan" else found.to_json()
+    text = plan.to_qgroundcontrol() if kind == "plan" else plan.to_json()
     if target == "-":
         sys.stdout.write(text)
         return ExitCode.OK
@@ -328,3 +334,50 @@ def convert(
         raise UsageError(f"{target} is there already", remedy="--force writes over it")
     files.write(target, text)
     return ExitCode.OK
+
+
+@app.command
+def survey(
+    target: File,
+    /,
+    *area: Annotated[str, Parameter(allow_leading_hyphen=True)],
+    height: Annotated[float, Above0],
+    spacing: Annotated[float, Above0],
+    angle: float = 0.0,
+    photo_every: Annotated[float | None, Above0] = None,
+    speed: Annotated[float, Above0] = 5.0,
+    to: Literal["json", "plan"] | None = None,
+    force: bool = False,
+) -> int:
+    """Write a plan of parallel lines over an area.
+
+    Args:
+        target: The file to write; - is standard output.
+        area: Corners of the polygon in their order, each LATITUDE,LONGITUDE; 3 or more.
+        height: Above the take-off point, m.
+        spacing: Between lines, m.
+        angle: Direction of the lines, ° clockwise from north.
+        photo_every: Metres between photographs along a line; none without it.
+        speed: m/s.
+        to: What is written, whatever the name says; JSON on standard output without it.
+        force: Write over a file that is there.
+    """
+    plan = lines_over(
+        [_corner(word) for word in area],
+        height=height,
+        spacing=spacing,
+        angle_deg=angle,
+        photo_every=photo_every,
+        speed=speed,
+    )
+    return _write(plan, target, to, force=force)
+
+
+def _corner(word: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = map(float, word.split(","))
+    except ValueError:
+        raise UsageError(
+            f"a corner is {word!r}", remedy="LATITUDE,LONGITUDE in degrees: 52.1,4.31"
+        ) from None
+    return latitude, longitude

@@ -270,3 +270,25 @@ def test_a_place_that_cannot_be_written_is_an_error(cli: CommandLine, file: str)
     outcome = cli("plan", "convert", file, "/proc/nowhere/x.json")
     assert outcome.status == ExitCode.USAGE
     assert "cannot be written" in outcome.err
+
+
+FIELD = ("52.1,4.31", "52.1005,4.31", "52.1005,4.3108", "52.1,4.3108")
+
+
+def test_a_survey_is_written_and_can_be_read(cli: CommandLine, tmp_path: Path) -> None:
+    target = tmp_path / "field.plan"
+    ended = cli("plan", "survey", str(target), *FIELD, "--height", "30", "--spacing", "15")
+    assert ended.status == ExitCode.OK
+    plan = WaypointPlan.read(target)
+    assert {one.height for one in plan.waypoints} == {30.0}
+    assert len(plan.waypoints) == 8
+
+
+@pytest.mark.parametrize("area", [FIELD[:2], ("52.1", *FIELD), ("x,y", *FIELD)])
+def test_what_is_not_an_area_is_refused(
+    cli: CommandLine, tmp_path: Path, area: tuple[str, ...]
+) -> None:
+    target = tmp_path / "field.json"
+    ended = cli("plan", "survey", str(target), *area, "--height", "30", "--spacing", "15")
+    assert ended.status == ExitCode.USAGE
+    assert not target.exists()
