@@ -415,26 +415,21 @@ class AgentClient:
     async def activate(self, lease: Lease | None = None) -> None:
         """Activate the aircraft. Needs the lease, or that nobody holds it.
 
-        Raises:
-            UsageError: The agent has no credentials.
-            LeaseRefused, ActivationRefused, AckTimeout, LinkError: See each class.
+        Raises: as :meth:`m100link.agent.agent.Agent.activate`.
         """
         await self.ask(Action.ACTIVATE, lease)
 
     async def obtain(self, lease: Lease | None) -> None:
         """Obtain control authority for the holder of the lease.
 
-        Raises:
-            LeaseRefused, AuthorityRefused, NotActivated, NoAuthority, LinkError, AckTimeout: See
-                each class.
+        Raises: as :meth:`m100link.agent.agent.Agent.obtain`.
         """
         await self.ask(Action.OBTAIN, lease)
 
     async def release(self, lease: Lease | None) -> None:
         """Give control authority back; the lease stays.
 
-        Raises:
-            LeaseRefused, LinkError: See each class.
+        Raises: as :meth:`m100link.agent.agent.Agent.release`.
         """
         await self.ask(Action.RELEASE, lease)
 

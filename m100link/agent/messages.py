@@ -64,7 +64,7 @@ __all__ = [
     "Topic",
 ]
 
-VERSION = 5
+VERSION = 6
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 # -- both ways ------------------------------------------------------------------------------------

@@ -422,6 +422,8 @@ async def test_a_mission_from_a_file(browser: Any, tmp_path: Path) -> None:
         page = await airborne(console)
         await look_at(page, "plan")
         await page.set_input_files("#plan-file input", path)
+        await shows(page, "#plan-summary", "3 waypoints")
+        await press(page, "mission_upload")
         await shows(page, "#plan", "3 waypoints")
         await hold(page, "mission_start")
         await shows(page, "#mission", "to waypoint 2 of 3")

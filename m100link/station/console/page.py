@@ -157,7 +157,7 @@ class Page:
                 is_gone=agent.is_gone,
                 has_lease=tab.has_lease,
                 problem=tab.problem,
-                plan=tab.plan,
+                plan=agent.plan,
                 events=tuple(agent.events),
                 link=agent.link,
                 front_lag=self._deck.history.lag,

@@ -177,7 +177,14 @@ class Tab:
             BadPlan: It cannot be read, or the aircraft would refuse it.
             LeaseRefused: This tab has no control.
         """
-        plan = WaypointPlan.parse(content)
+        await self.give_plan(WaypointPlan.parse(content))
+
+    async def give_plan(self, plan: WaypointPlan) -> None:
+        """Give the agent a plan; the aircraft gets it with the start.
+
+        Raises:
+            LeaseRefused: This tab has no control.
+        """
         lease = self._agent.check(self.lease)
         mission, points = plan.to_wire()
         await self._agent.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))

@@ -2,14 +2,49 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeGuard
+
+from nicegui import events, ui
+
+from m100link.agent.preview import preview
+from m100link.errors import M100Error
+from m100link.protocol.records import Position
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.view.click import (
+    FASTEST_M_S,
+    HIGHEST_M,
+    LOWEST_M,
+    MOST_TURNS,
+    SLOWEST_M_S,
+    SMALLEST_M,
+    WIDEST_M,
+    ClickView,
+    Drawing,
+    Pointed,
+    Refusal,
+    Wish,
+    click_of,
+)
 from m100link.station.console.view.view import View
+from m100link.station.console.view.words import Speaker, Text, say
 
 __all__ = ["ClickPart"]
 
+# What is shown of each wish.
+_SHOWN: dict[Wish, tuple[str, ...]] = {
+    Wish.PLACE: ("way", "height", "speed"),
+    Wish.CIRCLE: ("way", "height", "speed", "radius", "turns"),
+    Wish.HEIGHT: ("height",),
+    Wish.HEADING: ("yaw_deg",),
+}
+
 
 class ClickPart:
-    """Flies to a point of the map.
+    """Flies to a point of the map, around it, to a height, to a heading.
 
     Args:
         deck: What it stands on.
@@ -17,9 +52,206 @@ class ClickPart:
 
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
+        self._say = Speaker()
+        self._pointed = Pointed()
+        self._problem: M100Error | None = None
+        self._orders = 0  # given so far: only the newest one's end is told
+        self._is_open = False
+        self._drawn = ""
+        self._told: tuple[Refusal, ...] = ()
+        self._fields: dict[str, ui.element] = {}
+        self._numbers: dict[str, ui.number] = {}
+        self._wishes: dict[Wish, ui.element] = {}
+
+    # -- layout ----------------------------------------------------------------------------------
 
     def build(self) -> None:
         """Lay it out."""
+        self._deck.load("pointing.js")
+        ui.on("map_pointed", self._clicked)
+        self._opener = ui.element("button").classes("act plain").props("type=button id=point-open")
+        with self._opener:
+            ui.label(self._word("title"))
+        self._opener.on("click", lambda: self._open(is_open=True), args=[])
+        with (
+            ui.element("div")
+            .classes("card click")
+            .props(f'id=click role=region aria-label="{self._word("title")}"') as self._card
+        ):
+            ui.label(self._word("hint")).classes("hint")
+            self._build_wishes()
+            self._build_fields()
+            self._preview = ui.label().props("id=click-preview role=status")
+            self._refusals = ui.element("div").props("id=click-refusals role=alert")
+            with ui.element("div").classes("acts"):
+                add = self._deck.buttons.add
+                self._fly_button = add("guide", self._word("fly"), self._fly, hold=True)
+                close = ui.element("button").classes("act plain")
+                with close.props("type=button id=point-close"):
+                    ui.label(self._word("close"))
+                close.on("click", lambda: self._open(is_open=False), args=[])
+        with ui.element("div").classes("card guided").props("id=guided") as self._guided:
+            self._flying = ui.label().props("id=guided-flying role=status")
+            self._deck.buttons.add("hover", self._word("hover"), self._hover, kind="plain")
+        self._guided.set_visibility(False)
+        self._open(is_open=False)
+
+    def _build_wishes(self) -> None:
+        with ui.element("div").classes("choices").props("role=group"):
+            for wish in Wish:
+                button = ui.element("button").props(f"type=button data-wish={wish.value}")
+                with button:
+                    ui.label(self._word(wish.value))
+                button.on("click", partial(self._wish, wish), args=[])
+                self._wishes[wish] = button
+
+    def _build_fields(self) -> None:
+        with ui.element("div").classes("numbers") as self._fields["way"]:
+            self._distance = self._number("distance", 0, 5000, 1, self._by_distance)
+            self._bearing = self._number("bearing", 0, 360, 1, self._by_distance)
+        for name, word, low, high, step in (
+            ("height", "height_m", LOWEST_M, HIGHEST_M, 0.5),
+            ("speed", "speed", SLOWEST_M_S, FASTEST_M_S, 0.5),
+            ("radius", "radius", SMALLEST_M, WIDEST_M, 1.0),
+            ("turns", "turns", 0.25, MOST_TURNS, 0.25),
+            ("yaw_deg", "yaw", 0, 359, 1),
+        ):
+            with ui.element("div").classes("dragged") as self._fields[name]:
+                number = self._number(word, low, high, step, partial(self._changed, name))
+                number.set_value(getattr(self._pointed, name))
+                self._numbers[name] = number
+                # The handle to drag; whoever does not drag has the number and the arrow keys.
+                slider = ui.slider(min=low, max=high, step=step).bind_value(number)
+                slider.props(f'aria-label="{self._word(word)}"')
+
+    def _number(
+        self, word: str, low: float, high: float, step: float, changed: Callable[..., None]
+    ) -> ui.number:
+        number = ui.number(label=self._word(word), min=low, max=high, step=step)
+        number.props(f"dense outlined for=click-{word}").on_value_change(changed)
+        return number
+
+    def _word(self, key: str) -> str:
+        return self._say(say(f"click.{key}"))
+
+    # -- what the operator does ------------------------------------------------------------------
+
+    def _open(self, *, is_open: bool) -> None:
+        self._is_open, self._problem = is_open, None
+        self._card.set_visibility(is_open)
+        self._opener.set_visibility(not is_open)
+        if is_open:
+            self._wish(self._pointed.wish)
+        else:
+            self._pointed = replace(self._pointed, place=None)
+
+    def _wish(self, wish: Wish) -> None:
+        self._pointed, self._problem = replace(self._pointed, wish=wish), None
+        for one, button in self._wishes.items():
+            button.props(f"aria-pressed={'true' if one is wish else 'false'}")
+        for name, field in self._fields.items():
+            field.set_visibility(name in _SHOWN[wish])
+
+    def _clicked(self, event: events.GenericEventArguments) -> None:
+        if not isinstance(event.args, dict) or event.args.get("view") != "fly":
+            return
+        place = event.args.get("place")
+        if isinstance(place, list) and len(place) == 2 and all(map(_is_number, place)):
+            if not self._is_open:
+                self._take_height()
+            self._pointed = self._pointed.at(*place)
+            self._open(is_open=True)
+
+    def _take_height(self) -> None:
+        """A flight to a point keeps the height that the aircraft has, unless somebody says so."""
+        telemetry = self._deck.agent.telemetry
+        position = None if telemetry is None else telemetry.fresh(Position, within=1.0)
+        if position is not None and position.height_m > LOWEST_M:
+            self._pointed = self._pointed.changed("height", round(position.height_m))
+            self._numbers["height"].set_value(self._pointed.height)
+
+    def _changed(self, name: str, event: events.ValueChangeEventArguments[Any]) -> None:
+        self._pointed, self._problem = self._pointed.changed(name, event.value), None
+
+    def _by_distance(self) -> None:
+        telemetry = self._deck.agent.telemetry
+        position = None if telemetry is None else telemetry.fresh(Position, within=1.0)
+        distance, bearing = self._distance.value, self._bearing.value
+        if position is None or not _is_number(distance) or not _is_number(bearing):
+            return
+        here = position.latitude_deg, position.longitude_deg
+        self._pointed = self._pointed.by_distance(here, distance, bearing)
+
+    async def _fly(self) -> None:
+        order, tab = self._pointed.order, self._deck.tab
+        if order is None:
+            return
+        self._orders += 1
+        mine, self._problem = self._orders, None
+        try:
+            await self._deck.agent.guide(tab.lease, order, self._begun)
+        except M100Error as error:
+            if mine == self._orders:
+                self._problem = error
+
+    def _begun(self) -> None:
+        """It flies: what is pointed at now would be the next one."""
+        if not self._card.is_deleted:
+            with self._card:
+                self._open(is_open=False)
+
+    async def _hover(self) -> None:
+        self._deck.agent.halt(f"{self._deck.tab.name}: hover")
+
+    # -- what is shown ---------------------------------------------------------------------------
 
     def update(self, view: View) -> None:
         """Show what is."""
+        agent = self._deck.agent
+        order = self._pointed.order if self._is_open else None
+        foreseen = None
+        if order is not None:
+            foreseen = preview(order, agent.telemetry, agent.state.limits)
+        found = click_of(
+            self._pointed if self._is_open else Pointed(),
+            foreseen,
+            agent.state.guided,
+            has_control=self._deck.tab.has_lease and agent.has_authority,
+            problem=self._problem,
+        )
+        self._preview.set_text(self._said(found.preview))
+        self._fly_button.set_visibility(found.may_fly)
+        self._flying.set_text(self._said(found.flying))
+        self._guided.set_visibility(agent.state.guided is not None)
+        self._tell(found.refusals)
+        self._draw(found)
+
+    def _said(self, text: Text | None) -> str:
+        return "" if text is None else self._say(text)
+
+    def _tell(self, refusals: tuple[Refusal, ...]) -> None:
+        if refusals == self._told:
+            return
+        self._told = refusals
+        self._refusals.clear()
+        with self._refusals:
+            for refusal in refusals:
+                with ui.element("div").classes("problem"):
+                    if refusal.reason:
+                        ui.label(refusal.reason)
+                    remedy = refusal.remedy
+                    ui.label(self._say(remedy) if isinstance(remedy, Text) else remedy)
+
+    def _draw(self, found: ClickView) -> None:
+        wanted = json.dumps({"pointed": _drawing(found.pointed), "flown": _drawing(found.flown)})
+        if wanted != self._drawn:
+            self._drawn = wanted
+            ui.run_javascript(f'import("/console/pointing.js").then((map) => map.draw({wanted}))')
+
+
+def _drawing(one: Drawing) -> dict[str, object]:
+    return {"place": one.place, "radius": one.radius, "yaw": one.yaw_deg}
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)

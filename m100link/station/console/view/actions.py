@@ -6,12 +6,12 @@ from m100link.station.console.view.inputs import Inputs
 
 __all__ = ["ACTIONS", "actions_of"]
 
-FLIGHTS = frozenset({"take_off", "land", "go_home", "simple_task", "mission_start"})
+FLIGHTS = frozenset({"take_off", "land", "go_home", "simple_task", "mission_start", "guide"})
 """What the aircraft begins to fly by itself."""
 
 MISSIONS = frozenset({"mission_pause", "mission_resume", "mission_stop"})
 
-ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release"}
+ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release", "mission_upload", "hover"}
 """Every button that is an order."""
 
 
@@ -23,7 +23,9 @@ def actions_of(inputs: Inputs) -> frozenset[str]:
         if not inputs.has_control:
             offered.add("obtain")
     if inputs.has_lease:
-        offered.add("release")
+        offered |= {"release", "mission_upload"}
+    if inputs.state.guided is not None:
+        offered.add("hover")  # anybody may
     if inputs.has_control and inputs.flies_mission:
         offered |= MISSIONS
     elif inputs.has_control and not inputs.state.task:

@@ -5,11 +5,11 @@ A key begins with the name of its file. Whatever stands in braces stands in both
 
 from __future__ import annotations
 
-from m100link.station.console.view.catalogue import alarms, fleet, link, status, unit
+from m100link.station.console.view.catalogue import alarms, click, fleet, link, plan, status, unit
 
 __all__ = ["CATALOGUE", "PARTS"]
 
-PARTS = (alarms, fleet, link, status, unit)
+PARTS = (alarms, click, fleet, link, plan, status, unit)
 """The files."""
 
 CATALOGUE: dict[str, tuple[str, str]] = {

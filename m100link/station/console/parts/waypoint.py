@@ -1,0 +1,107 @@
+"""The chosen waypoint of a plan, in numbers: everything that dragging does, and more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
+
+from nicegui import events, ui
+
+from m100link.errors import UsageError
+from m100link.missions.waypoint import Waypoint
+from m100link.station.console.view.draft import actions_of, text_of
+
+__all__ = ["WaypointPart"]
+
+
+class ChangePoint(Protocol):
+    """Changes values of the chosen waypoint."""
+
+    def __call__(self, **values: object) -> None: ...
+
+
+class WaypointPart:
+    """A card for one waypoint.
+
+    Args:
+        word: Says a word of the catalogue.
+        change: Changes its values.
+        move: Puts it earlier (-1) or later (1), or removes it (0).
+        refuse: Told what is not an action.
+    """
+
+    def __init__(
+        self,
+        word: Callable[[str], str],
+        change: ChangePoint,
+        move: Callable[[int], None],
+        refuse: Callable[[str], None],
+    ) -> None:
+        self._word, self._change, self._move, self._refuse = word, change, move, refuse
+        self._numbers: dict[str, ui.number] = {}
+        self._is_showing = False  # what is set then was not typed
+
+    def build(self) -> None:
+        """Lay it out."""
+        with ui.element("div").classes("card w-full").props("id=waypoint") as self._card:
+            self._title = ui.label().classes("title")
+            with ui.element("div").classes("numbers"):
+                for name, word, step in (
+                    ("height", "height", 1.0),
+                    ("heading_deg", "heading", 5.0),
+                    ("gimbal_pitch_deg", "pitch", 5.0),
+                    ("latitude_deg", "latitude", 1e-5),
+                    ("longitude_deg", "longitude", 1e-5),
+                ):
+                    number = ui.number(label=self._word(word), step=step)
+                    number.props(f"dense outlined debounce=300 for=waypoint-{word}")
+                    number.on_value_change(partial(self._typed, name))
+                    self._numbers[name] = number
+            self._actions = ui.input(label=self._word("actions"))
+            self._actions.props("dense outlined debounce=500 for=waypoint-actions")
+            self._actions.props(f'hint="{self._word("actions_hint")}"')
+            self._actions.on_value_change(self._acted)
+            with ui.element("div").classes("choices"):
+                for word, by in (("earlier", -1), ("later", 1), ("remove", 0)):
+                    button = ui.element("button").props(f"type=button data-plan={word}")
+                    with button:
+                        ui.label(self._word(word))
+                    button.on("click", partial(self._move, by), args=[])
+        self._card.set_visibility(False)
+
+    def show(self, index: int | None, point: Waypoint | None) -> None:
+        """Show one, or none."""
+        self._card.set_visibility(point is not None)
+        if index is None or point is None:
+            return
+        self._is_showing = True
+        self._title.set_text(str(index + 1))
+        for name, number in self._numbers.items():
+            value = getattr(point, name)
+            if number.value != value:
+                number.set_value(value)
+        if not self._is_same_text(point):
+            self._actions.set_value(text_of(point.actions))
+        self._is_showing = False
+
+    def _is_same_text(self, point: Waypoint) -> bool:
+        """Whether what stands there means these actions: nobody's typing is rewritten."""
+        try:
+            return actions_of(self._actions.value or "") == tuple(point.actions)
+        except UsageError:
+            return False
+
+    def _typed(self, name: str, event: events.ValueChangeEventArguments[Any]) -> None:
+        if not self._is_showing and isinstance(event.value, int | float):
+            self._change(**{name: event.value})
+
+    def _acted(self, event: events.ValueChangeEventArguments[Any]) -> None:
+        if self._is_showing:
+            return
+        try:
+            actions = actions_of(str(event.value or ""))
+        except UsageError as error:
+            self._refuse(str(error))
+        else:
+            self._change(actions=actions)
