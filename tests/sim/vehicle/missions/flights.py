@@ -53,7 +53,7 @@ def doing(*actions: tuple[int, int], limit: int = 999, repeat: int = 1) -> dict[
 
 def hotpoint(north: float = 0.0, east: float = 0.0, **fields: Any) -> HotpointStart:
     latitude, longitude = radians_at(north, east)
-    changed = {"altitude": 20.0, "radius": 10.0, "angular_rate": 15.0} | fields
+    changed: dict[str, Any] = {"altitude": 20.0, "radius": 10.0, "angular_rate": 15.0} | fields
     return HotpointStart(latitude, longitude, **changed)
 
 
@@ -61,7 +61,8 @@ def upload(
     host: Host, points: list[WaypointPoint], **fields: Any
 ) -> tuple[MissionCode, list[MissionCode]]:
     """Upload a mission; its code and those of the points."""
-    mission = WaypointMission(len(points), **({"max_speed": 10.0, "idle_speed": 5.0} | fields))
+    changed: dict[str, Any] = {"max_speed": 10.0, "idle_speed": 5.0}
+    mission = WaypointMission(len(points), **changed | fields)
     return host.ask(mission), [host.ask(point).code for point in points]
 
 
@@ -100,13 +101,12 @@ def farthest_beside(track: Track, line: Sequence[tuple[float, float, float]]) ->
 def _beside(
     at: tuple[float, float, float], a: tuple[float, float, float], b: tuple[float, float, float]
 ) -> float:
-    square = math.dist(a, b) ** 2
-    share = 0.0
-    if square:
-        share = sum((p - q) * (r - q) for p, q, r in zip(at, a, b, strict=True)) / square
-    share = max(0.0, min(1.0, share))
-    foot = [q + share * (r - q) for q, r in zip(a, b, strict=True)]
-    return math.dist(at, foot)
+    # Written out: it is asked a million times.
+    x, y, z = at[0] - a[0], at[1] - a[1], at[2] - a[2]
+    u, v, w = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    square = u * u + v * v + w * w
+    share = max(0.0, min(1.0, (x * u + y * v + z * w) / square)) if square else 0.0
+    return math.dist((x, y, z), (share * u, share * v, share * w))
 
 
 def events(host: Host) -> list[Uploaded | Finished | Reached]:
