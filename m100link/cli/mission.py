@@ -23,7 +23,7 @@ from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, r
 from m100link.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
 from m100link.cli.options import Above0
 from m100link.cli.outcome import ExitCode, print_json
-from m100link.cli.plan import FileOptions, read_plan
+from m100link.cli.plan import File, FileOptions, read_plan
 from m100link.cli.terminal import ReaderGone
 from m100link.errors import UsageError
 from m100link.flight.control import Control
@@ -53,7 +53,6 @@ app = cyclopts.App(
     version_flags=(),
 )
 
-File = Annotated[str, Parameter(allow_leading_hyphen=True)]
 
 _STATUS_S = 1.0  # in which an aircraft that tells of its flight status has done so
 _TRACK_HZ = 4.0

@@ -22,7 +22,7 @@ from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import survey as lines_over
 from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
 
-__all__ = ["FileOptions", "app", "read_plan"]
+__all__ = ["File", "FileOptions", "app", "read_plan"]
 
 app = cyclopts.App(
     name="plan",
@@ -30,8 +30,8 @@ app = cyclopts.App(
     version_flags=(),
 )
 
-File = Annotated[str, Parameter(allow_leading_hyphen=True)]
-"""A name, or a hyphen for a standard stream."""
+File = Annotated[str | Path, Parameter(allow_leading_hyphen=True)]
+"""A name, or a hyphen for a standard stream: as it was typed. For a path shells offer files."""
 
 _WIDE = 64
 """Columns of a terminal that has room for places in degrees."""
@@ -88,13 +88,14 @@ class EstimateOptions:
         return plan.estimate(home=self.place, hover_minutes=self.hover_minutes)
 
 
-def read_plan(path: str, options: FileOptions | None = None) -> WaypointPlan:
+def read_plan(file: str | Path, options: FileOptions | None = None) -> WaypointPlan:
     """The plan in a file; ``-`` is standard input.
 
     Raises:
         BadPlan: It is none, or cannot be read.
         UsageError: It names an aircraft.
     """
+    path = str(file)
     if _names_an_aircraft(path):
         raise UsageError(
             f"the plan is {path!r}, which names an aircraft",

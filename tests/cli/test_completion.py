@@ -72,6 +72,9 @@ def test_the_shell_completes_verbs_options_and_aircraft(
     assert completed(shell, tmp_path, "take") == {"takeoff"}
     assert completed(shell, tmp_path, "sim", "ct") == {"ctl"}
     assert completed(shell, tmp_path, "info", "--fi") == {"--firmware"}
+    (tmp_path / "survey.plan").touch()
+    for verb in (("mission", "fly"), ("plan", "check"), ("plan", "show"), ("plan", "convert")):
+        assert completed(shell, tmp_path, *verb, "sur") == {"survey.plan"}
     if ASKS_BACK:
         assert completed(shell, tmp_path, "fly", "la") == {"lab-m100"}
         assert completed(shell, tmp_path, "takeoff", "--url", "v") == {"virtual"}
