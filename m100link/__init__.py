@@ -16,9 +16,7 @@ Importing :mod:`m100link` loads nothing else: each name is loaded when it is fir
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
+TYPE_CHECKING = False  # what checkers take for true, without a module of 10 ms to say so
 if TYPE_CHECKING:
     # For type checkers and editors, which read one file and run nothing: mypy, pyright and jedi see
     # plain imports. A stub beside this file would be a second list to keep, and would hide it.
@@ -338,21 +336,43 @@ _ROOMS = (
     "flight.missions.hotpoint",
     "flight.missions.follow",
     "flight.control",
-    "missions.plan",  # last: who flies by setpoints needs no plan
+)
+
+# A plan needs no aircraft, and who flies by setpoints needs no plan: its room is not looked into
+# for other names, nor other rooms for these.
+_OF_PLANS = frozenset(
+    (
+        "AtEnd",
+        "GimbalPitch",
+        "Heading",
+        "OnRCLoss",
+        "PlanEstimate",
+        "StartVideo",
+        "Stay",
+        "StopVideo",
+        "TakePhoto",
+        "Trace",
+        "TurnTo",
+        "Waypoint",
+        "WaypointAction",
+        "WaypointPlan",
+    )
 )
 
 # Rooms for users, not looked into for public names: those of the first are the same again.
-_OTHER_ROOMS = ("sync", "sim", "patterns")
+_OTHER_ROOMS = ("missions", "sync", "sim", "patterns")
 
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name
 
     def __getattr__(name: str) -> object:
         """Load a room by its name, or a public name from the room that has it, and keep it."""
+        from importlib import import_module
+
         if any(room.partition(".")[0] == name for room in (*_ROOMS, *_OTHER_ROOMS)):
             return import_module(f"{__name__}.{name}")
         if name in __all__:
-            for room in _ROOMS:
+            for room in ("missions.plan",) if name in _OF_PLANS else _ROOMS:
                 module = import_module(f"{__name__}.{room}")
                 if name in module.__all__:
                     value = globals()[name] = getattr(module, name)

@@ -82,15 +82,16 @@ def test_who_reads_a_frame_does_not_load_the_commands_that_it_does_not_have() ->
     }
 
 
-def test_who_plans_loads_no_commands() -> None:
-    made = "from m100link.missions.plan import WaypointPlan"
+@pytest.mark.parametrize("place", ["m100link", "m100link.missions.plan"])
+def test_who_plans_loads_no_commands(place: str) -> None:
+    made = f"from {place} import WaypointPlan"
     assert {name.split(".")[1] for name in own(made) if "." in name} == {
         *("errors", "geodesy", "missions"),
     }
 
 
-def test_frames_need_few_modules_at_all() -> None:
-    assert len(loaded_by("import m100link.wire")) < 65
+def test_the_names_of_plans_are_those_of_their_room() -> None:
+    assert set(importlib.import_module("m100link.missions.plan").__all__) == m100link._OF_PLANS
 
 
 def test_connecting_waits_with_what_only_some_connections_need() -> None:
