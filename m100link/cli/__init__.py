@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 
-__all__ = ["main"]
+__all__ = ["end_at_once", "main"]
 
 
 def main() -> None:
-    """Entry point of the ``m100link`` command."""
+    """Entry point of the ``m100link`` command.
+
+    Loading takes up to seconds on a busy machine: Ctrl-C in that time ends it with a line.
+    """
+    is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if is_ours:  # and not ignored, as in the background of a script
+        signal.signal(signal.SIGINT, end_at_once)
     try:
         import cyclopts  # noqa: F401 - only whether it is there
         import rich  # noqa: F401 - only whether it is there
@@ -21,3 +29,12 @@ def main() -> None:
     from m100link.cli.app import run
 
     run()
+
+
+def end_at_once(*_: object) -> None:
+    """Nothing was opened yet.
+
+    An exception would be a traceback out of whatever is being loaded, or be passed over there.
+    """
+    os.write(2, b"interrupted\n")
+    os._exit(130)

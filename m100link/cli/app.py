@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
 from typing import TextIO
 
 from cyclopts import App, CycloptsError
 
 import m100link
+from m100link.cli import end_at_once
 from m100link.cli.outcome import ExitCode, complain
 from m100link.cli.terminal import ReaderGone, speak_to_anybody
 from m100link.errors import M100Error, UsageError
@@ -193,11 +195,15 @@ def _status_of(words: list[str]) -> int:
     try:
         _show_warnings()
         asked = app if VERBS.keys() & set(words) else application(overview=True)
-        status = asked(
-            _renamed(words), exit_on_error=False, print_error=True, result_action="return_value"
-        )
+        verb, bound, _ = asked.parse_args(_renamed(words), exit_on_error=False, print_error=True)
+        if signal.getsignal(signal.SIGINT) is end_at_once:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        status = verb(*bound.args, **bound.kwargs)
     except CycloptsError:
         return ExitCode.USAGE
     except M100Error as error:
         return complain(error)
+    except KeyboardInterrupt:  # of a verb that flies nothing
+        sys.stderr.write("interrupted\n")
+        return ExitCode.INTERRUPTED
     return status if isinstance(status, int) else ExitCode.OK

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import subprocess
 import sys
 
 import pytest
@@ -12,6 +13,7 @@ import m100link
 from m100link.cli.app import VERBS, app, application
 from m100link.cli.outcome import ExitCode
 from tests.cli.conftest import CommandLine
+from tests.waiting import PATIENCE
 
 
 @pytest.mark.parametrize(
@@ -109,3 +111,36 @@ def test_a_warning_goes_to_what_standard_error_is_then(
     monkeypatch.setattr(sys, "stderr", shown)
     logging.getLogger("m100link.link").warning("noise on the line")
     assert shown.getvalue() == "WARNING: noise on the line\n"
+
+
+@pytest.mark.parametrize("module", ["cyclopts", "m100link.cli.app", "m100link.cli.telemetry"])
+@pytest.mark.parametrize("passes_over", [True, False])
+def test_ctrl_c_while_it_is_loaded_ends_it_with_a_line(module: str, passes_over: bool) -> None:
+    """Also where what is loaded would not let an exception through."""
+    program = f"""
+import contextlib, os, signal, sys
+class Person:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            with contextlib.suppress(*[KeyboardInterrupt] * {passes_over}):
+                os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Person())
+sys.argv = ["m100link", "echo", "sim://", "--count", "1"]
+from m100link.cli import main
+main()
+"""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert (done.returncode, done.stdout) == (ExitCode.INTERRUPTED, "")
+    assert done.stderr == "interrupted\n"
+
+
+def test_a_verb_that_flies_nothing_is_interrupted_with_a_line(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("m100link.cli.plan.read_plan", interrupted)
+    outcome = cli("plan", "check", "survey.json")
+    assert (outcome.status, outcome.err) == (ExitCode.INTERRUPTED, "interrupted\n")
