@@ -16,7 +16,7 @@ from typing import Self
 
 from m100link.errors import UsageError
 
-__all__ = ["MAX_RATE_HZ", "Alarm", "Tick", "Ticker"]
+__all__ = ["INSTANT", "MAX_RATE_HZ", "Alarm", "Tick", "Ticker"]
 
 MAX_RATE_HZ = 50.0
 """The highest rate at which the autopilot takes movement commands (errata, section on rates)."""
@@ -77,9 +77,10 @@ class Ticker:
         self.missed += missed
         self._index = index
         deadline = self._start + index * self.period
-        # At least one pass of the loop: a consumer that is always late must not starve the others.
-        await asyncio.sleep(0)
-        await self._alarm.sleep_until(deadline)
+        if deadline - now > INSTANT:
+            await self._alarm.sleep_until(deadline)
+        else:  # a consumer that is always late must not starve the others
+            await asyncio.sleep(0)
         return Tick(index, index * self.period, missed, max(0.0, loop.time() - deadline))
 
 
@@ -97,6 +98,10 @@ def period_of(rate_hz: float) -> float:
             remedy=f"choose a rate up to {MAX_RATE_HZ:g}",
         )
     return 1.0 / rate_hz
+
+
+INSTANT = 1e-9
+"""Seconds that an event loop takes for none: it runs a timer beside another one that is due."""
 
 
 class Lead:
@@ -124,7 +129,7 @@ class Lead:
 
 
 class Alarm:
-    """Sleeps until an absolute time of the event loop's clock, never less.
+    """Sleeps until an absolute time of the event loop's clock, never less than an instant before.
 
     The event loop rounds its time-outs up to whole milliseconds. Where the system has timerfd
     (Linux), it is used instead, a :class:`Lead` before the deadline; on event loops with a clock of
@@ -148,7 +153,7 @@ class Alarm:
         if self._fd >= 0:
             await self._sleep_by_timer(deadline)
             return
-        while self._loop.time() < deadline:
+        while deadline - self._loop.time() > INSTANT:
             self._waiter = self._loop.create_future()
             handle = self._loop.call_at(deadline, self._wake)
             try:

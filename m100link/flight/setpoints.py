@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 
 from m100link.errors import UsageError
-from m100link.flight.pacing import MAX_RATE_HZ, Alarm
+from m100link.flight.pacing import INSTANT, MAX_RATE_HZ, Alarm
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["NEUTRAL_TIME", "SETPOINT_LIFETIME", "Hold", "SetpointLoop", "check_lifetime"]
@@ -229,10 +229,10 @@ class SetpointLoop:
                 due_at = self._due_at()
                 if self._is_renewed and not self._is_news:
                     due_at += _SLACK
-                if now < due_at:
+                if due_at - now > INSTANT:
                     # News must not wait for the end of a long period: look once in a short one.
                     free_at = self._slot + _PERIOD
-                    look_at = free_at if free_at > now else now + _PERIOD
+                    look_at = free_at if free_at - now > INSTANT else now + _PERIOD
                     await alarm.sleep_until(min(due_at, look_at))
                     continue  # the program may have sent one itself meanwhile
                 self._is_renewed = False

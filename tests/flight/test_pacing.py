@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import math
 import os
 import random
 import select
@@ -312,3 +313,22 @@ class TestOnTheRealClock:
         # Two ticks in one period would be a burst; the one right after a stall may come late and
         # the next one on its grid point.
         assert times[-1] - times[3] > 0.02
+
+
+async def test_who_is_woken_beside_another_timer_does_not_sleep_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An event loop takes a nanosecond for none; loops of one grid fall into it all the time."""
+    loop, woken = virtual_loop(), list[float]()
+    wake = Alarm._wake
+
+    def counted(self: Alarm) -> None:
+        woken.append(loop.time())
+        wake(self)
+
+    monkeypatch.setattr(Alarm, "_wake", counted)
+    first = loop.time() + 0.3
+    loop.call_at(first, woken.clear)
+    with Alarm() as alarm:
+        await alarm.sleep_until(math.nextafter(first, math.inf))
+    assert woken == [first]
