@@ -3,17 +3,24 @@
 # mypy: ignore-errors
 # pyright: reportArgumentType=false, reportCallIssue=false
 
+from __future__ import annotations
+
 import time
 
 import roslibpy
 
-ros = roslibpy.Ros("127.0.0.1", 9090)
-# What the station cannot do for a message it tells by a `status`, which roslibpy leaves to you.
-ros.factory.on_ready(
-    lambda connection: connection.register_message_handlers(
+
+def hear_statuses(connection: roslibpy.comm.RosBridgeProtocol) -> None:
+    """What the station cannot do for a message it tells by a `status`, left to you."""
+    # roslibpy 2.1 keeps an empty place for it, and takes that for taken.
+    connection._message_handlers.pop("status", None)
+    connection.register_message_handlers(
         "status", lambda status: print(status["level"], status["msg"])
     )
-)
+
+
+ros = roslibpy.Ros("127.0.0.1", 9090)
+ros.factory.on("ready", hear_statuses)  # at each connection: roslibpy connects again by itself
 ros.run()
 
 

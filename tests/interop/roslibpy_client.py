@@ -15,6 +15,14 @@ import roslibpy
 
 def main(host: str, port: int) -> None:
     ros = roslibpy.Ros(host, port)
+    statuses: list[Any] = []
+
+    def hear_statuses(connection: Any) -> None:
+        """As in examples/rosbridge/fly_by_roslibpy.py."""
+        connection._message_handlers.pop("status", None)
+        connection.register_message_handlers("status", statuses.append)
+
+    ros.factory.on("ready", hear_statuses)
     ros.run(timeout=120)
     seen: dict[str, Any] = {"connected": ros.is_connected, "topics": ros.get_topics()}
     seen["type"] = ros.get_topic_type("/dji_sdk/imu")
@@ -41,6 +49,8 @@ def main(host: str, port: int) -> None:
         call("/nothing", "std_srvs/Empty")
     except Exception as error:  # noqa: BLE001 - its type is what roslibpy makes of it
         seen["wrong_service"] = str(error)
+    # Nobody can publish there: told by a status, and the connection goes on.
+    roslibpy.Topic(ros, "/no_such_topic", "std_msgs/UInt8").publish(roslibpy.Message({"data": 1}))
     phases: list[float] = []
     status = roslibpy.Topic(ros, "/flight_status", "std_msgs/Float32")
     status.subscribe(lambda message: phases.append(message["data"]))
@@ -53,6 +63,7 @@ def main(host: str, port: int) -> None:
     seen["phases"] = sorted(set(phases))
     command.unadvertise()
     status.unsubscribe()
+    seen["statuses"] = [dict(status) for status in statuses]
     print(json.dumps(seen))
     sys.stdout.flush()
     ros.terminate()

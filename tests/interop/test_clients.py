@@ -79,6 +79,7 @@ def test_roslibpy() -> None:
     assert seen["activation"]["result"] is True
     assert seen["authority"] == {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2}
     assert "/nothing" in seen["wrong_service"]
+    assert {status["level"] for status in seen["statuses"]} == {"error"}
     assert seen["phases"][-1] == 3.0
 
 
