@@ -305,9 +305,9 @@ def install(session: nox.Session, *requirements: str) -> None:
         session.install(*afresh, *requirements)
         return
     try:
-        session.run("python", "-m", "pip", "install", "--quiet", "uv")
+        session.run_install("python", "-m", "pip", "install", "--quiet", "uv")
         environment = ("--python", str(Path(session.bin) / "python"))
-        session.run("uv", "pip", "install", "--quiet", *environment, *afresh, *requirements)
+        session.run_install("uv", "pip", "install", "--quiet", *environment, *afresh, *requirements)
     except CommandFailed:
         session.log("uv does not work here: pip takes its place")
         session.install(*requirements)

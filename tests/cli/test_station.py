@@ -189,7 +189,8 @@ async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
         ):
             call = {"op": "call_service", "service": f"/dji_sdk/{service}", "args": args}
             await client.send(json.dumps(call))
-            assert json.loads(await client.recv())["values"]["result"] is True, service
+            answer = json.loads(await client.recv())
+            assert answer.get("values", {}).get("result") is True, answer
     process.send_signal(signal.SIGTERM)
     async with asyncio.timeout(30):
         assert await process.wait() == 0

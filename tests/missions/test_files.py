@@ -30,7 +30,7 @@ def test_what_cannot_be_read_or_written_says_why(tmp_path: Path) -> None:
         WaypointPlan.read(tmp_path / "missing.json")
     with pytest.raises(BadPlan, match="cannot be read: Is a directory"):
         WaypointPlan.read(tmp_path)
-    with pytest.raises(BadPlan, match="cannot be read: embedded null byte"):
+    with pytest.raises(BadPlan, match=r"cannot be read: .*embedded null"):
         WaypointPlan.read("a\0b")
     with pytest.raises(BadPlan, match="cannot be written: Is a directory"):
         PLAN.write(tmp_path)

@@ -115,3 +115,28 @@ def test_what_is_outside_is_named_and_not_written(
     assert str(error).startswith(f"example: {field} ")
     assert limit in str(error)
     assert field in str(problem)
+
+
+@pytest.mark.parametrize(
+    ("part", "limit"),
+    [
+        (Number("speed", "f", 0.0, 15.0, "m/s"), "0 to 15 m/s"),
+        (Number("mode", words=("off", "on")), "0 off, 1 on"),
+        (Numbers("actions", 16, Number("action", "B", 0, 5)), "each 0 to 5"),
+        (Nibbles("count", "repeat"), "low and high four bits, each 0 to 15"),
+        (Reserved(8), "sent as 0, ignored"),
+    ],
+)
+def test_each_part_says_what_it_may_be(
+    part: Number | Numbers | Nibbles | Reserved, limit: str
+) -> None:
+    assert part.limit == limit
+
+
+def test_single_numbers_are_found_by_their_names_the_halves_of_a_byte_too() -> None:
+    layout = Layout(Number("a", "h", -1, 1), Reserved(2), Nibbles("low", "high"))
+    assert {name: number.bounds for name, number in layout.numbers.items()} == {
+        "a": (-1, 1),
+        "low": (0, 15),
+        "high": (0, 15),
+    }
