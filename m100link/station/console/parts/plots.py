@@ -42,6 +42,7 @@ class PlotsPart:
         # Rows of the history that the page has.
         self._sent = 0
         self._is_whole_wanted = True
+        self._version = 0  # of what is drawn: what comes late of another one is passed over
 
     def build(self) -> None:
         """Lay it out."""
@@ -118,9 +119,10 @@ class PlotsPart:
             step=step(self._seconds),
         )
         self._sent, self._is_whole_wanted = history.count, False
-        if rows or is_whole:
+        self._version += is_whole
+        if rows:
             given = json.dumps(
-                [points(rows), 1000 * self._seconds, is_whole], separators=(",", ":")
+                [self._version, points(rows), 1000 * self._seconds], separators=(",", ":")
             )
             ui.run_javascript(
                 f'import("/console/plots.js").then((m)=>m.add({self._chart.id},...{given}))'

@@ -2,21 +2,23 @@
 
 const charts = new Map();
 
-// Rows are [milliseconds, value, …]; points older than keepMs before the newest go.
-export function add(id, rows, keepMs, isWhole) {
+// Rows are [milliseconds, value, …]; points older than keepMs before the newest go. With each version
+// the lines begin anew. A row that came before, as messages may after a lost connection, is passed over.
+export function add(id, version, rows, keepMs) {
   const chart = window.getElement(id)?.chart;
-  if (!chart) return isWhole && setTimeout(() => add(id, rows, keepMs, true), 100);
-  if (isWhole) charts.set(id, []);
-  const kept = charts.get(id) || [];
-  kept.push(...rows);
-  const newest = kept.length ? kept[kept.length - 1][0] : Date.now();
-  const first = kept.findIndex((row) => row[0] >= newest - keepMs);
-  kept.splice(0, Math.max(0, first));
-  charts.set(id, kept);
+  if (!chart) return setTimeout(() => add(id, version, rows, keepMs), 100);
+  let kept = charts.get(id);
+  if (kept && kept.version > version) return;
+  if (!kept || kept.version < version) charts.set(id, kept = {version, rows: []});
+  const last = kept.rows.length ? kept.rows[kept.rows.length - 1][0] : -Infinity;
+  kept.rows.push(...rows.filter((row) => row[0] > last));
+  if (!kept.rows.length) return;
+  const newest = kept.rows[kept.rows.length - 1][0];
+  kept.rows.splice(0, kept.rows.findIndex((row) => row[0] >= newest - keepMs));
   const count = chart.getModel().getSeriesCount();
   const between = {min: newest - keepMs, max: newest};
   chart.setOption({
     xAxis: Array(count).fill(between),
-    series: Array.from({length: count}, (_, n) => ({data: kept.map((row) => [row[0], row[n + 1] ?? null])})),
+    series: Array.from({length: count}, (_, n) => ({data: kept.rows.map((row) => [row[0], row[n + 1] ?? null])})),
   });
 }
