@@ -1,15 +1,17 @@
-"""Makes the pictures of the README: the console in flight, and the demo in a terminal.
+"""Makes the pictures of README and manual: the console in flight, and the demo in a terminal.
 
-    python -m tests.browser.pictures [console] [demo]
+    python -m tests.browser.pictures [console] [demo] [manual]
 
-Both are of this very code; nothing in them is drawn.
+All are of this very code; nothing in them is drawn.
 """
 
 from __future__ import annotations
 
 import asyncio
+import base64
 import sys
 from pathlib import Path
+from typing import Any
 
 from playwright.async_api import async_playwright
 
@@ -37,6 +39,57 @@ async def console() -> None:
         await browser.close()
 
 
+SIZES = {
+    "phone": (390, 844),
+    "phone-across": (844, 390),
+    "tablet": (768, 1024),
+    "tablet-across": (1024, 768),
+    "laptop": (1440, 900),
+    "screen": (2560, 1440),
+}
+"""What the manual shows the Fly view at: width and height by name."""
+
+WIDEST = 1280  # of a picture in the manual; larger ones are scaled down
+
+TO_WEBP = """
+async ([png, width]) => {
+  const image = new Image();
+  image.src = "data:image/png;base64," + png;
+  await image.decode();
+  const canvas = document.createElement("canvas"), scale = Math.min(1, width / image.width);
+  canvas.width = image.width * scale;
+  canvas.height = image.height * scale;
+  canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
+  return canvas.toDataURL("image/webp", 0.75).split(",")[1];
+}
+"""
+
+
+async def picture(page: Any, name: str) -> None:
+    """What the page shows, small enough for a manual; the browser itself packs it."""
+    png = base64.b64encode(await page.screenshot()).decode()
+    packed = await page.evaluate(TO_WEBP, [png, WIDEST])
+    (IMAGES / f"console-{name}.webp").write_bytes(base64.b64decode(packed))
+
+
+async def manual() -> None:
+    """An aircraft in the air, seen at every size, and its data, for the manual's page."""
+    async with async_playwright() as started:
+        browser = await started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        async with console_in_browser(browser) as one:
+            page = await airborne(one)
+            for name, (width, height) in SIZES.items():
+                await page.set_viewport_size({"width": width, "height": height})
+                await asyncio.sleep(2.0)
+                await picture(page, name)
+            await page.set_viewport_size({"width": 1280, "height": 900})
+            await page.click("[data-go=data]")
+            await page.wait_for_selector("#plots canvas")
+            await asyncio.sleep(5.0)
+            await picture(page, "data")
+        await browser.close()
+
+
 COMMAND = (sys.executable, "-c", "from m100link.cli import main; main()")
 
 
@@ -50,8 +103,10 @@ def demo() -> None:
 
 if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
-    wanted = sys.argv[1:] or ["demo", "console"]
+    wanted = sys.argv[1:] or ["demo", "console", "manual"]
     if "demo" in wanted:
         demo()
     if "console" in wanted:
         asyncio.run(console())
+    if "manual" in wanted:
+        asyncio.run(manual())
