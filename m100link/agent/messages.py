@@ -233,7 +233,7 @@ class LinkCounted:
 
     Attributes:
         at: When it was so, s.
-        counters: Numbers of :class:`~m100link.link.statistics.LinkStatistics` by their names.
+        counters: Numbers of :class:`~m100link.LinkStatistics` by their names.
         discards: Discarded starts and frames by their causes.
         loop_lag: Seconds that the agent was late at worst in the last second.
     """
