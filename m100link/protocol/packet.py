@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.protocol.items import BY_RECORD, ITEMS, Item, ItemLayout, RecordViews
+from m100link.wire.tuples import maker
 
 __all__ = [
     "TelemetryPacket",
@@ -42,18 +43,18 @@ def _reader(items: Sequence[Item], profile: FirmwareProfile) -> _Reader:
 
         def read(value, offset):
             (time_tick, battery_percent,) = unpack(value, offset)
-            return [new(time, (time_tick, None, None, tick_hz)), new(battery, (battery_percent,))]
+            return [time((time_tick, None, None, tick_hz)), battery((battery_percent,))]
     """
     # Every name in the source is one of the table of items: no text from outside is compiled.
-    names: dict[str, Any] = {"new": tuple.__new__}
+    names: dict[str, Any] = {}
     values, records, formats = [], [], ["<"]
     for item in items:
         layout = profile.items[item.name]
         formats.append(layout.format)
         values += [f"{item.name}_{field}, " for field in layout.fields]
         fields = [f"{item.name}_{f}" if f in layout.fields else "None" for f in item.fields]
-        records.append(f"new({item.name}, ({', '.join((*fields, *item.profile_fields))},))")
-        names[item.name] = item.record
+        records.append(f"{item.name}(({', '.join((*fields, *item.profile_fields))},))")
+        names[item.name] = maker(item.record)
         names |= {name: getattr(profile, name) for name in item.profile_fields}
     names["unpack"] = Struct("".join(formats)).unpack_from
     source = f"""

@@ -13,6 +13,8 @@ import math
 from enum import IntEnum
 from typing import NamedTuple
 
+from m100link.wire.tuples import quick
+
 __all__ = [
     "Acceleration",
     "AngularVelocity",
@@ -32,6 +34,7 @@ __all__ = [
 ]
 
 
+@quick
 class Time(NamedTuple):
     """Clock of the aircraft.
 
@@ -53,6 +56,7 @@ class Time(NamedTuple):
         return self.tick / self.tick_hz
 
 
+@quick
 class Attitude(NamedTuple):
     """Attitude as a unit quaternion from ground (north-east-down) to body (forward-right-down).
 
@@ -122,6 +126,7 @@ class _GroundVector:
         return (east, north, up)
 
 
+@quick
 class _AccelerationFields(NamedTuple):
     north_m_s2: float
     east_m_s2: float
@@ -134,6 +139,7 @@ class Acceleration(_AccelerationFields, _GroundVector):
     __slots__ = ()
 
 
+@quick
 class _VelocityFields(NamedTuple):
     north_m_s: float
     east_m_s: float
@@ -165,6 +171,7 @@ class Velocity(_VelocityFields, _GroundVector):
         return math.hypot(self.north_m_s, self.east_m_s)
 
 
+@quick
 class AngularVelocity(NamedTuple):
     """Angular velocity about the body axes, rad/s (errata 43), right-handed."""
 
@@ -191,6 +198,7 @@ class AngularVelocity(NamedTuple):
 _MAX_LATITUDE_RAD = math.radians(89.0)
 
 
+@quick
 class Position(NamedTuple):
     """Position by GPS and barometer.
 
@@ -232,6 +240,7 @@ class Position(NamedTuple):
         return math.degrees(self.longitude_rad)
 
 
+@quick
 class Magnetometer(NamedTuple):
     """Magnetometer, raw numbers; a magnitude of 1000 to 2000 is normal."""
 
@@ -248,6 +257,7 @@ class RcMode(IntEnum):
     F = 8000
 
 
+@quick
 class RemoteControl(NamedTuple):
     """Channels of the remote controller, raw.
 
@@ -275,6 +285,7 @@ class RemoteControl(NamedTuple):
         return self.mode_switch is RcMode.F
 
 
+@quick
 class Gimbal(NamedTuple):
     """Gimbal attitude, ground frame; roll and yaw are unreliable near pitch −90.
 
@@ -297,6 +308,7 @@ class FlightPhase(IntEnum):
     FINISHING_LANDING = 5
 
 
+@quick
 class FlightStatus(NamedTuple):
     """Flight status, raw; ``phase`` gives it a name."""
 
@@ -316,6 +328,7 @@ class FlightStatus(NamedTuple):
         return self.status in (FlightPhase.IN_AIR, FlightPhase.LANDING)
 
 
+@quick
 class Battery(NamedTuple):
     """Battery charge."""
 
@@ -330,6 +343,7 @@ class Device(IntEnum):
     ONBOARD = 2
 
 
+@quick
 class ControlDevice(NamedTuple):
     """Who controls the aircraft (CTRL_DEVICE).
 

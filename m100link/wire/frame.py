@@ -21,13 +21,14 @@ from m100link.wire.cipher import BLOCK_SIZE, Cipher
 from m100link.wire.crc import (
     FRAME_RESIDUE,
     HEADER_RESIDUE,
+    SEQUENCE_CRC16,
     ZLIB_START,
     header_crc16,
     header_crc16_of_word,
     sequence_crc16_numbers,
 )
-from m100link.wire.crc import SEQUENCE_CRC16 as _SEQUENCE_CRC16
 from m100link.wire.hunt import HEADER_SIZE, SOF, right_headers
+from m100link.wire.tuples import maker, quick
 
 __all__ = [
     "HEADER_SIZE",
@@ -56,9 +57,7 @@ _RESERVED = 0xFFFFFF00_C0000000  # bits of the word
 _NOT_SIMPLE = 0xFFFFFF1F_C0FFC0FF
 _PADS = 0x1F_00000000
 _PAYLOAD = slice(HEADER_SIZE, -CRC32_SIZE)
-_new = tuple.__new__
 
-_USUAL_READ = 4096  # bytes: the most that a terminal gives at once
 _Unpack = Callable[[bytes], tuple[Any, ...]]
 
 
@@ -77,13 +76,14 @@ def _unpack_nothing(_: bytes) -> tuple[int, int, int, bytes]:
 
 
 # By the size of what may be a frame: what takes it apart in one call, into word, sequence, CRC16
-# and payload. It reaches beyond the longest frame, as an exception costs more than a frame.
+# and payload. It reaches beyond the longest by a usual read, for an exception is dearer than it.
 _unpack_whole: list[_Unpack] = [
     _unpack_first if HEADER_SIZE <= size <= MAX_FRAME_SIZE else _unpack_nothing
-    for size in range(MAX_FRAME_SIZE + _USUAL_READ)
+    for size in range(MAX_FRAME_SIZE + 4096)
 ]
 
 
+@quick
 class Frame(NamedTuple):
     """One frame, decrypted and without padding.
 
@@ -102,6 +102,9 @@ class Frame(NamedTuple):
     encrypted: bool
     padding: int
     data: bytes
+
+
+_make_frame = maker(Frame)
 
 
 class Discard(StrEnum):
@@ -165,7 +168,7 @@ def encode_frame(
         pack, word, crc16 = _kinds[len(data), session, is_ack, padding]
     except KeyError:
         pack, word, crc16 = _check_kind(len(data), session, is_ack, padding)
-    body = pack(word, sequence, crc16 ^ _SEQUENCE_CRC16[sequence], data)
+    body = pack(word, sequence, crc16 ^ SEQUENCE_CRC16[sequence], data)
     return body + _pack_crc32(crc32(body, ZLIB_START) ^ 0xFFFFFFFF) if data else body
 
 
@@ -299,8 +302,7 @@ class FrameDecoder:
             payload = decrypt(payload)[clear]
         self.frames += 1
         self._delivered += length
-        # Frame(…) would go through a constructor in Python, at twice the cost.
-        frames = [_new(Frame, (session, is_ack, sequence, encrypted, padding, payload))]
+        frames = [_make_frame((session, is_ack, sequence, encrypted, padding, payload))]
         return frames if size == length else self._search(data, frames, length)
 
     def _search(self, data: bytes, frames: list[Frame], position: int = 0) -> list[Frame]:
@@ -333,7 +335,7 @@ class FrameDecoder:
                 )
             ):
                 header = self._learn(word, sequence, crc16)
-            if header is None or header[0] ^ _SEQUENCE_CRC16[sequence] != crc16:
+            if header is None or header[0] ^ SEQUENCE_CRC16[sequence] != crc16:
                 start = self._next_start(data, position, last)
                 if start > position:
                     position = start
@@ -361,7 +363,7 @@ class FrameDecoder:
                     position += self._discard(_NO_KEY, length)
                     continue
                 payload = cipher.decrypt(payload)[clear]
-            frames.append(_new(Frame, (session, is_ack, sequence, encrypted, padding, payload)))
+            frames.append(_make_frame((session, is_ack, sequence, encrypted, padding, payload)))
             found += 1
             delivered += length
             position = end
@@ -488,7 +490,7 @@ class FrameDecoder:
             return None
         if len(self._headers) >= _CACHE_LIMIT:
             self._headers.clear()
-        header = self._headers[word] = _parse_word(word, crc16 ^ _SEQUENCE_CRC16[sequence])
+        header = self._headers[word] = _parse_word(word, crc16 ^ SEQUENCE_CRC16[sequence])
         return header
 
     # Last, because from here on the name is no type.
