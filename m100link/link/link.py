@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import os
-from collections.abc import Callable, Iterator
-from typing import cast
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
 from m100link.link.statistics import LinkStatistics
@@ -34,6 +35,7 @@ of authority must not be taken for one that was told before.
 """
 
 _LOGGED_BYTES = 64
+_LEVEL_S = 0.1  # between two looks at the level of the log
 
 
 def ignore(*_: object) -> None:
@@ -62,8 +64,10 @@ class Link(asyncio.Protocol):
         "_endpoint",
         "_failure",
         "_frames_sent",
+        "_is_debug",
         "_is_failure_told",
         "_is_writable",
+        "_level_at",
         "_loop",
         "_pending",
         "_timers",
@@ -104,6 +108,9 @@ class Link(asyncio.Protocol):
         self._is_failure_told = False
         self._connected: asyncio.Future[None] = self._loop.create_future()
         self._disconnected = asyncio.Event()
+        # Whether received frames are logged, and when to look again whether they shall be.
+        self._is_debug = False
+        self._level_at = -math.inf
         self._bytes_sent = self._frames_sent = self._dropped_writes = 0
         self.last_received_at: float | None = None
 
@@ -279,9 +286,14 @@ class Link(asyncio.Protocol):
         """Bytes from the line."""
         now = self.last_received_at = self._loop.time()
         endpoint = self._endpoint
+        if now >= self._level_at:
+            self._look_at_level(now)
         try:
-            events = endpoint.receive_data(data, now)
-            if events:
+            events: Sequence[Any] = endpoint.receive_data(data, now)
+            if len(events) == 1 and endpoint.only_pushes and not self._is_debug:
+                # Nearly always, and a hundred times a second; behind it is nothing to be lost.
+                self.on_received(events[0], now)
+            elif events:
                 self._dispatch(iter(events), now)
             if not endpoint.only_pushes and endpoint.has_output:
                 self._flush()
@@ -327,12 +339,16 @@ class Link(asyncio.Protocol):
         if self._transport is None:
             raise LinkClosed("the link is not open yet")
 
+    def _look_at_level(self, now: float) -> None:
+        """See whether frames are logged, ten times a second: asking takes longer than a frame."""
+        self._is_debug = _logger.isEnabledFor(logging.DEBUG)
+        self._level_at = now + _LEVEL_S
+
     def _dispatch(self, events: Iterator[Event], now: float) -> None:
-        debug = _logger.isEnabledFor(logging.DEBUG)
         try:
             for event in events:
-                if type(event) is Frame:  # nearly always, and a hundred times a second
-                    if debug:
+                if type(event) is Frame:
+                    if self._is_debug:
                         _logger.debug(
                             "< session %d seq %d %s",
                             event.session,

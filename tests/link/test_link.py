@@ -389,6 +389,21 @@ async def test_the_log_shows_frames_in_both_directions_cut_short_and_no_key(
     await link.close()
 
 
+async def test_the_log_can_be_switched_on_and_off_while_the_line_is_open(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    link, peer, _ = await connected()
+    for level, told in ((logging.INFO, 0), (logging.DEBUG, 1), (logging.INFO, 0)):
+        caplog.set_level(level, "m100link")
+        await asyncio.sleep(0.1)  # the level is not looked at for each read
+        caplog.clear()
+        peer.link.push(b"\x02\x00 and nobody asked")
+        await settle()
+        lines = [record.getMessage() for record in caplog.records]
+        assert sum(line.startswith("< session 0") for line in lines) == told
+    await link.close()
+
+
 async def test_statistics_count_both_directions() -> None:
     link, peer, _ = await connected()
     await link.request(b"x")
