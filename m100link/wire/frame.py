@@ -126,7 +126,7 @@ _HEADER_CRC, _FRAME_CRC, _LENGTH, _RESERVED_BITS = range(4)
 _VERSION, _PADDING, _NO_KEY, _TRUNCATED = range(4, len(_CAUSES))
 
 # Start bytes among so many bytes up to which one checksum each is cheaper than a hunt.
-_FEW, _NEAR = 4, 11
+_FEW, _NEAR = 5, 12
 
 _CACHE_LIMIT = 4096  # kinds of headers that are remembered, in each direction
 
@@ -469,7 +469,7 @@ class FrameDecoder:
                 and crc32(data[place : place + length], ZLIB_START) != FRAME_RESIDUE
             ):
                 discards[_FRAME_CRC] += 1
-            elif word & _PADS and _cannot_pad(word, length):
+            elif word & _PADS and (length <= OVERHEAD or _cannot_pad(word, length)):
                 discards[_PADDING] += 1
             else:
                 break
