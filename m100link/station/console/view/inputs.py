@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from m100link.agent.messages import Event, LeaseChanged, LinkCounted, State
+from m100link.errors import LossReason
 from m100link.missions.plan import WaypointPlan
 from m100link.telemetry.state import AircraftState
 
@@ -46,6 +47,13 @@ class Inputs:
         is_silent: Whether the agent was not heard for too long.
         is_gone: Whether the agent has gone for good.
         has_lease: Whether the tab that looks holds the lease.
+        lease_end: How that tab lost the lease, and to whom; None unless something else than the
+            tab ended it.
+        loss: Who or what took authority while that tab had the lease; None while it is held.
+        page_trip: Seconds to the page and back.
+        heard_at: When the agent was heard last, s.
+        wall: The same moment as ``now``, in seconds since 1970.
+        is_virtual: Whether the aircraft is known to be a simulated one.
         problem: What was refused to that tab last.
         plan: What that tab uploaded last.
         events: What happened lately, oldest first.
@@ -62,6 +70,12 @@ class Inputs:
     is_silent: bool = False
     is_gone: bool = False
     has_lease: bool = False
+    lease_end: LeaseChanged | None = None
+    loss: LossReason | None = None
+    page_trip: float | None = None
+    heard_at: float = 0.0
+    wall: float = 0.0
+    is_virtual: bool = False
     problem: str = ""
     plan: WaypointPlan | None = None
     events: tuple[Event, ...] = ()
