@@ -244,34 +244,6 @@ TESTED_ELSEWHERE = {
     "sim/vehicle/settings.py": ("sim/test_telemetry.py", "numbers that the others use"),
     "sim/virtual.py": ("sim/test_autopilot.py", "it hands on to vehicle, autopilot and line"),
     "station/console/app.py": ("browser/test_console.py", "a page is seen in a browser"),
-    "station/console/view/catalogue/click.py": (
-        "station/console/view/test_words.py",
-        "both languages of the catalogue are compared there",
-    ),
-    "station/console/view/catalogue/plan.py": (
-        "station/console/view/test_words.py",
-        "both languages of the catalogue are compared there",
-    ),
-    "station/console/view/catalogue/alarms.py": (
-        "station/console/view/test_words.py",
-        "one catalogue, tested as a whole",
-    ),
-    "station/console/view/catalogue/fleet.py": (
-        "station/console/view/test_words.py",
-        "one catalogue, tested as a whole",
-    ),
-    "station/console/view/catalogue/link.py": (
-        "station/console/view/test_words.py",
-        "one catalogue, tested as a whole",
-    ),
-    "station/console/view/catalogue/status.py": (
-        "station/console/view/test_words.py",
-        "one catalogue, tested as a whole",
-    ),
-    "station/console/view/catalogue/unit.py": (
-        "station/console/view/test_words.py",
-        "one catalogue, tested as a whole",
-    ),
     "station/console/page.py": ("browser/test_console.py", "a page is seen in a browser"),
     "station/console/view/inputs.py": (
         "station/console/view/test_view.py",
@@ -304,6 +276,12 @@ TESTED_ELSEWHERE |= {
     str(path.relative_to(PACKAGE)): ("browser/test_console.py", "a part is seen in a browser")
     for path in programs("m100link/station/console/parts")
     if path.name != "__init__.py" and not mirrored(path).exists()
+}
+
+TESTED_ELSEWHERE |= {
+    str(path.relative_to(PACKAGE)): ("station/console/view/test_words.py", "tested as a whole")
+    for path in programs("m100link/station/console/view/catalogue")
+    if path.name != "__init__.py"
 }
 
 

@@ -35,7 +35,7 @@ async def look_at(page: Any, view: str) -> None:
 
 
 async def hold(page: Any, name: str, seconds: float = 2.0) -> None:
-    box = await page.locator(f"[data-act={name}]").bounding_box()
+    box = await page.locator(f"[data-act={name}]").first.bounding_box()
     await page.mouse.move(box["x"] + 10, box["y"] + 10)
     await page.mouse.down()
     await asyncio.sleep(seconds)
@@ -48,9 +48,17 @@ async def banner(page: Any, text: str) -> None:
 
 async def shows(page: Any, selector: str, text: str) -> None:
     await page.wait_for_function(
-        "([selector, text]) => document.querySelector(selector).textContent.includes(text)",
+        "([selector, text]) => document.querySelector(selector)?.textContent.includes(text)",
         arg=[selector, text],
     )
+
+
+async def look_around(page: Any) -> None:
+    """What the operator has to say before take-off."""
+    await look_at(page, "check")
+    await page.get_by_role("checkbox", name="I have looked").check()
+    await page.wait_for_selector("[data-check=free].right")
+    await look_at(page, "fly")
 
 
 async def airborne(console: Console, script: str = "") -> Any:
@@ -61,6 +69,7 @@ async def airborne(console: Console, script: str = "") -> Any:
     )
     await press(page, "obtain")
     await banner(page, "You have control")
+    await look_around(page)
     await hold(page, "take_off")
     await until(lambda: console.watch.height > 1.0)
     await page.wait_for_selector("[data-act=land]:not([disabled])")
@@ -114,8 +123,9 @@ async def test_a_short_press_neither_takes_off_nor_lands(console: Console) -> No
     )
     await press(page, "obtain")
     await banner(page, "You have control")
+    await look_around(page)
     await hold(page, "take_off", 0.4)
-    await page.locator("[data-act=take_off]").click()
+    await page.click("[data-act=take_off]")
     await asyncio.sleep(1.5)
     assert console.watch.status == 1
     await hold(page, "take_off")
@@ -234,6 +244,7 @@ async def test_two_tabs_and_a_take_over(console: Console) -> None:
     await second.click("#confirm")
     await banner(second, "You have control")
     await banner(first, "console 2 has control")
+    await shows(first, "[data-alarm=lease_taken].raised", "console 2 took control from you")
     await first.click("#pad")
     await first.keyboard.down("w")
     await asyncio.sleep(1.0)
@@ -274,6 +285,11 @@ async def test_everything_greys_when_the_station_is_gone(console: Console) -> No
     front = child_of(console.process.pid)
     console.process.kill()
     await page.wait_for_function("document.body.classList.contains('station-lost')")
+    await page.wait_for_selector("#page-lost:visible")
+    await page.wait_for_function("window.m100.heard.level === 'danger'")
+    assert "does not hear the station" in await page.inner_text("#page-lost")
+    await page.click("#page-lost-seen")
+    await page.wait_for_function("window.m100.heard.level === ''")
     os.kill(front, signal.SIGTERM)  # by itself it would say so for a minute
     console.watch.newest.clear()
 
@@ -282,7 +298,7 @@ async def test_the_pilots_switch_shows_in_the_banner(console: Console) -> None:
     page = await airborne(console)
     await look_at(page, "settings")
     await page.click("#sim-mode >> text=P")
-    await banner(page, "the aircraft obeys the pilot")
+    await banner(page, "The pilot flies: mode switch in P")
     await page.click("#sim-mode >> text=F")
     await banner(page, "You have control")
 

@@ -7,6 +7,7 @@ the views and STOP at the bottom, where a thumb is.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -27,11 +28,14 @@ from m100link.station.console.parts.map import MapPart
 from m100link.station.console.parts.part import Deck, Part
 from m100link.station.console.parts.plan import PlanPart
 from m100link.station.console.parts.plots import PlotsPart
-from m100link.station.console.parts.settings import SettingsPart
+from m100link.station.console.parts.settings import SettingsPart, load_settings
+from m100link.station.console.parts.status import StatusPart
 from m100link.station.console.parts.telemetry import TelemetryPart
+from m100link.station.console.parts.wording import Wording
 from m100link.station.console.tab import Tab
 from m100link.station.console.tabs import Tabs
 from m100link.station.console.view.inputs import Inputs, Ship
+from m100link.station.console.view.memory import Memory
 from m100link.station.console.view.view import View, view_of
 
 __all__ = ["VIEWS", "Page"]
@@ -74,8 +78,25 @@ class Page:
         tabs: Tabs,
     ) -> None:
         self._agent, self._tab = agent, tab
-        self._deck = Deck(agent, tab, orders, Buttons(agent, tab), has_tiles, history, tabs)
-        self._header: tuple[Part, ...] = (FleetPart(self._deck), AlarmsPart(self._deck))
+        wording = Wording()
+        self._deck = Deck(
+            agent,
+            tab,
+            orders,
+            Buttons(agent, tab, wording),
+            Memory(),
+            wording,
+            ui.dark_mode(None),
+            self._show,
+            has_tiles,
+            history,
+            tabs,
+        )
+        self._header: tuple[Part, ...] = (
+            FleetPart(self._deck),
+            StatusPart(self._deck),
+            AlarmsPart(self._deck),
+        )
         self._map = MapPart(self._deck)
         self._sections: dict[str, ui.element] = {}
         self._parts: dict[str, list[Part]] = {}  # of the views that were built
@@ -91,7 +112,7 @@ class Page:
         with ui.element("header").props("id=header"):
             for part in self._header:
                 part.build()
-        self._deck.buttons.add("stop", "STOP", self._tab.stop, kind="stop")
+        self._deck.buttons.add("stop", "actions.stop", self._tab.stop, kind="stop")
         self._build_bar()
         with ui.element("main").props("id=stage"):
             with ui.element("div").props("id=map-view"):
@@ -101,6 +122,7 @@ class Page:
                     f'data-view={name} aria-label="{label}"'
                 )
         self._show("fly")
+        ui.timer(0.0, lambda: load_settings(self._deck), once=True)
         ui.timer(UPDATE_INTERVAL, self._update)
 
     def _build_bar(self) -> None:
@@ -163,5 +185,11 @@ class Page:
                 front_lag=self._deck.history.lag,
                 page_trip=tab.round_trip,
                 fleet=self._fleet(),
-            )
+                lease_end=tab.lease_end,
+                loss=tab.loss,
+                heard_at=agent.heard_at,
+                wall=time.time(),
+                is_virtual=self._deck.orders is not None,
+            ),
+            self._deck.memory,
         )

@@ -17,7 +17,7 @@ from m100link.station.console.tab import Tab
 from m100link.station.console.view.instruments import live, seen_from_afar
 from m100link.station.web.places import who_makes_room
 
-__all__ = ["LIVE_INTERVAL", "PLACES", "Tabs"]
+__all__ = ["LIVE_INTERVAL", "PLACES", "UNHEARD_INTERVAL", "Tabs"]
 
 LIVE_INTERVAL = 0.05
 """Seconds between two updates of the instruments."""
@@ -27,6 +27,8 @@ OTHERS_INTERVAL = 0.5
 
 MOVE_PATIENCE = 8.0
 """Seconds for which control goes along to the page of another aircraft; then it is given back."""
+UNHEARD_INTERVAL = 0.25
+"""Seconds between two words that the station is there while the agent is not heard."""
 
 PLACES = 32
 """Tabs that may have a socket."""
@@ -223,7 +225,11 @@ class Tabs:
                             seen_from_afar(name, one.telemetry) for name, one in others.items()
                         ]
                     await websocket.send_json(message)
-                await asyncio.sleep(LIVE_INTERVAL)
+                    await asyncio.sleep(LIVE_INTERVAL)
+                else:
+                    # Else the page could not tell a silent agent from a silent station.
+                    await websocket.send_json({"op": "unheard"})
+                    await asyncio.sleep(UNHEARD_INTERVAL)
 
 
 def _is_up_to_date(agent: AgentClient) -> bool:

@@ -8,6 +8,7 @@ from m100link.protocol.commands.control import Task
 from m100link.station.console.parts.part import Deck
 from m100link.station.console.parts.take_over import TakeOverDialog
 from m100link.station.console.view.view import View
+from m100link.station.console.view.words import say
 
 __all__ = ["ActionsPart"]
 
@@ -30,16 +31,23 @@ class ActionsPart:
         tab, add = self._deck.tab, self._deck.buttons.add
         with ui.element("div").classes("told"):
             self._activation = ui.label().props("id=activation")
-            self._task = ui.label().props("id=task role=status")
+            with ui.element("button").props("type=button data-go=check id=why-not") as why_not:
+                self._why_not = ui.label()
+            self._why_not_button = why_not.classes("see")
+            why_not.on("click", lambda: self._deck.show("check"), args=[])
         with ui.element("div").classes("acts"):
-            add("activate", "Activate", tab.activate, kind="plain")
-            add("obtain", "Obtain control", self._take_over.obtain)
-            add("release", "Release control", tab.release, kind="plain")
-            add("take_off", "Take off (hold)", lambda: tab.fly(Task.TAKE_OFF), hold=True)
-            add("land", "Land (hold)", lambda: tab.fly(Task.LAND), hold=True)
-            add("go_home", "Go home", lambda: tab.fly(Task.GO_HOME))
+            add("activate", "actions.activate", tab.activate, kind="plain")
+            add("obtain", "actions.obtain", self._take_over.obtain)
+            add("release", "actions.release", tab.release, kind="plain")
+            add("take_off", "actions.take_off", self._deck.take_off, hold=True)
+            add("land", "actions.land", lambda: tab.fly(Task.LAND), hold=True)
+            add("go_home", "actions.go_home", lambda: tab.fly(Task.GO_HOME))
         with ui.element("div").classes("acts simple"):
-            add("simple_task", "Simple task", lambda: tab.simple_task(int(self._number.value)))
+            add(
+                "simple_task",
+                "actions.simple_task",
+                lambda: tab.simple_task(int(self._number.value)),
+            )
             self._number = (
                 ui.select(_LEGS, value=0)
                 .props('dense outlined id=task-number aria-label="which simple task"')
@@ -49,6 +57,9 @@ class ActionsPart:
     def update(self, view: View) -> None:
         """Show what is."""
         self._take_over.update()
-        task = view.status.task
-        self._task.set_text(f"flying: {task}" if task else "")
-        self._activation.set_text(view.status.activation)
+        wording = self._deck.wording
+        self._activation.set_text(wording(view.activation))
+        missing = len(view.checklist.missing)
+        is_asked = view.situation.is_on_ground is not False and not view.checklist.may_take_off
+        self._why_not_button.set_visibility(is_asked)
+        self._why_not.set_text(wording(say("actions.why_not", count=missing)))

@@ -10,7 +10,9 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from m100link.agent.client import AgentClient
+from m100link.station.console.parts.wording import Wording
 from m100link.station.console.tab import Tab
+from m100link.station.console.view.catalogue import CATALOGUE
 
 __all__ = ["Buttons"]
 
@@ -24,10 +26,11 @@ class Buttons:
     Args:
         agent: The agent that owns the aircraft.
         tab: Who presses them.
+        wording: Says what stands on them.
     """
 
-    def __init__(self, agent: AgentClient, tab: Tab) -> None:
-        self._agent, self._tab = agent, tab
+    def __init__(self, agent: AgentClient, tab: Tab, wording: Wording) -> None:
+        self._agent, self._tab, self._wording = agent, tab, wording
         self._buttons: dict[str, list[tuple[Any, bool]]] = {}
         self._enabled: dict[Any, bool] = {}
 
@@ -44,14 +47,16 @@ class Buttons:
 
         Args:
             name: Of the order, as in ``view.actions``.
-            label: What stands on it.
+            label: What stands on it, or the key of that in the catalogue.
             work: What is done; what goes wrong is the tab's problem.
             kind: ``"stop"`` or ``"plain"``, else a usual one.
             hold: Whether it has to be held for a second.
         """
         button = ui.element("button").classes(f"act {kind}").props(f"type=button data-act={name}")
         with button:
-            ui.label(label)
+            text = ui.label(label)
+        if label in CATALOGUE:
+            self._wording.put(text.set_text, label)
         if hold:
             button.classes("hold")
 

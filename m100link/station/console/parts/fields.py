@@ -6,16 +6,28 @@ from typing import Any
 
 from nicegui import ui
 
+from m100link.station.console.parts.wording import Wording, attribute
 from m100link.station.console.view.instruments import Reading
 
 __all__ = ["ReadingRow", "card", "field"]
 
 
-def card(title: str) -> Any:
-    """A box with a title; to be used as ``with``."""
-    box = ui.element("section").classes("card w-full").props(f'aria-label="{title}"')
-    with box:
-        ui.html(f"<h3>{title}</h3>", sanitize=False)
+def card(title: str, wording: Wording | None = None) -> Any:
+    """A box with a title; to be used as ``with``.
+
+    Args:
+        title: The title, or its key where there is a wording.
+        wording: Says it in the operator's language.
+    """
+    box = ui.element("section").classes("card w-full")
+    with box, ui.element("h2"):
+        heading = ui.label()
+    if wording is None:
+        heading.set_text(title)
+        attribute(box)(title)
+    else:
+        wording.put(heading.set_text, title)
+        wording.put(attribute(box), title)
     return box
 
 

@@ -22,24 +22,32 @@ of parts)::
   without a browser.
 - A button that gives an order comes from ``deck.buttons``: it is kept grey unless
   ``view.actions`` names it, and holds for a second where that is asked for.
+- What is shown in words comes from ``view.catalogue``: ``deck.wording.put(label.set_text, key)``
+  for what stands there always, ``deck.wording(text)`` for a text of the view.
 - What runs in the browser is a module in ``static/``, loaded by ``deck.load``; it imports ``m100``
   from ``./shell.js`` (``m100.onLive``, ``m100.onMap``, ``m100.socket``, ``m100.steering``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 from nicegui import ui
 
 from m100link.agent.client import AgentClient
+from m100link.errors import UsageError
+from m100link.protocol.commands.control import Task
 from m100link.station.console.history import History
 from m100link.station.console.orders import Orders
 from m100link.station.console.parts.buttons import Buttons
+from m100link.station.console.parts.wording import Wording
 from m100link.station.console.tab import Tab
 from m100link.station.console.tabs import Tabs
+from m100link.station.console.view.memory import Memory
 from m100link.station.console.view.view import View
+from m100link.station.console.view.words import Speaker, Text, say
 
 __all__ = ["Deck", "Part"]
 
@@ -63,6 +71,10 @@ class Deck:
         tab: Who looks at the page.
         orders: What the panel does to a virtual aircraft, or None.
         buttons: The buttons that give orders.
+        memory: Its alarms, its checklist, its events.
+        wording: Says everything in the operator's language and units.
+        dark: Switches the dark looks of NiceGUI's own elements.
+        show: Shows another view of the page, by its name.
         has_tiles: Whether there are map tiles under ``/tiles/{z}/{x}/{y}.png``.
         history: The last minutes of every number.
         tabs: Who looks at this and at other aircraft.
@@ -72,9 +84,40 @@ class Deck:
     tab: Tab
     orders: Orders | None
     buttons: Buttons
+    memory: Memory
+    wording: Wording
+    dark: ui.dark_mode
+    show: Callable[[str], None]
     has_tiles: bool
     history: History
     tabs: Tabs
+
+    async def take_off(self) -> None:
+        """Take off, if the checklist offers it; why it is not green goes into the events.
+
+        Raises:
+            UsageError: It does not.
+            M100Error: See :meth:`m100link.agent.client.AgentClient.fly`.
+        """
+        checklist = self.memory.checklist.look(self.memory.situation)
+        if not checklist.may_take_off:
+            raise UsageError(
+                "take-off is not offered: the checklist is not green",
+                remedy="mend what it shows, or say there why you fly all the same",
+            )
+        if not checklist.is_green:
+            english = Speaker()
+            missing = ", ".join(
+                english(Text(f"checklist.{check.item.value}")) for check in checklist.missing
+            )
+            said = say(
+                "checklist.event.although",
+                name=self.tab.name,
+                missing=missing,
+                reason=checklist.reason,
+            )
+            self.agent.note(english(said), "warning")
+        await self.tab.fly(Task.TAKE_OFF)
 
     def load(self, module: str) -> None:
         """Load ``static/<module>`` into this page, also after it was built."""

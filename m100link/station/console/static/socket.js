@@ -2,6 +2,7 @@
 
 const ALIVE_MS = 500;
 const LOST_MS = 1000;
+const VIEW_MS = 2000;  // the texts of the page come four times a second
 
 export class Socket {
   constructor(path, onMessage) {
@@ -34,7 +35,7 @@ export class Socket {
       if (message.op === "echo") {
         this.told = {told: message.told, at: performance.now()};
         this.roundTrip(performance.now() - message.at);
-      } else {
+      } else if (message.op === "live") {  // of the others only the arrival counts
         // The clocks may drift by a ten-thousandth.
         this.best = Math.min(this.best + 5e-6, performance.now() / 1000 - message.t);
         this.live = message;
@@ -65,8 +66,21 @@ export class Socket {
     return late + (this.tripMs || 0) / 2000;
   }
 
+  // The station's clock, by this page's: what was told fastest stands for no delay.
+  get stationNow() {
+    return performance.now() / 1000 - this.best;
+  }
+
+  // Nothing of the station arrives.
+  get isUnheard() {
+    return performance.now() - this.heardAt > LOST_MS;
+  }
+
+  // What is shown is old: nothing arrives, it was long on its way, or the page itself hangs back.
   get isLost() {
-    return performance.now() - this.heardAt > LOST_MS || this.age * 1000 > LOST_MS;
+    const beat = document.getElementById("view-beat")?.dataset.at;
+    const isViewOld = beat !== undefined && this.stationNow - Number(beat) > VIEW_MS / 1000;
+    return this.isUnheard || this.age * 1000 > LOST_MS || isViewOld;
   }
 
   roundTrip(ms) {

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from m100link.station.console.view.checklist import Checklist
 from m100link.station.console.view.inputs import Inputs
+from m100link.station.console.view.situation import Situation
 
-__all__ = ["ACTIONS", "actions_of"]
+__all__ = ["ACTIONS", "FROM_GROUND", "actions_of"]
 
 FLIGHTS = frozenset({"take_off", "land", "go_home", "simple_task", "mission_start", "guide"})
 """What the aircraft begins to fly by itself."""
@@ -15,8 +17,16 @@ ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release", "missio
 """Every button that is an order."""
 
 
-def actions_of(inputs: Inputs) -> frozenset[str]:
-    """The orders that can be given now; STOP always can."""
+FROM_GROUND = frozenset({"take_off", "simple_task", "mission_start"})
+"""What leaves the ground when it begins there."""
+
+
+def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozenset[str]:
+    """The orders that can be given now; STOP always can.
+
+    What leaves the ground is offered by the checklist. Where nobody knows whether the aircraft
+    stands, it counts as standing.
+    """
     offered = {"stop"}
     if inputs.is_connected:
         offered.add("activate")
@@ -30,4 +40,6 @@ def actions_of(inputs: Inputs) -> frozenset[str]:
         offered |= MISSIONS
     elif inputs.has_control and not inputs.state.task:
         offered |= FLIGHTS
+        if now.is_on_ground is not False and not checklist.may_take_off:
+            offered -= FROM_GROUND
     return frozenset(offered)

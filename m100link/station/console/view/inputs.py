@@ -50,7 +50,6 @@ class Inputs:
         lease_end: How that tab lost the lease, and to whom; None unless something else than the
             tab ended it.
         loss: Who or what took authority while that tab had the lease; None while it is held.
-        page_trip: Seconds to the page and back.
         heard_at: When the agent was heard last, s.
         wall: The same moment as ``now``, in seconds since 1970.
         is_virtual: Whether the aircraft is known to be a simulated one.
@@ -72,7 +71,6 @@ class Inputs:
     has_lease: bool = False
     lease_end: LeaseChanged | None = None
     loss: LossReason | None = None
-    page_trip: float | None = None
     heard_at: float = 0.0
     wall: float = 0.0
     is_virtual: bool = False

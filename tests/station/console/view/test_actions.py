@@ -2,15 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from m100link.agent.guided import GuidedFlight
 from m100link.agent.messages import LeaseChanged, State
-from m100link.station.console.view.actions import ACTIONS, FLIGHTS, MISSIONS, actions_of
+from m100link.protocol.records import FlightPhase
+from m100link.station.console.view.actions import (
+    ACTIONS,
+    FLIGHTS,
+    FROM_GROUND,
+    MISSIONS,
+    actions_of,
+)
+from m100link.station.console.view.checklist import Checklist, ChecklistDesk
 from m100link.station.console.view.inputs import Inputs
+from m100link.station.console.view.situation import Situation, situation_of
 
 MINE = LeaseChanged(3, "tab")
 HELD = {"release", "mission_upload"}
+
+
+def look(inputs: Inputs, *, has_reason: bool) -> Checklist:
+    """The list of an operator who has a reason for everything, or none."""
+    desk = ChecklistDesk()
+    desk.say_why("a test" * has_reason)
+    ready = replace(
+        situation_of(inputs), is_activated=True, telemetry_at=inputs.now, phase=FlightPhase.STANDBY
+    )
+    return desk.look(ready)
+
+
+def offered_of(inputs: Inputs) -> frozenset[str]:
+    """What is offered to an operator who has a reason for everything."""
+    return actions_of(inputs, situation_of(inputs), look(inputs, has_reason=True))
 
 
 def inputs_of(
@@ -40,10 +66,33 @@ def inputs_of(
     ],
 )
 def test_what_is_offered(inputs: Inputs, offered: set[str]) -> None:
-    assert actions_of(inputs) == {"stop", *offered}
-    assert actions_of(inputs) <= ACTIONS
+    actions = offered_of(inputs)
+    assert actions == {"stop", *offered}
+    assert actions <= ACTIONS
+
+
+FLIES = replace(situation_of(Inputs()), phase=FlightPhase.IN_AIR)
+
+
+@pytest.mark.parametrize(
+    ("now", "has_reason", "leaves"),
+    [
+        (replace(FLIES, phase=FlightPhase.STANDBY), False, False),
+        (replace(FLIES, phase=FlightPhase.STANDBY), True, True),
+        (replace(FLIES, phase=None), False, False),  # nobody knows: it counts as standing
+        (FLIES, False, True),  # a mission or a task that begins in flight
+    ],
+)
+def test_what_leaves_the_ground_is_offered_by_the_checklist(
+    now: Situation, has_reason: bool, leaves: bool
+) -> None:
+    inputs = inputs_of(is_mine=True, obeyed=True)
+    actions = actions_of(inputs, now, look(inputs, has_reason=has_reason))
+    assert (actions >= FROM_GROUND) is leaves
+    assert (not actions & FROM_GROUND) is not leaves
+    assert actions >= {"land", "go_home"}
 
 
 def test_anybody_may_let_a_guided_flight_hover() -> None:
     state = State(0.0, "connected", guided=GuidedFlight("change of height"))
-    assert actions_of(Inputs(state=state)) == {"stop", "activate", "obtain", "hover"}
+    assert offered_of(Inputs(state=state)) == {"stop", "activate", "obtain", "hover"}

@@ -55,6 +55,6 @@ _JSON = st.recursive(
 )
 
 
-@given(st.text() | st.dictionaries(st.sampled_from(Settings.__slots__), _JSON).map(json.dumps))
+@given(st.text() | st.dictionaries(st.sampled_from([*Settings.__slots__]), _JSON).map(json.dumps))
 def test_nonsense_raises_nothing(kept: str) -> None:
     assert isinstance(Settings.from_text(kept), Settings)

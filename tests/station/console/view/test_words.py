@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import string
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from m100link.station.console.view.units import Language, LengthUnit, Quantity, 
 from m100link.station.console.view.words import Speaker, say
 
 CONSOLE = Path(__file__).parents[4] / "m100link/station/console"
+KEY = r"[a-z_]+(\.[a-z_]+)+(?<!\.js)"
 PREFIXES = tuple(f"{part.__name__.rpartition('.')[2]}." for part in PARTS)
 
 
@@ -46,9 +48,7 @@ def test_every_text_that_is_said_is_in_the_catalogue_and_filled_as_it_wants() ->
     wrong = []
     for node in sources():
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            is_key = (
-                node.value.startswith(PREFIXES) and node.value[-1] != "." and " " not in node.value
-            )
+            is_key = node.value.startswith(PREFIXES) and re.fullmatch(KEY, node.value)
             if is_key and node.value not in CATALOGUE:
                 wrong.append(f"unknown: {node.value}")
         elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "say" and node.args:

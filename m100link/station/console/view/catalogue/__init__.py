@@ -5,11 +5,23 @@ A key begins with the name of its file. Whatever stands in braces stands in both
 
 from __future__ import annotations
 
-from m100link.station.console.view.catalogue import alarms, click, fleet, link, plan, status, unit
+from m100link.station.console.view.catalogue import (
+    actions,
+    alarms,
+    checklist,
+    click,
+    events,
+    fleet,
+    link,
+    plan,
+    settings,
+    status,
+    unit,
+)
 
 __all__ = ["CATALOGUE", "PARTS"]
 
-PARTS = (alarms, click, fleet, link, plan, status, unit)
+PARTS = (actions, alarms, checklist, click, events, fleet, link, plan, settings, status, unit)
 """The files."""
 
 CATALOGUE: dict[str, tuple[str, str]] = {

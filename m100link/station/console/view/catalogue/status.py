@@ -118,6 +118,11 @@ WORDS: dict[str, tuple[str, str]] = {
         "Sie sind angemeldet, ohne Steuerung des Fluggeräts",
     ),
     "status.no_authority.remedy": ("Obtain control.", "Steuerung holen."),
+    "status.kept": (
+        "The aircraft hovers: control is kept for a moment for whoever was lost",
+        "Das Fluggerät schwebt: die Steuerung wird kurz für den gehalten, der verloren ging",
+    ),
+    "status.kept.remedy": ("Obtain control to fly on.", "Zum Weiterfliegen Steuerung holen."),
     "status.free_rc": (
         "Nobody has control here: the remote controller flies",
         "Niemand steuert von hier: die Fernsteuerung fliegt",
@@ -125,6 +130,9 @@ WORDS: dict[str, tuple[str, str]] = {
     "status.free_rc.remedy": ("Obtain control to fly.", "Zum Fliegen Steuerung holen."),
     "status.free": ("Nobody has control here", "Niemand steuert von hier"),
     "status.free.remedy": ("Obtain control to fly.", "Zum Fliegen Steuerung holen."),
+    "status.activation.done": ("Activation: active", "Aktivierung: aktiv"),
+    "status.activation.none": ("Activation: not done", "Aktivierung: nicht gemacht"),
+    "status.activation.failed": ("Activation: {why}", "Aktivierung: {why}"),
     "status.virtual": ("Virtual aircraft", "Virtuelles Fluggerät"),
     "status.since": ("for {seconds} s", "seit {seconds} s"),
     "status.task.take_off": ("take-off", "Start"),
