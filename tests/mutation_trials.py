@@ -37,6 +37,7 @@ PARTNERS = {
     "stop_path": ("block",),
     "steering": ("control", "guards"),
     "frame": ("frame_properties",),
+    "link": ("link_interrupted",),
     "transport": ("serial_pty", "serial_transport"),
 }
 """Module, tests beside its own that are about it."""

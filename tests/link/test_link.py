@@ -503,7 +503,7 @@ async def test_closing_fails_what_is_open_and_may_be_done_again() -> None:
     await settle()
     await asyncio.gather(link.close(), link.close())
     await link.close()
-    with pytest.raises(LinkClosed):
+    with pytest.raises(LinkClosed, match="by this side"):
         await task
     for use in (link.request(b"x"), _pushing(link)):
         with pytest.raises(LinkClosed):
@@ -519,6 +519,20 @@ async def test_after_closing_acks_go_nowhere_and_late_bytes_harm_nobody() -> Non
     link.data_received(encode_frame(b"\x02\x00", session=0, sequence=0))
 
 
+async def test_what_does_not_fit_is_dropped_frame_by_frame_and_none_leaves_later() -> None:
+    link, peer, _ = await connected(silent)
+    link.pause_writing()
+    tasks = [asyncio.ensure_future(link.request(b"x", timeout=0.1, tries=2)) for _ in range(3)]
+    await asyncio.sleep(0.15)
+    assert link.statistics().dropped_writes == 6
+    link.resume_writing()
+    assert link.push(b"fresh")
+    await settle()
+    assert peer.data == [b"fresh"]
+    await link.close()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
 async def test_a_link_without_a_line_cannot_send_and_can_be_closed() -> None:
     link = Link()
     with pytest.raises(LinkClosed, match="not open yet"):
@@ -528,7 +542,7 @@ async def test_a_link_without_a_line_cannot_send_and_can_be_closed() -> None:
     waiting = asyncio.ensure_future(link.wait_connected())
     await settle()
     await link.close()
-    with pytest.raises(LinkClosed):
+    with pytest.raises(LinkClosed, match="before it was open"):
         await waiting
 
 

@@ -60,7 +60,7 @@ def test_a_header_at_any_place_of_a_long_read_is_found(filler: bytes) -> None:
         data = filler * place + header + filler * (600 - place)
         found = list(right_headers(data, 0, len(data) - HEADER_SIZE + 1))
         assert place in found
-        assert all(crc16(data[at : at + HEADER_SIZE]) == 0 for at in found)
+        assert found == model(data, 0, len(data) - HEADER_SIZE + 1)
 
 
 @pytest.mark.parametrize("bit", range(8, 96))
