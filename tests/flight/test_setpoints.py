@@ -338,6 +338,18 @@ async def test_at_a_slow_rate_a_newer_setpoint_goes_out_one_50_hz_period_after_t
     assert rig.frames == [(0.0, NORTH), (pytest.approx(PERIOD), STILL)]
 
 
+async def test_at_a_slow_rate_news_behind_news_wait_for_one_50_hz_period_and_no_more(
+    rig: Rig,
+) -> None:
+    rig.setpoints.set(NORTH, lifetime=0.9, period=0.5)
+    await asyncio.sleep(0.033)
+    rig.setpoints.set(EAST, lifetime=0.9, period=0.5)
+    await asyncio.sleep(0.012)
+    rig.setpoints.set(STILL, lifetime=0.9, period=0.5)
+    await asyncio.sleep(0.1)
+    assert rig.times == pytest.approx([0.0, 0.033, 0.053])
+
+
 async def test_at_a_slow_rate_a_newer_setpoint_goes_out_at_once_when_the_line_is_free(
     rig: Rig,
 ) -> None:
