@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from m100link.wire import hunt
 from m100link.wire.hunt import HEADER_SIZE, right_headers
 from tests.support import crc16, raw_frame
 
@@ -70,6 +71,20 @@ def test_a_header_with_any_flipped_bit_is_not_among_them(bit: int) -> None:
     for flood in (b"", b"\xaa" * 40):
         data = flood + broken
         assert len(flood) not in right_headers(data, 0, len(flood) + 1)
+
+
+def test_where_right_headers_are_dense_each_is_found_and_none_twice() -> None:
+    """A header with a right CRC16 at every third byte: whole blocks are computed at once."""
+    hunt._shares.cache_clear()  # so that it is this test that computes them
+    made = bytearray(b"\xaa" * 10)
+    while len(made) < 1000:
+        made += crc16(bytes(made[-10:])).to_bytes(2, "little") + b"\xaa"
+    for begin in (0, 1, 65):
+        data = bytes(made)
+        end = len(data) - HEADER_SIZE + 1
+        wanted = model(data, begin, end)
+        assert len(wanted) > 290 - begin // 3
+        assert list(right_headers(data, begin, end)) == wanted
 
 
 def test_they_are_found_when_they_are_asked_for() -> None:
