@@ -324,11 +324,11 @@ def convert(
 
 
 def _write(
-    plan: WaypointPlan, target: str, to: Literal["json", "plan"] | None, *, force: bool
+    plan: WaypointPlan, target: File, to: Literal["json", "plan"] | None, *, force: bool
 ) -> int:
     kind = to or ("plan" if files.is_named_plan(target) else "json")
     text = plan.to_qgroundcontrol() if kind == "plan" else plan.to_json()
-    if target == "-":
+    if str(target) == "-":
         sys.stdout.write(text)
         return ExitCode.OK
     if Path(target).exists() and not force:
