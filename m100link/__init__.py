@@ -31,9 +31,19 @@ if TYPE_CHECKING:
         GimbalRates,
         connect,
     )
+    from m100link.aircraft.supervising import (
+        BackOff,
+        Gap,
+        Supervised,
+        SupervisedTelemetry,
+        SupervisionEvent,
+        SupervisionState,
+        supervise,
+    )
     from m100link.errors import (
         AckTimeout,
         ActivationRefused,
+        AnotherAircraft,
         AuthorityError,
         AuthorityLost,
         AuthorityRefused,
@@ -174,6 +184,7 @@ __all__ = [
     "AircraftGimbal",
     "AircraftState",
     "AngularVelocity",
+    "AnotherAircraft",
     "Arrival",
     "AtEnd",
     "Attitude",
@@ -184,6 +195,7 @@ __all__ = [
     "AuthorityLost",
     "AuthorityRefused",
     "AuthorityState",
+    "BackOff",
     "BadAck",
     "BadKey",
     "BadPlan",
@@ -209,6 +221,7 @@ __all__ = [
     "FlightPhase",
     "FlightStatus",
     "FollowFlight",
+    "Gap",
     "Gimbal",
     "GimbalPitch",
     "GimbalRates",
@@ -273,6 +286,10 @@ __all__ = [
     "StopVideo",
     "Stopped",
     "Subscription",
+    "Supervised",
+    "SupervisedTelemetry",
+    "SupervisionEvent",
+    "SupervisionState",
     "Table",
     "TakePhoto",
     "Target",
@@ -303,6 +320,7 @@ __all__ = [
     "__version__",
     "connect",
     "errors",
+    "supervise",
     "sync",
 ]
 
@@ -336,6 +354,7 @@ _ROOMS = (
     "flight.missions.hotpoint",
     "flight.missions.follow",
     "flight.control",
+    "aircraft.supervising",
 )
 
 # A plan needs no aircraft, and who flies by setpoints needs no plan: its room is not looked into

@@ -17,6 +17,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── PortFailed             the system refused for another reason
     │   ├── LinkLost               the port went away under us
     │   ├── LinkClosed             we closed it
+    │   ├── AnotherAircraft        it came back, and not to the aircraft of before
     │   └── NoAircraft             opened, but no usable answer came (TimeoutError)
     │       ├── SilentLine         not one byte arrived
     │       ├── NoValidFrame       bytes, but no frame: baud rate or noise
@@ -78,6 +79,7 @@ from m100link.errors.aircraft import (
 )
 from m100link.errors.base import M100Error
 from m100link.errors.line import (
+    AnotherAircraft,
     LinkClosed,
     LinkError,
     LinkLost,
@@ -103,6 +105,7 @@ from m100link.errors.usage import (
 __all__ = [
     "AckTimeout",
     "ActivationRefused",
+    "AnotherAircraft",
     "AuthorityError",
     "AuthorityLost",
     "AuthorityRefused",

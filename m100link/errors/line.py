@@ -5,6 +5,7 @@ from __future__ import annotations
 from m100link.errors.base import M100Error
 
 __all__ = [
+    "AnotherAircraft",
     "LinkClosed",
     "LinkError",
     "LinkLost",
@@ -60,6 +61,28 @@ class LinkLost(LinkError):
 
 class LinkClosed(LinkError):
     """This side closed the link."""
+
+
+class AnotherAircraft(LinkError):
+    """A line that came back leads to another aircraft than before.
+
+    Attributes:
+        expected: Serial number of the one before, or its version where the firmware tells none.
+        found: The same of the one that answers.
+    """
+
+    def __init__(
+        self,
+        seen: str,
+        *,
+        expected: str = "",
+        found: str = "",
+        cause: str = "",
+        remedy: str = "",
+    ) -> None:
+        super().__init__(seen, cause=cause, remedy=remedy)
+        self.expected = expected
+        self.found = found
 
 
 class NoAircraft(LinkError, TimeoutError):

@@ -1,0 +1,442 @@
+"""Keeping a connection to one aircraft: :func:`supervise`.
+
+A connection ends with its line, and a program that wants it back would have to find out when to try
+again, whether the same aircraft answers, and whether it has to be activated once more. That is done
+here, as a table of states. What flew does not fly on: a control block ends with the connection
+that it was begun on, and nothing here begins another.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from m100link.aircraft.aircraft import Aircraft
+from m100link.aircraft.connecting import connect
+from m100link.aircraft.supervision import (
+    ENDED,
+    TRANSITIONS,
+    BackOff,
+    Gap,
+    SupervisionEvent,
+    SupervisionInput,
+    SupervisionState,
+)
+from m100link.errors import (
+    AckTimeout,
+    ActivationRefused,
+    AnotherAircraft,
+    LinkClosed,
+    LinkError,
+    LinkLost,
+    M100Error,
+    TelemetryError,
+    UsageError,
+)
+from m100link.protocol.codes import ActivationCode
+from m100link.telemetry.subscription import Hub, Latest, Newest, Policy, Subscription
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+    from random import Random
+
+    from m100link.protocol.commands.activation import Credentials, Version
+    from m100link.protocol.firmware import FirmwareProfile
+    from m100link.telemetry.sample import Sample
+
+__all__ = [
+    "BackOff",
+    "Gap",
+    "Supervised",
+    "SupervisedTelemetry",
+    "SupervisionEvent",
+    "SupervisionState",
+    "supervise",
+]
+
+_logger = logging.getLogger("m100link.aircraft")
+
+CHECK_INTERVAL = 2.0
+"""Seconds between two questions whether the aircraft is still there and still activated."""
+
+SILENCE = 3.0
+"""Seconds without an answer or a byte after which a connection counts as lost."""
+
+_EVENTS = 100
+
+_S, _I = SupervisionState, SupervisionInput
+
+# Codes behind which nothing is wrong with the app: the phone, its network, or the first time.
+_PASSING = (
+    ActivationCode.NEW_DEVICE,
+    ActivationCode.APP_NOT_CONNECTED,
+    ActivationCode.NO_INTERNET,
+)
+
+
+class Supervised:
+    """A connection that comes back: see :func:`supervise`.
+
+    Attributes:
+        aircraft: The aircraft while it is connected, else None. After a loss it is another object.
+        version: What the aircraft answered last, None before the first time.
+        error: Why it is not connected; None while it is.
+        attempts: Attempts since it was last connected.
+    """
+
+    def __init__(
+        self,
+        open_aircraft: Callable[[], Awaitable[Aircraft]],
+        *,
+        credentials: Credentials | None,
+        back_off: BackOff,
+        random: Random,
+    ) -> None:
+        self._open = open_aircraft
+        self._credentials = credentials
+        self._back_off = back_off
+        self._random = random
+        self._state = _S.IDLE
+        self._hub: Hub[SupervisionEvent] = Hub()
+        self._task: asyncio.Task[None] | None = None
+        # Replaced with each change of state: who waits for one waits for it.
+        self._changed: asyncio.Future[None] | None = None
+        self._identity: str | None = None  # of the first aircraft that answered
+        self.aircraft: Aircraft | None = None
+        self.version: Version | None = None
+        self.error: M100Error | None = None
+        self.attempts = 0
+
+    def __repr__(self) -> str:
+        why = f": {self.error.seen}" if self.error is not None else ""
+        return f"<supervised aircraft, {self._state.value}{why}>"
+
+    @property
+    def state(self) -> SupervisionState:
+        """Where the connection is."""
+        return self._state
+
+    async def __aenter__(self) -> Self:
+        if self._state is not _S.IDLE:
+            raise UsageError(f"{self!r} was begun before", remedy="call supervise(...) again")
+        self._feed(_I.START)
+        self._task = asyncio.create_task(self._keep(), name="m100link supervision")
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self.aclose()
+
+    async def aclose(self) -> None:
+        """Close the connection for good. May be called any number of times."""
+        task, self._task = self._task, None
+        self._feed(_I.CLOSE)
+        if task is not None:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    # -- what programs wait for ------------------------------------------------------------------
+
+    async def connected(self) -> Aircraft:
+        """The aircraft, as soon as it is connected. ``asyncio.timeout`` limits the wait.
+
+        Raises:
+            M100Error: No attempt would succeed; it says why.
+            LinkClosed: The block was left.
+        """
+        while self.aircraft is None:
+            self._raise_if_ended()
+            await self._change()
+        return self.aircraft
+
+    def events(self) -> Subscription[SupervisionEvent]:
+        """Each change of state, from now on."""
+        return self._hub.subscribe(Newest(_EVENTS))
+
+    def telemetry(
+        self, *records: type[Any], policy: Policy | None = None, rate_hz: float | None = None
+    ) -> SupervisedTelemetry:
+        """Telemetry across losses of the connection; each is marked by a :class:`Gap`.
+
+        Args:
+            records: As in :meth:`m100link.Aircraft.telemetry`.
+            policy: As there.
+            rate_hz: As there.
+
+        Raises (while iterating):
+            TelemetryOverflow: A ``Lossless`` consumer fell behind.
+            M100Error: No attempt to connect would succeed; it says why.
+        """
+        return SupervisedTelemetry(self, records, policy or Latest(), rate_hz)
+
+    def _raise_if_ended(self) -> None:
+        if self._state is _S.CLOSED:
+            raise LinkClosed("the supervision was ended by this side")
+        if self._state is _S.REFUSED and self.error is not None:
+            raise self.error.again()
+        if self._state is _S.IDLE:
+            raise UsageError("the supervision has not begun", remedy="async with supervise(...)")
+
+    async def _change(self) -> None:
+        """Wait until the state has changed."""
+        if self._changed is None:
+            self._changed = asyncio.get_running_loop().create_future()
+        await asyncio.shield(self._changed)
+
+    # -- the machine -----------------------------------------------------------------------------
+
+    def _feed(
+        self,
+        happened: SupervisionInput,
+        error: M100Error | None = None,
+        pause: float | None = None,
+    ) -> None:
+        after = TRANSITIONS[self._state].get(happened)
+        if after is None:
+            return
+        before, self._state = self._state, after
+        if error is not None:
+            self.error = error
+        event = SupervisionEvent(before, after, error, pause)
+        _logger.info("supervision: %s → %s%s", before.value, after.value, _why(error))
+        self._hub.publish(event, asyncio.get_running_loop().time())
+        changed, self._changed = self._changed, None
+        if changed is not None and not changed.done():
+            changed.set_result(None)
+
+    async def _keep(self) -> None:
+        """Connect, watch, wait, and again, until that cannot succeed."""
+        try:
+            while self._state not in ENDED:
+                try:
+                    await self._hold()
+                except M100Error as error:
+                    pause = self._fail(error)
+                    if self._state is _S.WAITING:
+                        await asyncio.sleep(pause)
+                        self._feed(_I.DUE)
+        finally:
+            if self._state is not _S.REFUSED:
+                self._feed(_I.CLOSE)  # whatever ended it, nobody may wait for it for ever
+
+    async def _hold(self) -> None:
+        """Connect once, and stay until it is lost; always raises why."""
+        self.attempts += 1
+        aircraft = await self._open()
+        try:
+            self._identify(await aircraft.version())
+            self._feed(_I.ANSWERED)
+            await self._activate(aircraft)
+            self.aircraft, self.error, self.attempts = aircraft, None, 0
+            self._feed(_I.ACTIVATED)
+            await self._watch(aircraft)
+        finally:
+            self.aircraft = None
+            await aircraft.aclose()
+
+    def _fail(self, error: M100Error) -> float:
+        """An attempt or a connection ended; returns how long to wait."""
+        if _is_final(error):
+            self._feed(_I.REFUSED, error)
+            return 0.0
+        pause = self._back_off.pause(max(1, self.attempts), self._random)
+        happened = _I.LOST if self._state is _S.CONNECTED else _I.FAILED
+        self._feed(happened, error, pause)
+        return pause
+
+    def _identify(self, version: Version) -> None:
+        """Whether it is the aircraft of the first time, by its serial number or else its version.
+
+        Raises:
+            AnotherAircraft: It is not.
+        """
+        identity = version.serial or version.name
+        if self._identity is None:
+            self._identity = identity
+        elif identity != self._identity:
+            raise AnotherAircraft(
+                f"{identity} answers where {self._identity} was",
+                expected=self._identity,
+                found=identity,
+                cause="the cable was plugged into another aircraft, or its firmware was changed",
+                remedy="plug it back, or begin the program anew",
+            )
+        self.version = version
+
+    async def _activate(self, aircraft: Aircraft) -> None:
+        if self._credentials is not None:
+            await aircraft.activate(self._credentials)
+
+    async def _watch(self, aircraft: Aircraft) -> None:
+        """Ask now and then whether it is there and activated; raises when it is not there.
+
+        A line may stay open while the aircraft behind it is switched off.
+        """
+        clock = asyncio.get_running_loop().time
+        heard_at = clock()
+        while True:
+            try:
+                async with asyncio.timeout(CHECK_INTERVAL):
+                    error = await aircraft.wait_closed()
+                raise error or LinkLost("the line went away")
+            except TimeoutError:
+                pass
+            try:
+                version = await aircraft.version()
+            except AckTimeout as error:
+                heard_at = max(heard_at, aircraft.link.last_received_at or heard_at)
+                if clock() - heard_at > SILENCE:
+                    raise LinkLost(
+                        f"the aircraft is silent for {clock() - heard_at:.0f} s",
+                        cause="it was switched off, or a wire came loose",
+                        remedy="check its power and the cable; it is tried again",
+                    ) from error
+                continue
+            heard_at = clock()
+            self._identify(version)
+            if self._credentials is not None and not version.is_activated:
+                await self._activate_again(aircraft)
+
+    async def _activate_again(self, aircraft: Aircraft) -> None:
+        """It was switched off and on faster than its silence was noticed."""
+        self.aircraft = None
+        self._feed(_I.DEACTIVATED)
+        await self._activate(aircraft)
+        self.aircraft = aircraft
+        self._feed(_I.ACTIVATED)
+
+
+def _why(error: M100Error | None) -> str:
+    return "" if error is None else f" ({error.seen})"
+
+
+def _is_final(error: M100Error) -> bool:
+    """Whether every other attempt would end like this one."""
+    if isinstance(error, ActivationRefused):
+        return error.code not in _PASSING
+    return isinstance(error, UsageError | AnotherAircraft)
+
+
+class SupervisedTelemetry:
+    """Samples, and a :class:`Gap` for each loss: see :meth:`Supervised.telemetry`."""
+
+    def __init__(
+        self,
+        supervised: Supervised,
+        records: tuple[type[Any], ...],
+        policy: Policy,
+        rate_hz: float | None,
+    ) -> None:
+        self._supervised = supervised
+        self._records, self._policy, self._rate_hz = records, policy, rate_hz
+        self._samples: Subscription[Sample] | None = None
+        # When and why the last stream ended, until the next one goes on.
+        self._lost: tuple[float, M100Error] | None = None
+        self._is_closed = False
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop receiving. May be called any number of times."""
+        self._is_closed = True
+        if self._samples is not None:
+            self._samples.close()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Sample | Gap:
+        clock = asyncio.get_running_loop().time
+        while not self._is_closed:
+            if self._samples is None:
+                await self._subscribe()
+                if self._lost is not None:
+                    (lost_at, error), self._lost = self._lost, None
+                    return Gap(lost_at, clock(), error)
+            assert self._samples is not None
+            try:
+                return await anext(self._samples)
+            except TelemetryError:
+                raise  # of this consumer, not of the line
+            except LinkError as error:
+                self._samples, self._lost = None, (clock(), error)
+        raise StopAsyncIteration
+
+    async def _subscribe(self) -> None:
+        try:
+            aircraft = await self._supervised.connected()
+        except LinkClosed:
+            raise StopAsyncIteration from None
+        self._samples = aircraft.telemetry(
+            *self._records, policy=self._policy, rate_hz=self._rate_hz
+        )
+
+
+def supervise(
+    url: str,
+    credentials: Credentials | None = None,
+    *,
+    firmware: str | FirmwareProfile | None = None,
+    baud_rate: int | None = None,
+    timeout: float = 3.0,
+    back_off: BackOff | None = None,
+    random: Random | None = None,
+) -> Supervised:
+    """Keep a connection to one aircraft for the time of a block.
+
+    ::
+
+        async with m100link.supervise("/dev/ttyUSB0", credentials) as supervised:
+            async for sample in supervised.telemetry(m100link.Position):
+                if isinstance(sample, m100link.Gap):
+                    print(f"{sample.back_at - sample.lost_at:.0f} s are missing: {sample.error}")
+
+    A line that cannot be opened or is lost is tried again, after longer and longer pauses. It has
+    to be the same aircraft, by its serial number (firmware 2.3 and later) or its version; it is
+    activated again. **Control never resumes by itself**: a control block ends with the connection
+    that it was begun on, and its setpoints with it; the aircraft hovers. Whoever wants to fly on
+    obtains control again, on :meth:`Supervised.connected`.
+
+    Args:
+        url: As :func:`m100link.connect` takes it.
+        credentials: App id and key; without them the aircraft is only watched.
+        firmware: As there.
+        baud_rate: As there.
+        timeout: Seconds until an aircraft has to answer, at each attempt.
+        back_off: Pauses between attempts.
+        random: Of the jitter; seed it for the same pauses again.
+
+    Ends for good, with the error that says why in its attribute ``error``: another aircraft
+    answers, the app is refused for a reason that does not pass by itself, the URL is none.
+    """
+
+    async def open_aircraft() -> Aircraft:
+        return await connect(url, firmware=firmware, baud_rate=baud_rate, timeout=timeout)
+
+    if random is None:
+        from random import Random  # which takes long to load, for what few programs do
+
+        random = Random()
+    return Supervised(
+        open_aircraft,
+        credentials=credentials,
+        back_off=back_off or BackOff(),
+        random=random,
+    )
