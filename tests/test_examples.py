@@ -84,6 +84,13 @@ def test_without_await(run: Lockstep, url: str) -> None:
     assert text.endswith("landed\n")
 
 
+def test_watching_goes_on_until_enough_was_seen(run: Run) -> None:
+    first, *places, last = run("keep_watching", "sim://").splitlines()
+    assert (first, last) == ("connected", "enough seen")
+    assert len(places) == pytest.approx(8, abs=2)
+    assert all(re.fullmatch(r"-?\d+\.\d{6} -?\d+\.\d{6}", place) for place in places)
+
+
 def test_look_around(run: Run) -> None:
     lines = run("look_around", "sim://?firmware=3.1").splitlines()
     assert lines[0] == "gimbal at 50 Hz, attitude at 10 Hz"

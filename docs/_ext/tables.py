@@ -10,6 +10,7 @@ Each directive takes its rows from one object of the package::
     ```{discard-table}                    causes for which the decoder discards
     ```{url-examples}                     connection strings that work
     ```{authority-table}                  transitions of control authority
+    ```{supervision-table}                transitions of a connection that is kept
     ```{stop-table}                       what the stop path does for each cause
     ```{block-table}                      transitions of a control block
     ```{cli-help}                         what `m100link … --help` says, for every verb
@@ -27,7 +28,7 @@ import io
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from struct import calcsize
@@ -40,6 +41,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from m100link import protocol
+from m100link.aircraft import supervision
 from m100link.cli.app import app as cli
 from m100link.flight import lifecycle
 from m100link.flight.authority import TRANSITIONS
@@ -248,16 +250,30 @@ class DiscardTable(TableDirective):
             yield f"``{cause}``", DISCARD_MEANINGS[cause]
 
 
-class AuthorityTable(TableDirective):
-    """The transitions of control authority."""
+class TransitionTable(TableDirective):
+    """The transitions of a machine with states; subclasses say of which."""
+
+    transitions: Mapping[Any, Mapping[Any, Any]] = {}
 
     def rows(self) -> Iterable[Sequence[str]]:
         """One row per state and input."""
         yield "State", "What happens", "Next state"
-        for state, transitions in TRANSITIONS.items():
+        for state, transitions in self.transitions.items():
             for index, (what, after) in enumerate(transitions.items()):
                 name = f"``{state.name}``" if index == 0 else ""
                 yield name, sentence(what.value), f"``{after.name}``"
+
+
+class AuthorityTable(TransitionTable):
+    """The transitions of control authority."""
+
+    transitions = TRANSITIONS
+
+
+class SupervisionTable(TransitionTable):
+    """The transitions of a connection that is kept."""
+
+    transitions = supervision.TRANSITIONS
 
 
 class StopTable(TableDirective):
@@ -389,6 +405,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("url-examples", UrlExamples)
     app.add_directive("cli-help", CliHelp)
     app.add_directive("authority-table", AuthorityTable)
+    app.add_directive("supervision-table", SupervisionTable)
     app.add_directive("stop-table", StopTable)
     app.add_directive("block-table", BlockTable)
     app.add_directive("errata-index", ErrataIndex)
