@@ -38,16 +38,28 @@ class Fingers:
         self._points[finger]["y"] += down
         await self._tell("touchMove")
 
-    async def up(self, finger: int) -> None:
-        del self._points[finger]
+    async def up(self) -> None:
+        """All of them: the protocol has no end of one of two."""
+        self._points.clear()
         await self._tell("touchEnd")
+
+    async def lift(self, selector: str) -> None:
+        """The end of one of two, as the page would be told."""
+        await self.page.evaluate(
+            """(selector) => {
+              const stick = m100.steering.sticks.find((one) => one.element.matches(selector));
+              const end = new PointerEvent("pointerup", {pointerId: stick.pointer});
+              stick.element.dispatchEvent(end);
+            }""",
+            selector,
+        )
 
     async def cancel(self) -> None:
         self._points.clear()
         await self._tell("touchCancel")
 
     async def _tell(self, kind: str) -> None:
-        points = [] if kind == "touchCancel" else list(self._points.values())
+        points = list(self._points.values())
         await self._session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
 
@@ -91,7 +103,7 @@ async def test_stop_by_a_second_finger_while_a_stick_is_held(
 
 async def test_a_finger_that_is_lifted(fingers: tuple[Console, Fingers]) -> None:
     console, hand = fingers
-    await hand.up(1)
+    await hand.up()
     await stays_still(console)
 
 
@@ -105,7 +117,6 @@ async def test_a_second_finger_on_the_same_stick(fingers: tuple[Console, Fingers
     console, hand = fingers
     await hand.down(2, RIGHT)
     await stays_still(console)
-    await hand.up(2)
     await hand.move(1, 0, 5)
     await stays_still(console)
 
@@ -115,10 +126,10 @@ async def test_two_sticks_at_once_and_each_ends_its_own(fingers: tuple[Console, 
     await hand.down(2, LEFT)
     await hand.move(2, 0, -60)
     await until(lambda: console.watch.speed[2] > 0.15)
-    await hand.up(1)
+    await hand.lift(RIGHT)
     await until(lambda: abs(console.watch.speed[1]) < 0.15)
     assert console.watch.speed[2] > 0.1
-    await hand.up(2)
+    await hand.up()
     await stays_still(console)
 
 
