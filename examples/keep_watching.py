@@ -11,7 +11,7 @@ import m100link
 from m100link import Credentials, Gap, Position, SupervisionState
 
 CREDENTIALS = Credentials(app_id=10086, key=bytes(range(32)))  # those of the virtual aircraft
-SECONDS = 10.0 if len(sys.argv) < 2 else 3600.0
+SECONDS = 10.0
 
 
 async def tell(events: m100link.Subscription[m100link.SupervisionEvent]) -> None:
