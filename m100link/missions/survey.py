@@ -26,6 +26,7 @@ Place = tuple[float, float]
 def line_spacing(height: float, overlap: float, field_of_view_deg: float) -> float:
     """How far apart lines may be, m, so that photographs of neighbours overlap.
 
+    >>> from m100link.missions.survey import line_spacing
     >>> round(line_spacing(30.0, 0.7, 81.0), 1)
     15.4
 
@@ -60,6 +61,7 @@ def survey(
 ) -> WaypointPlan:
     """Parallel lines over an area, to and fro.
 
+    >>> from m100link.missions.survey import line_spacing, survey
     >>> field = [(52.1, 4.31), (52.1005, 4.31), (52.1005, 4.3108), (52.1, 4.3108)]
     >>> plan = survey(field, height=30, spacing=line_spacing(30, 0.7, 81))
     >>> len(plan.waypoints), round(plan.length_m)
