@@ -148,7 +148,11 @@ KINDS = {
         groups=("test",),
     ),
     "browser": Kind(
-        {"browser": [pytest(*workers(2), "tests/browser", *elsewhere(CONSOLE))]},
+        {
+            "browser": [
+                pytest(*workers(2), "tests/browser", *elsewhere(CONSOLE), "--deselect", SLOW_WAY)
+            ]
+        },
         groups=("test", "browser"),
     ),
     "examples": Kind({program: [("python", "-W", "error", program)] for program in PROGRAMS}),
