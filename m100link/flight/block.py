@@ -20,7 +20,7 @@ from m100link.errors import (
 from m100link.flight.authority import AuthorityState
 from m100link.flight.cancellation import Errand, ProgramTask
 from m100link.flight.guards import GuardKeeper
-from m100link.flight.handover import authority_lost, obtain_authority
+from m100link.flight.handover import authority_lost, is_unexplained, obtain_authority
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.setpoints import SetpointLoop
@@ -145,7 +145,7 @@ class ControlBlock:
         finally:
             is_ours = program.take_back(error)
         failure = self._life.failure
-        if failure is not None and (error is None or is_ours):
+        if failure is not None and (error is None or is_ours or is_unexplained(error)):
             raise failure.again() from failure.__cause__
         # After a signal the program does not go on behind the block as if it had flown.
         return is_ours and self._life.cause is not StopCause.SIGNALLED

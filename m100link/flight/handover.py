@@ -25,7 +25,13 @@ if TYPE_CHECKING:
     from m100link.protocol.firmware import FirmwareProfile
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["authority_lost", "explained_loss", "obtain_authority", "release_authority"]
+__all__ = [
+    "authority_lost",
+    "explained_loss",
+    "is_unexplained",
+    "obtain_authority",
+    "release_authority",
+]
 
 _logger = logging.getLogger("m100link.flight")
 
@@ -201,6 +207,14 @@ async def explained_loss(commander: Commander, loss: AuthorityLost) -> Authority
         "API control switched off",
         remedy="ask the pilot; the CTRL_DEVICE item would tell (0 Hz by default, PC assistant)",
     )
+
+
+def is_unexplained(error: BaseException | None) -> bool:
+    """Whether a call of the program met a loss before it could be explained.
+
+    One that falls on the instant of the notification does, ahead of the block's cancellation.
+    """
+    return isinstance(error, AuthorityLost) and error.reason is LossReason.UNKNOWN
 
 
 def authority_lost(reason: LossReason) -> AuthorityLost:

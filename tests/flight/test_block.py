@@ -177,8 +177,9 @@ async def test_a_guard_that_refuses_ends_the_block_like_any_error(firmware: str)
         assert flown.is_released
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.007], ids=["at a tick", "between ticks"])
 @each_firmware
-async def test_the_pilot_leaves_f_during_a_loop(firmware: str) -> None:
+async def test_the_pilot_leaves_f_during_a_loop(firmware: str, phase: float) -> None:
     async with rig(firmware=firmware) as flown:
         left_at = 0.0
 
@@ -190,7 +191,7 @@ async def test_the_pilot_leaves_f_during_a_loop(firmware: str) -> None:
         with pytest.raises(AuthorityLost) as caught:
             async with flown.aircraft.control() as control:
                 await control.take_off()
-                asyncio.get_running_loop().call_later(2.0, leave)
+                asyncio.get_running_loop().call_later(2.0 + phase, leave)
                 await flown.fly_on(control)
         assert caught.value.reason == "mode_switch"
         assert flown.moves.times[-1] <= left_at + 0.02, "a setpoint followed the loss"
