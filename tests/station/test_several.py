@@ -40,6 +40,12 @@ class NamedPilot(Pilot):
         self.prefix = prefix
         self.east = 0.0
 
+    async def reached(self) -> None:
+        """Wait until the fronts have found the agent that was started again."""
+        async with asyncio.timeout(PATIENCE):
+            while not (await self.call(f"{self.prefix}/dji_sdk/activation"))["result"]:
+                await asyncio.sleep(0.1)
+
     async def take_off(self) -> None:
         for service, more in (
             ("activation", {}),
@@ -47,7 +53,7 @@ class NamedPilot(Pilot):
             ("drone_task_control", {"task": 4}),
         ):
             answer = await self.call(f"{self.prefix}/dji_sdk/{service}", **more)
-            assert answer["values"]["result"], answer
+            assert answer["result"] and answer["values"]["result"], answer
 
     async def fly(self) -> None:
         """A velocity to the east again and again; what it becomes is read beside it."""
@@ -116,7 +122,9 @@ async def test_an_agent_that_is_killed_costs_the_other_aircraft_nothing() -> Non
             work.cancel()
         await asyncio.gather(*works, return_exceptions=True)
         async with connect(f"ws://127.0.0.1:{station.ports[0]}") as third:
-            await NamedPilot(third, SECOND).take_off()
+            late = NamedPilot(third, SECOND)
+            await late.reached()
+            await late.take_off()
             assert station.agents["m100_2"].holder.number > 1_000_000
 
 
