@@ -10,6 +10,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from m100link.agent.client import AgentClient
+from m100link.errors import GuardRefused
 from m100link.station.console.parts.wording import Wording
 from m100link.station.console.tab import Tab
 from m100link.station.console.view.catalogue import CATALOGUE
@@ -18,6 +19,15 @@ __all__ = ["Buttons"]
 
 _ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
 """What ends a motion is done however late it comes."""
+
+
+async def _stood_still() -> None:
+    raise GuardRefused(
+        "the page stood still while the button was held; nothing was done",
+        guard="order_late",
+        cause="nobody knows whether it was held: the browser was busy with something else",
+        remedy="look at the aircraft, then hold it again",
+    )
 
 
 class Buttons:
@@ -59,6 +69,7 @@ class Buttons:
             self._wording.put(text.set_text, label)
         if hold:
             button.classes("hold")
+            button.on("unsure", lambda: self._tab.attempt(_stood_still), args=[])
 
         async def pressed(event: GenericEventArguments) -> None:
             async def order() -> None:

@@ -82,7 +82,7 @@ function stopAtOnce(button) {
   button.addEventListener("click", (event) => event.timeStamp - pressedAt > 1000 && stop());
 }
 
-// Buttons of class "hold" say "held" after a second; they may come and go.
+// Buttons of class "hold" say "held" after a second, or "unsure"; they may come and go.
 function holdToPress() {
   let held = null;
   const begin = (event, button) => {
@@ -91,8 +91,8 @@ function holdToPress() {
     const timer = setTimeout(() => {
       const isLate = performance.now() - held.at > HOLD_MS + STOOD_STILL_MS;
       end();
-      if (!isLate && !button.disabled && button.isConnected)
-        button.dispatchEvent(new CustomEvent("held", {detail: {}}));
+      if (!button.disabled && button.isConnected)
+        button.dispatchEvent(new CustomEvent(isLate ? "unsure" : "held", {detail: {}}));
     }, HOLD_MS);
     held = {button, timer, at: performance.now(), pointer: event.pointerId};
   };
