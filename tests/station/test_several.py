@@ -43,7 +43,7 @@ class NamedPilot(Pilot):
     async def reached(self) -> None:
         """Wait until the fronts have found the agent that was started again."""
         async with asyncio.timeout(PATIENCE):
-            while not (await self.call(f"{self.prefix}/dji_sdk/activation"))["result"]:
+            while not (await self.call(f"{self.prefix}/dji_sdk/activation"))["result"]:  # noqa: ASYNC110 - what is waited for has no event
                 await asyncio.sleep(0.1)
 
     async def take_off(self) -> None:
@@ -53,7 +53,8 @@ class NamedPilot(Pilot):
             ("drone_task_control", {"task": 4}),
         ):
             answer = await self.call(f"{self.prefix}/dji_sdk/{service}", **more)
-            assert answer["result"] and answer["values"]["result"], answer
+            assert answer["result"], answer
+            assert answer["values"]["result"], answer
 
     async def fly(self) -> None:
         """A velocity to the east again and again; what it becomes is read beside it."""
