@@ -143,7 +143,8 @@ KINDS = {
         {
             "tests": [pytest(*workers(2), "-m", "not pty", *elsewhere(*OWN_SESSIONS, *SERVERS))],
             "tests (servers)": [pytest(*workers(2), "-m", "not pty", *SERVERS)],
-            "tests (pty)": [pytest(*workers(3), "-m", "pty", *marked("pty"))],
+            # They wait for terminals and processes more than they compute.
+            "tests (pty)": [pytest(*workers(5), "-m", "pty", *marked("pty"))],
         },
         groups=("test",),
     ),
