@@ -23,7 +23,7 @@ from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
 from m100link.agent.messages import Topic
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft, AircraftCamera
-from m100link.errors import UsageError
+from m100link.errors import GuardRefused, UsageError
 from m100link.flight.missions.hotpoint import HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.missions.plan import WaypointPlan
@@ -101,6 +101,8 @@ class Agent:
         self._keep_authority = keep_authority
         # Ends a time in which authority is held for nobody.
         self._unclaimed: asyncio.TimerHandle | None = None
+        # After STOP nobody's stream of setpoints flies on: whoever sends it has to begin anew.
+        self._is_stopped = False
         self.on_lease: list[Callable[[LeaseChange, Lease | None], None]] = []
         self.connection.on_aircraft.append(self._aircraft_changed)
 
@@ -140,6 +142,7 @@ class Agent:
 
     def _lease_changed(self, why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
         self.halt("control changed hands")  # before anybody is told
+        self._is_stopped = self._is_stopped and new is None
         self._claim()
         if new is not None:
             self.holding.feed(HoldingInput.TAKEN_OVER)
@@ -273,6 +276,7 @@ class Agent:
         aircraft = self.connection.require_aircraft()
         await self.holding.settle()
         self.desk.check(token, self.now)  # it may have ended while authority went back
+        self._is_stopped = False
         await self.holding.obtain(aircraft)
 
     async def release(self, token: str) -> None:
@@ -297,22 +301,43 @@ class Agent:
 
         Raises:
             LeaseRefused: The token is not in force.
+            GuardRefused: STOP was pressed, and nothing has begun anew since; or see below.
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
         self._renewed(token)
+        if self._is_stopped:
+            raise GuardRefused(
+                "STOP was pressed; setpoints that go on are not flown",
+                guard="stopped",
+                cause="whoever sends them has not begun anew since",
+                remedy="let go of the sticks, or ask for control once more",
+            )
         self.holding.require().steer(setpoint, lifetime)
 
-    def halt(self, why: str = "") -> None:
-        """Stop moving; anybody may call this at any time. A task goes on in the autopilot."""
+    def halt(self, why: str = "", token: str = "") -> None:
+        """Stop moving; anybody may call this at any time. A task goes on in the autopilot.
+
+        Args:
+            why: For people.
+            token: Proof of the lease, if whoever steers has let go: after a STOP that begins anew.
+        """
         if self.holding.flying is not None:
             self.holding.flying.halt(why)
+        holder = self.desk.holder(self.now)
+        if token and holder is not None and token == holder.token:
+            self._is_stopped = False
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies.
 
+        Setpoints that somebody goes on sending are refused until the holder of the lease lets go
+        (:meth:`halt` under it) or asks for control once more (:meth:`obtain`), or somebody else
+        gets the lease.
+
         The protocol has no command that ends a task. Giving control authority back is the only
         thing this side can do about it.
         """
+        self._is_stopped = True
         self.journal.note("stop", topic=Topic.STOPPED)
         is_in_task = self.holding.task is not None
         self.halt("stop")

@@ -404,9 +404,9 @@ class AgentClient:
         """
         self._channel.send(Steer(lease.number, self.now, lifetime, setpoint))
 
-    def halt(self, why: str = "") -> None:
-        """Stop moving; anybody may. A task goes on in the autopilot."""
-        self._channel.send(Ask(0, Action.HALT, text=why))
+    def halt(self, why: str = "", lease: Lease | None = None) -> None:
+        """Stop moving; anybody may. With the lease: it was let go, which begins anew after STOP."""
+        self._channel.send(Ask(0, Action.HALT, lease.number if lease else 0, text=why))
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies."""

@@ -217,7 +217,7 @@ class Front:
 
     def _on_ask(self, ask: Ask) -> None:
         if ask.action is Action.HALT:
-            self._agent.halt(ask.text)
+            self._agent.halt(ask.text, self._token(ask.fence))
             self._answer(ask, Stage.DONE)
             return
         self._spawn(

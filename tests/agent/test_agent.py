@@ -8,7 +8,7 @@ import pytest
 from m100link.agent.connection import ConnectionState
 from m100link.agent.holding import HoldingState
 from m100link.agent.lease import LeaseChange, LeaseRefused
-from m100link.errors import M100Error, NoAuthority, UsageError
+from m100link.errors import GuardRefused, M100Error, NoAuthority, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from tests.agent.conftest import Rig
@@ -87,6 +87,38 @@ async def test_a_stop_during_a_task_gives_authority_back(rig: Rig) -> None:
         await anyio.sleep(2.0)
         await rig.agent.stop()
     assert not rig.holding.has_authority
+
+
+async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(rig: Rig) -> None:
+    await airborne(rig)
+    for asks_anew in (True, False):
+        rig.agent.steer(rig.token, NORTH)
+        await rig.agent.stop()
+        for _ in range(60):  # longer than any setpoint lives
+            with pytest.raises(GuardRefused, match="STOP was pressed"):
+                rig.agent.steer(rig.token, NORTH)
+            await anyio.sleep(0.05)
+        rig.agent.halt("somebody presses hover")
+        rig.agent.halt("", "of a lease that is not this one")
+        with pytest.raises(GuardRefused, match="STOP was pressed"):
+            rig.agent.steer(rig.token, NORTH)
+        assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
+        if asks_anew:
+            await rig.agent.obtain(rig.token)
+        else:
+            rig.agent.halt("let go", rig.token)
+        rig.agent.steer(rig.token, NORTH)
+        await anyio.sleep(0.1)
+        assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x > 0.0
+
+
+async def test_whoever_takes_over_after_a_stop_begins_anew(rig: Rig) -> None:
+    await airborne(rig)
+    await rig.agent.stop()
+    desk, now = rig.agent.desk, rig.agent.now
+    rig.renewing.cancel()
+    rig.token = desk.confirm(desk.ask_take_over("other", now).token, now).token
+    rig.agent.steer(rig.token, NORTH)
 
 
 async def test_the_end_of_a_lease_stops_the_motion_and_gives_authority_back(rig: Rig) -> None:

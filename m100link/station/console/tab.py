@@ -41,6 +41,9 @@ __all__ = ["BEAT_LIFETIME", "Tab"]
 BEAT_LIFETIME = 0.3
 """Seconds that a beat lasts."""
 
+SPENT_AFTER = 1.0
+"""Seconds of the page without a beat after which it has let go of everything by itself."""
+
 MAX_BEAT = 2000
 _COMPLAINT_PAUSE = 1.0
 
@@ -88,7 +91,8 @@ class Tab:
         agent.on_steer_refused.append(self._steer_refused)
         # After STOP, whoever it was, a hand that still holds something moves nothing.
         self._has_to_let_go = False
-        self._beat_at = -math.inf  # the last one, flown or refused
+        self._beat_at = -math.inf  # the last one, flown or refused, by the page's clock
+        self._stop_press: object = None  # which press of STOP the task above answers
         agent.on_event.append(self._event)
         agent.on_lease.append(self._lease_changed)
         agent.on_authority_taken.append(self._authority_taken)
@@ -196,9 +200,29 @@ class Tab:
         """Start, pause, resume or stop a mission."""
         await self._agent.ask(action, self.lease)
 
-    async def stop(self) -> None:
-        """Stop. Any tab may."""
-        await self._agent.stop()
+    async def stop(self, press: object = None) -> None:
+        """Stop. Any tab may.
+
+        Args:
+            press: Which press of the page it was: it comes by two ways, and is done once.
+        """
+        if self._is_done(press):
+            return
+        self._stop_now(press)
+        if self._stopping is not None:
+            await self._stopping
+
+    def _is_done(self, press: object) -> bool:
+        """Whether this press was carried out, by the other of its ways."""
+        task = self._stopping
+        return (
+            type(press) is int
+            and press == self._stop_press
+            and task is not None
+            and task.done()
+            and not task.cancelled()
+            and task.result() is True
+        )
 
     def check_order(self, said_at: object) -> None:
         """Refuse a button that was pressed too long ago, or nobody knows when.
@@ -230,7 +254,9 @@ class Tab:
             self.refused += 1
             return None
         if message["op"] == "stop":
-            self._stop_now()  # be it old, or a second time
+            press = message.get("press")
+            if not self._is_done(press):
+                self._stop_now(press)  # be it old, or a second time
         number = message["n"]
         if number <= self._last_number:
             self.refused += 1  # an old message again
@@ -248,15 +274,16 @@ class Tab:
             else:
                 if message["op"] == "rest":
                     self._has_to_let_go = False
-                    self._agent.halt()
+                    self._agent.halt(lease=self.lease)
                 self._agent.keep(self.lease)
         return {"op": "echo", "at": message["at"], "told": now}
 
-    def _stop_now(self) -> None:
-        """STOP by the socket: the way of the page's other events may be blocked."""
+    def _stop_now(self, press: object) -> None:
+        """STOP by either way: that of the socket, or of the page's other events."""
+        self._stop_press = press
         if self._stopping is None or self._stopping.done():
             self._stopping = self._agent.background.spawn(
-                self.attempt(self.stop), f"stop of {self.name}"
+                self.attempt(self._agent.stop), f"stop of {self.name}"
             )
 
     def _check_way(self, late: float, held: float) -> None:
@@ -290,16 +317,21 @@ class Tab:
         if event.topic is Topic.STOPPED:
             self._has_to_let_go = True
 
-    def _check_let_go(self) -> None:
+    def _check_let_go(self, lease: Lease, at: float) -> None:
         """Refuse what is held since before a STOP.
+
+        Args:
+            lease: Of this tab.
+            at: When the beat was sent, s of the page's clock: beats that wait on their way leave a
+                gap here as well, with the key held all the time.
 
         Raises:
             GuardRefused: It was not let go of since.
         """
-        now = self._agent.now
-        if now - self._beat_at > BEAT_LIFETIME:
+        if self._has_to_let_go and at - self._beat_at > SPENT_AFTER:
             self._has_to_let_go = False
-        self._beat_at = now
+            self._agent.halt(lease=lease)
+        self._beat_at = at
         if self._has_to_let_go:
             raise GuardRefused(
                 "STOP was pressed, and something is still held; it was not flown",
@@ -312,7 +344,7 @@ class Tab:
     def _steer(self, lease: Lease, message: dict[str, Any], late: float, held: float) -> None:
         self.problem = ""
         try:
-            self._check_let_go()
+            self._check_let_go(lease, message["at"] / 1000.0)
             self._check_way(late, held)
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]

@@ -386,6 +386,52 @@ async def test_stop_by_the_socket_needs_no_lease_and_runs_once_at_a_time(rig: Ri
     assert [event.text for event in rig.front.events].count("stop") == 1
 
 
+async def test_one_press_of_stop_by_both_ways_is_one_entry(rig: Rig) -> None:
+    other = Browser(rig, "other")
+    for press in (1, 2):
+        other.say("stop", press=press)
+        await anyio.sleep(0.1)
+        await other.tab.stop(press)
+        other.say("stop", press=press)  # late, or once more
+        await anyio.sleep(0.1)
+        assert [event.text for event in rig.front.events].count("stop") == press
+
+
+async def test_a_press_of_stop_that_one_way_failed_to_bring_is_carried_out_by_the_other(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tab = Browser(rig).tab
+    with monkeypatch.context() as failing:
+
+        async def fail() -> None:
+            raise GuardRefused("no", guard="", measured=None, limit=None)
+
+        failing.setattr(rig.front, "stop", fail)
+        await tab.stop(1)
+    await tab.stop(1)
+    assert [event.text for event in rig.front.events].count("stop") == 1
+
+
+async def test_beats_that_were_held_up_after_stop_do_not_count_as_let_go(rig: Rig) -> None:
+    flying = await airborne(rig)
+    await flying.hold(0.5, x=-1)
+    await Browser(rig, "other").tab.stop()
+    sent = []
+    for _ in range(30):  # a network that stands still for longer than a beat lasts
+        sent.append(flying.message("beat", mode=1, x=-1, y=0, z=0, w=0))
+        await anyio.sleep(0.05)
+    for message in sent:
+        flying.hear(flying.tab.receive(message))
+    await flying.hold(0.5, x=-1)
+    assert "STOP was pressed" in flying.tab.problem
+    before = len(rig.moves)
+    await flying.hold(0.5, x=-1)
+    assert not any(move.pitch_or_y for move in rig.moves[before:])
+    flying.say("rest")
+    await flying.hold(0.5, x=-1)
+    assert rig.moves[-1].pitch_or_y
+
+
 async def test_stop_is_heard_from_a_page_that_is_slow(rig: Rig) -> None:
     browser = await airborne(rig)
     await browser.hold(1.0, x=-8)

@@ -476,3 +476,29 @@ async def test_a_pilot_who_gave_many_orders_can_still_stop(rig: Rig) -> None:
     await rig.until(lambda: any("stopped it" in e.text for e in rig.agent.journal.events))
     pilot.publish("/nav_open_close_request", data=0)
     await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None)
+
+
+async def test_after_stop_a_client_that_goes_on_publishing_has_to_open_control_anew(
+    rig: Rig,
+) -> None:
+    page = await rig.airborne()
+    page.publish("/sdk_request_ctrl_mode", data=2)
+
+    async def publish(seconds: float) -> None:
+        for _ in range(round(seconds / 0.03)):
+            page.publish("/sdk_request_ctrl", **(ZERO | {"y": 1.0}))
+            await anyio.sleep(0.03)
+
+    await publish(0.5)
+    assert rig.moves[-1].roll_or_x == 1.0
+    await rig.front.stop()
+    before = len(rig.moves)
+    await publish(2.0)
+    page.publish("/sdk_request_ctrl", **ZERO)  # a program that hovers for a while says so as well
+    await publish(1.0)
+    assert not any(move.roll_or_x for move in rig.moves[before + 1 :])
+    assert any("STOP was pressed" in text for text in page.statuses())
+    page.publish("/nav_open_close_request", data=1)
+    await anyio.sleep(0.1)
+    await publish(0.5)
+    assert rig.moves[-1].roll_or_x == 1.0

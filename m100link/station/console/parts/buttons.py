@@ -21,6 +21,9 @@ _ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
 """What ends a motion is done however late it comes."""
 
 
+_SAID_AT = "m100.socket.saidAt"
+
+
 async def _stood_still() -> None:
     raise GuardRefused(
         "the page stood still while the button was held; nothing was done",
@@ -48,7 +51,7 @@ class Buttons:
         self,
         name: str,
         label: str,
-        work: Callable[[], Awaitable[Any]],
+        work: Callable[..., Awaitable[Any]],
         *,
         kind: str = "",
         hold: bool = False,
@@ -58,7 +61,8 @@ class Buttons:
         Args:
             name: Of the order, as in ``view.actions``.
             label: What stands on it, or the key of that in the catalogue.
-            work: What is done; what goes wrong is the tab's problem.
+            work: What is done; what goes wrong is the tab's problem. STOP is given the number of
+                its press.
             kind: ``"stop"`` or ``"plain"``, else a usual one.
             hold: Whether it has to be held for a second.
         """
@@ -75,7 +79,7 @@ class Buttons:
             async def order() -> None:
                 if name not in _ENDS:
                     self._tab.check_order(event.args)
-                await work()
+                await (work(event.args) if name == "stop" else work())
 
             # The page goes on while the aircraft flies.
             self._agent.background.spawn(self._tab.attempt(order), f"{name} of {self._tab.name}")
@@ -85,7 +89,7 @@ class Buttons:
         button.on(
             {"stop": "stopped"}.get(name, "held" if hold else "click"),
             pressed,
-            js_handler="() => emit(m100.socket.saidAt)",
+            js_handler=f"(event) => emit({'event.detail' if name == 'stop' else _SAID_AT})",
         )
         self._buttons.setdefault(name, []).append((button, True))
         return button

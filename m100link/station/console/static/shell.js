@@ -67,11 +67,12 @@ function show(name) {
 
 // At the press and not at its end: while one finger is on a stick, the tap of another makes no click.
 function stopAtOnce(button) {
-  let pressedAt = -Infinity;
+  let pressedAt = -Infinity, press = 0;
   const stop = () => {
     m100.steering.rest();
-    m100.socket.send({op: "stop"});  // by both ways that there are
-    button.dispatchEvent(new CustomEvent("stopped", {detail: {}}));
+    press += 1;
+    m100.socket.send({op: "stop", press});  // by both ways that there are
+    button.dispatchEvent(new CustomEvent("stopped", {detail: press}));
   };
   button.addEventListener("pointerdown", (event) => {
     if (event.button > 0) return;
