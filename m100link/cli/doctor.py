@@ -22,10 +22,10 @@ from m100link.cli.outcome import ExitCode, finite, print_json
 from m100link.doctor import Finding, Machine, Report, Stage, Verdict, diagnose
 from m100link.doctor.diagnosis import ignore
 from m100link.doctor.udev import RULES_FILE, rule
-from m100link.errors import UsageError
+from m100link.errors import AckTimeout, LinkError, UsageError
 from m100link.link.transport import serial_ports
 
-__all__ = ["doctor", "ports", "udev"]
+__all__ = ["doctor", "exit_status", "ports", "udev"]
 
 _MARKS = {
     Verdict.GOOD: "[green]✓[/]",
@@ -45,6 +45,8 @@ _EXIT_CODES = {
     **dict.fromkeys((Stage.MODE_SWITCH, Stage.AUTHORITY), ExitCode.AUTHORITY),
 }
 """The exit status of the stage that failed."""
+
+_BEHIND_THE_LINE = (Stage.ACTIVATION, Stage.KEY, Stage.MODE_SWITCH, Stage.AUTHORITY)
 
 
 def doctor(
@@ -78,7 +80,7 @@ def doctor(
     except KeyboardInterrupt:
         err.print("interrupted")
         return ExitCode.INTERRUPTED
-    status = ExitCode.OK if found.failure is None else _EXIT_CODES[found.failure.stage]
+    status = exit_status(found)
     described = {**found.to_json(), "exit_status": status}
     if as_json:
         print_json(described)
@@ -88,6 +90,16 @@ def doctor(
         _write_report(report, described)
         err.print(f"written: {report}", markup=False)
     return status
+
+
+def exit_status(found: Report) -> int:
+    """The exit status: a line that goes away or falls silent is of one class at every stage."""
+    failure = found.failure
+    if failure is None:
+        return ExitCode.OK
+    if failure.stage in _BEHIND_THE_LINE and isinstance(failure.error, LinkError | AckTimeout):
+        return ExitCode.NO_LINK
+    return _EXIT_CODES[failure.stage]
 
 
 def _only_port(link: LinkOptions) -> str | None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator
+from dataclasses import replace
 
 from m100link.aircraft import Aircraft, connect
 from m100link.doctor.findings import Finding, Stage, Verdict
 from m100link.doctor.port import failed
 from m100link.errors import (
+    AckTimeout,
     AuthorityError,
     AuthorityRefused,
     CommandRefused,
@@ -17,12 +19,20 @@ from m100link.errors import (
     M100Error,
     NoAircraft,
     NotActivated,
+    UsageError,
 )
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.activation import Credentials, GetVersion, Version
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.protocol.items import BY_RECORD
-from m100link.protocol.records import FlightPhase, FlightStatus, RcMode, RemoteControl
+from m100link.protocol.records import (
+    ControlDevice,
+    Device,
+    FlightPhase,
+    FlightStatus,
+    RcMode,
+    RemoteControl,
+)
 
 __all__ = ["look_at_aircraft"]
 
@@ -41,14 +51,20 @@ async def look_at_aircraft(
     credentials: Credentials | None,
     authority: bool,
 ) -> AsyncGenerator[Finding, None]:
-    """Connect and ask, stage by stage; to be closed at the first failure."""
+    """Connect and ask, stage by stage; to be closed at the first failure.
+
+    Raises:
+        UsageError: What was asked for cannot be: that is no matter of the aircraft.
+    """
     try:
         aircraft = await connect(url, firmware=firmware, baud_rate=baud_rate)
+    except UsageError:
+        raise
     except NoAircraft as error:
-        yield _no_answer(error)
+        yield _no_answer(error) if error.frames_received else _fell_silent(Stage.VERSION, error)
         return
     except M100Error as error:
-        yield failed(Stage.OPENING if isinstance(error, LinkError) else Stage.VERSION, error)
+        yield failed(Stage.VERSION, error)
         return
     stage = Stage.VERSION
     try:
@@ -63,6 +79,10 @@ async def look_at_aircraft(
         yield _mode_switch(aircraft)
         stage = Stage.AUTHORITY
         yield await _authority(aircraft, credentials, authority=authority)
+    except LinkError as error:
+        yield failed(stage, error, "dmesg | tail")
+    except AckTimeout as error:
+        yield await _unanswered(stage, aircraft, error)
     except M100Error as error:
         yield failed(stage, error, "m100link info shows the counters of the line")
     finally:
@@ -84,6 +104,45 @@ def _no_answer(error: NoAircraft) -> Finding:
             "unplug what is on the other UART_CAN2 socket",
         ),
         {"bytes": error.bytes_received, "frames": error.frames_received},
+        error,
+    )
+
+
+def _fell_silent(stage: Stage, error: M100Error) -> Finding:
+    return Finding(
+        stage,
+        Verdict.FAILED,
+        f"the aircraft has fallen silent while it was looked at: {error.seen}",
+        (
+            "it was switched off, or restarts",
+            "a wire or plug with a bad contact",
+        ),
+        ("check its power, the plugs and the cable, and run this again",),
+        error=error,
+    )
+
+
+async def _unanswered(stage: Stage, aircraft: Aircraft, error: AckTimeout) -> Finding:
+    """The aircraft was heard before, and a request of this program has no answer."""
+    before = aircraft.statistics().bytes_received
+    await asyncio.sleep(TELEMETRY_S)
+    counted = aircraft.statistics()
+    if counted.bytes_received == before:
+        return _fell_silent(stage, error)
+    return Finding(
+        stage,
+        Verdict.FAILED,
+        f"{error.seen}; the aircraft is heard, and has answered {counted.acks} of "
+        f"{counted.acks + counted.expired} requests",
+        (
+            "frames are lost on the way: noise, a half-duplex radio, a bad contact",
+            "the answers take longer than this program waits: a slow radio or network",
+        ),
+        (
+            "check plugs and ground wire; lower the telemetry rates in the PC assistant",
+            "m100link info shows the counters of the line",
+        ),
+        {"acks": counted.acks, "repeats": counted.repeats, "late_acks": counted.late_acks},
         error,
     )
 
@@ -117,7 +176,9 @@ def _firmware(aircraft: Aircraft, version: Version, *, is_forced: bool) -> Findi
             causes,
             ("leave --firmware out",)
             if is_forced
-            else tuple(f"m100link doctor --firmware {name}" for name in PROFILES),
+            else tuple(
+                f"m100link doctor --firmware {name}" for name in PROFILES if name != profile.name
+            ),
             details,
         )
     if version.profile is None and not is_forced:
@@ -145,7 +206,9 @@ async def _activation(
         try:
             await aircraft.activate(credentials, timeout=20.0)
         except CommandRefused as error:
-            return failed(Stage.ACTIVATION, error)
+            # Whose app it is belongs into no report.
+            found = failed(Stage.ACTIVATION, error)
+            return replace(found, seen=found.seen.replace(f" of app {credentials.app_id}", ""))
         return Finding(Stage.ACTIVATION, Verdict.GOOD, "for the app that was given")
     if version.is_activated:
         return Finding(Stage.ACTIVATION, Verdict.GOOD, "for some app, by an earlier program")
@@ -233,6 +296,17 @@ def _refused(aircraft: Aircraft, error: AuthorityRefused) -> Finding:
     rc = aircraft.state.fresh(RemoteControl, within=1.0)
     if rc is None or not rc.is_in_f or error.code not in _NOT_IN_F:
         return failed(Stage.AUTHORITY, error)
+    holder = aircraft.state.fresh(ControlDevice, within=2.0)
+    if holder is not None and holder.device is Device.APP:
+        return Finding(
+            Stage.AUTHORITY,
+            Verdict.FAILED,
+            f"{error.seen}; the mobile app controls the aircraft",
+            ("the mobile app holds control",),
+            ("let the mobile app release control, and run this again",),
+            {"code": error.code},
+            error,
+        )
     return Finding(
         Stage.AUTHORITY,
         Verdict.FAILED,
@@ -241,6 +315,7 @@ def _refused(aircraft: Aircraft, error: AuthorityRefused) -> Finding:
             "API control is not enabled in the PC assistant",
             "the switch was in F when the aircraft was switched on",
             "the mobile app holds control",
+            "the remote control is switched off, or out of its range",
         ),
         (
             "tick 'enable API control' in the PC assistant",

@@ -7,7 +7,7 @@ from dataclasses import replace
 from m100link.doctor.findings import Finding, Stage, Verdict
 from m100link.doctor.listening import RATES, Heard, hear
 from m100link.doctor.port import Ear, failed, open_ear
-from m100link.errors import LinkError, M100Error
+from m100link.errors import LinkError, M100Error, UsageError
 from m100link.link.url import ConnectionString
 from m100link.protocol.commands.activation import GetVersion
 from m100link.protocol.commands.monitor import PushTelemetry
@@ -26,10 +26,16 @@ SCAN_S = 0.5
 """Seconds at each other baud rate."""
 
 _ENOUGH_FRAMES_SHARE = 0.5
-"""Good frames below this share of the bytes were left in the port by somebody before."""
+"""Good frames below this share of the bytes may have been left in the port by somebody before."""
+
+_LEFT_BEHIND = 8192
+"""Bytes of frames that a port may hold from before: what its driver and the kernel keep."""
+
+_PICKED_UP = 200
+"""Bytes in the time of listening that a wire which is joined to nothing picks up."""
 
 _DAMAGE = ("header_crc", "frame_crc")
-_MOST_PIECES, _NOISE_SHARE = 3, 0.02
+_MOST_PIECES, _NOISE_SHARE, _DISCARDED_SHARE = 3, 0.02, 0.05
 _SESSION, _SEQUENCE = 2, 0xD0C
 _TELEMETRY = bytes(PushTelemetry.ADDRESS)
 _QUERY = encode_frame(GetVersion().encode(FIRMWARE_1_0), session=_SESSION, sequence=_SEQUENCE)
@@ -39,18 +45,24 @@ async def look_at_line(address: ConnectionString) -> tuple[Finding, ...]:
     """Listen, and ask for the version to hear whether anything comes back.
 
     Opens the port, and closes it again. Ends with the first failure.
+
+    Raises:
+        UsageError: The options of a URL cannot be: that is no matter of the line.
     """
     try:
         ear = await open_ear(address)
+    except UsageError:
+        raise
     except M100Error as error:
         return (failed(Stage.OPENING, error),)
     opened = Finding(Stage.OPENING, Verdict.GOOD, str(address))
     try:
         heard = await _listen(ear)
+        was_lost = ear.is_lost  # by the other side: closing it here comes next
     finally:
         await ear.close()
-    if ear.is_lost and ear.lost is not None and not heard.frames:
-        return (opened, _went_away(ear))
+    if was_lost:
+        return (opened, _went_away(address, ear))
     if not heard.data:
         return (opened, _silence(address))
     arrived = Finding(
@@ -61,7 +73,7 @@ async def look_at_line(address: ConnectionString) -> tuple[Finding, ...]:
     )
     if _is_echo(heard):
         return (opened, arrived, _echo(heard))
-    if not heard.frames or heard.damaged_share > _ENOUGH_FRAMES_SHARE:
+    if not heard.frames or _may_be_left_behind(heard):
         frames = await _no_frames(address, heard)
     else:
         frames = _frames(heard)
@@ -78,11 +90,24 @@ async def _listen(ear: Ear, seconds: float = LISTEN_S) -> Heard:
     return hear(bytes(ear.data))
 
 
-def _went_away(ear: Ear) -> Finding:
+def _went_away(address: ConnectionString, ear: Ear) -> Finding:
+    after = f" after {len(ear.data)} bytes" if ear.data else " at once"
+    why = f": {ear.lost}" if ear.lost is not None else ""
+    if address.scheme != "serial":
+        return Finding(
+            Stage.BYTES,
+            Verdict.FAILED,
+            f"the other end closed the connection{after}{why}",
+            (
+                "the program that listens there has another client, and takes one only",
+                "it has lost its aircraft",
+            ),
+            ("end the other client, or look at what that program says",),
+        )
     return Finding(
         Stage.BYTES,
         Verdict.FAILED,
-        f"the port went away while it was listened to: {ear.lost}",
+        f"the port went away while it was listened to{after}{why}",
         ("the adapter was unplugged, lost power, or its cable has a bad contact",),
         ("plug it in again and look: dmesg | tail",),
     )
@@ -147,6 +172,12 @@ def _echo(heard: Heard) -> Finding:
     )
 
 
+def _may_be_left_behind(heard: Heard) -> bool:
+    """Whether the few frames among much else waited in the port: of another rate, or before."""
+    good = len(heard.data) - heard.discarded_bytes
+    return heard.damaged_share > _ENOUGH_FRAMES_SHARE and good <= _LEFT_BEHIND
+
+
 async def _no_frames(address: ConnectionString, heard: Heard) -> Finding:
     seen = f"{len(heard.data)} bytes, and not one valid frame"
     if heard.frames:
@@ -164,6 +195,8 @@ async def _no_frames(address: ConnectionString, heard: Heard) -> Finding:
             likeness.commands,
             {**heard.details(), "likeness": likeness.name},
         )
+    if len(heard.data) < _PICKED_UP and not heard.frames:
+        return _picked_up(seen, heard)
     details = heard.details()
     if address.scheme == "serial" and address.number is not None:
         found = await _scan(address)
@@ -196,6 +229,27 @@ async def _no_frames(address: ConnectionString, heard: Heard) -> Finding:
     )
 
 
+def _picked_up(seen: str, heard: Heard) -> Finding:
+    return Finding(
+        Stage.FRAMES,
+        Verdict.FAILED,
+        f"{seen}: an aircraft sends far more",
+        (
+            (
+                "RX is joined to nothing and picks up noise: TX and RX are swapped, or the wire "
+                "from the aircraft's TX is broken"
+            ),
+            "the aircraft has no power, or is still starting",
+            "no common ground",
+        ),
+        (
+            "swap TX and RX at one end, and run this again",
+            "check the ground wire, and that the adapter's levels are 3.3 V",
+        ),
+        heard.details(),
+    )
+
+
 async def _scan(address: ConnectionString) -> int | None:
     """The other rate at which frames come, or None."""
     for rate in RATES:
@@ -219,12 +273,14 @@ def _frames(heard: Heard) -> Finding:
     seen = f"{good} frames with good checksums"
     damaged = sum(heard.discards.get(cause, 0) for cause in _DAMAGE)
     # A port that is opened in the middle of a frame has a piece of it at the beginning.
-    if damaged <= max(_MOST_PIECES, _NOISE_SHARE * good):
+    few = damaged <= max(_MOST_PIECES, _NOISE_SHARE * good)
+    if few and heard.damaged_share <= _DISCARDED_SHARE:
         return Finding(Stage.FRAMES, Verdict.GOOD, seen, details=heard.details())
     return Finding(
         Stage.FRAMES,
         Verdict.DOUBTFUL,
-        f"{seen}, and {damaged} damaged ones",
+        f"{seen}, and {damaged} damaged ones; {heard.discarded_bytes} of {len(heard.data)} bytes "
+        "are part of no frame",
         (
             "noise: no common ground, wires along a motor cable, 5 V levels on a 3.3 V port",
             "a half-duplex radio that is busy with telemetry",
@@ -246,6 +302,17 @@ def _telemetry(heard: Heard) -> Finding:
             Verdict.GOOD,
             f"{count} packages of telemetry",
             details={"packages": count},
+        )
+    if not any(one.is_ack for one in heard.frames):
+        return Finding(
+            Stage.TELEMETRY,
+            Verdict.DOUBTFUL,
+            f"{len(heard.frames)} frames, and among them neither telemetry nor an answer",
+            (
+                "RX is joined to the TX of another computer, not to the aircraft's",
+                "all telemetry rates are 0, and the aircraft does not hear this program",
+            ),
+            ("follow the wire from RX to the aircraft's TX",),
         )
     return Finding(
         Stage.TELEMETRY,

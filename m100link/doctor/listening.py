@@ -8,9 +8,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 from m100link.link.uart import read_inverted
 from m100link.wire.frame import HEADER_SIZE, Frame, FrameDecoder
+from m100link.wire.hunt import right_headers
 
 __all__ = ["RATES", "Heard", "Likeness", "hear"]
 
@@ -18,10 +20,13 @@ RATES = (230_400, 115_200, 921_600, 460_800, 1_000_000, 57_600)
 """Baud rates that aircraft are found at, the commonest first."""
 
 _SHOWN = 64
+_LENGTH_MASK = 0x3FF
+_FEW_CUT = 3
 _START = b"\xaa"
 _INVERTED_SIZE = 5  # bytes of an inverted frame that its length alone decides
 _TEXT_SHARE = 0.9
 _NMEA = re.compile(rb"\$(?:G[NPLAB]|BD)[A-Z]{3},")
+_SERVER = re.compile(rb"HTTP/\d|SSH-\d")
 _LOGIN = re.compile(rb"login:|password:|U-Boot|Linux version|systemd\[|\[ +\d+\.\d{6}\]", re.I)
 _MAVLINK_STARTS = {0xFE: 8, 0xFD: 12}  # version: bytes of a frame beside its data
 
@@ -78,13 +83,18 @@ class Heard:
             "first_bytes": self.data[:_SHOWN].hex(" "),
         }
 
+    def cut_frames(self) -> int:
+        """Frames whose bytes end before their length says so: the next one begins in them."""
+        starts = list(right_headers(self.data, 0, max(0, len(self.data) - HEADER_SIZE + 1)))
+        return sum(after < at + _length(self.data, at) for at, after in pairwise(starts))
+
     def likeness(self) -> Likeness | None:
         """What it looks like; None for nothing known, which a wrong baud rate looks like."""
         for look in (_constant, _text, _mavlink, _inverted):
             found = look(self.data)
             if found is not None:
                 return found
-        return None
+        return _cut(self.cut_frames())
 
 
 def hear(data: bytes) -> Heard:
@@ -95,6 +105,28 @@ def hear(data: bytes) -> Heard:
     frames += decoder.close()
     discards = {str(cause): count for cause, count in decoder.discards.items() if count}
     return Heard(data, tuple(frames), whole, discards)
+
+
+def _length(data: bytes, at: int) -> int:
+    """What the header there says that the frame's length is (document 1.3.1)."""
+    return int.from_bytes(data[at + 1 : at + 3], "little") & _LENGTH_MASK
+
+
+def _cut(count: int) -> Likeness | None:
+    if count < _FEW_CUT:
+        return None
+    return Likeness(
+        "cut",
+        f"{count} frames begin well and end too early: bytes are missing",
+        (
+            "another program reads from this port, too, and gets the other bytes",
+            "an adapter, radio or computer that is too slow, and loses bytes",
+        ),
+        (
+            "m100link ports",
+            "another adapter; lower the baud rate or the telemetry rates in the PC assistant",
+        ),
+    )
 
 
 def _constant(data: bytes) -> Likeness | None:
@@ -130,6 +162,13 @@ def _text(data: bytes) -> Likeness | None:
             f"it is NMEA text: {shown!r}",
             ("a GPS receiver is on this port, not the aircraft",),
             ("m100link ports", "choose the aircraft's port"),
+        )
+    if _SERVER.search(data):
+        return Likeness(
+            "a server",
+            f"it is text: {shown!r}",
+            ("another program listens there: a web server, or one for logins",),
+            ("check host and port: the one where the aircraft's bytes are served",),
         )
     cause = (
         "a boot console or a login prompt of another computer, or of this one"

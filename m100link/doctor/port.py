@@ -43,6 +43,14 @@ def _exists(device: str, machine: Machine) -> Finding:
     path = str(machine.device(device))
     try:
         is_terminal = machine.is_terminal_device(path)
+    except PermissionError as error:
+        return Finding(
+            Stage.PORT,
+            Verdict.FAILED,
+            f"nobody can tell whether there is a device {device}: {error.strerror}",
+            ("a folder on the way to it belongs to somebody else",),
+            (f"ls -ld {machine.device(device).parent}", "m100link ports"),
+        )
     except OSError as error:
         ports = serial_ports()
         causes = ["the adapter is not plugged in, or has another name"]

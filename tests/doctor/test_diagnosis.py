@@ -1,159 +1,62 @@
 """Set-ups that are broken, made by script: is the diagnosis the right one?
 
-Those of the port itself are in test_port.py, the rest of them over a real pseudo-terminal in
-tests/cli/test_doctor.py.
+They are in setups.py, what the port itself may have in test_port.py, some of them over a real
+pseudo-terminal in tests/cli/test_doctor.py.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
 
 import pytest
 
 from m100link import Credentials
-from m100link.doctor import Finding, Report, Stage, Verdict, diagnose
-from m100link.errors import BadURL
+from m100link.cli.doctor import exit_status
+from m100link.doctor import Finding, Stage, Verdict, diagnose
+from m100link.errors import BadURL, UsageError
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualAircraft
 from m100link.sim.orders.actions import perform
 from m100link.sim.ports.url import aircraft_of
-from tests.doctor.conftest import Speak
-from tests.doctor.test_listening import CONSOLE, GPS, mavlink
+from tests.doctor.setups import APP, SET_UPS, diagnosed, rows
 
 pytestmark = pytest.mark.anyio
 
-APP = Credentials(DEMO_APP_ID, DEMO_KEY)
-OTHER_KEY = Credentials(DEMO_APP_ID, "11" * 32)
-OTHER_APP = Credentials(4242, DEMO_KEY)
-
-
-@dataclass
-class Broken:
-    """A set-up, and what is to be said of it.
-
-    Attributes:
-        url: The aircraft and what is wrong with its line.
-        stage: At which it ends; None where it does not fail.
-        seen: A part of what is seen there.
-        cause: A part of the likeliest cause.
-        app: Whose app it is.
-        arguments: Of the diagnosis.
-        doubts: Stages that are doubtful before it.
-    """
-
-    url: str
-    stage: Stage | None
-    seen: str = ""
-    cause: str = ""
-    app: Credentials | None = None
-    arguments: dict[str, Any] = field(default_factory=dict)
-    doubts: tuple[Stage, ...] = ()
-
-
-SET_UPS = {
-    "nothing is wrong": Broken("sim://?seed=1", None, app=APP, arguments={"authority": True}),
-    "no byte arrives": Broken(
-        "sim://?mute=1", Stage.BYTES, "no answer to two version queries", "TX and RX are swapped"
-    ),
-    "both wires are broken": Broken("sim://?mute=1&deaf=1", Stage.BYTES, "not one byte", "TX"),
-    "levels are inverted": Broken(
-        "sim://?inverted=1", Stage.FRAMES, "whose levels are inverted", "an adapter for RS-232"
-    ),
-    "nearly everything is damaged": Broken(
-        "sim://?damage=0.97&seed=3", Stage.FRAMES, "part of no frame", "noise"
-    ),
-    "a part of it is damaged": Broken(
-        "sim://?damage=0.08&seed=3", None, app=APP, doubts=(Stage.FRAMES,)
-    ),
-    "the aircraft hears nothing": Broken(
-        "sim://?deaf=1", Stage.VERSION, "no answer to a version query", "the wire from our TX"
-    ),
-    "another firmware is forced": Broken(
-        "sim://?firmware=3.1",
-        Stage.FIRMWARE,
-        "do not fit firmware 1.0",
-        "another firmware than the one that was forced",
-        arguments={"firmware": "1.0"},
-    ),
-    "nobody has activated it": Broken(
-        "sim://", Stage.ACTIVATION, "it is not activated", "nobody activated it"
-    ),
-    "no app answers": Broken(
-        "sim://?cold=1", Stage.ACTIVATION, "the DJI app does not answer", "no mobile device", APP
-    ),
-    "the app id is not registered": Broken(
-        "sim://", Stage.ACTIVATION, "code 6", "app id", OTHER_APP
-    ),
-    "the key may be another": Broken("sim://", None, app=OTHER_KEY, doubts=(Stage.KEY,)),
-    "the key is another": Broken(
-        "sim://",
-        Stage.AUTHORITY,
-        "no usable answer, while plain requests are answered",
-        "the key of this program is not the one",
-        OTHER_KEY,
-        {"authority": True},
-        (Stage.KEY,),
-    ),
-    "the switch is not in F": Broken(
-        "sim://?cold=1&activated=1", Stage.MODE_SWITCH, "it is in P", "stands in P"
-    ),
-}
-
-
-async def diagnosed(broken: Broken) -> Report:
-    return await diagnose(broken.url, credentials=broken.app, **broken.arguments)
+MANUAL = Path(__file__).parents[2] / "docs/reference/diagnoses.md"
 
 
 @pytest.mark.parametrize("name", SET_UPS)
 async def test_the_diagnosis_is_right(name: str) -> None:
-    broken = SET_UPS[name]
-    report = await diagnosed(broken)
+    set_up = SET_UPS[name]
+    report = await diagnosed(set_up)
     failure = report.failure
-    assert (None if failure is None else failure.stage) is broken.stage
-    assert tuple(one.stage for one in report.doubts) == broken.doubts
+    assert (None if failure is None else failure.stage) is set_up.stage
+    assert tuple(one.stage for one in report.doubts) == set_up.doubts
+    assert exit_status(report) == set_up.status
     if failure is not None:
         assert failure is report.findings[-1]
-        assert broken.seen in failure.seen
-        assert broken.cause in failure.causes[0]
+        assert set_up.seen in failure.seen
+        assert set_up.cause in failure.causes[0]
         assert failure.commands
     stages = [one.stage for one in report.findings]
     assert stages == sorted(stages, key=list(Stage).index)
-    json.dumps(report.to_json())
+    assert all(one.causes and one.commands for one in report.doubts)
+    text = json.dumps(report.to_json()) + repr([one.details for one in report.findings])
+    for secret in (DEMO_KEY.reveal().hex(), str(DEMO_APP_ID), "11" * 32, "4242"):
+        assert secret not in text.lower()
 
 
-@pytest.mark.parametrize(
-    ("said", "name"),
-    [
-        (CONSOLE, "text"),
-        (GPS, "a GPS receiver"),
-        (mavlink(0xFD, 12), "MAVLink"),
-        (bytes(50), "held low"),
-        (b"U" * 50, "one value"),
-    ],
-)
-async def test_somebody_else_is_on_the_line(speak: Speak, said: bytes, name: str) -> None:
-    speak(said)
-    report = await diagnose("sim://")
-    assert report.failure is not None
-    assert report.failure.stage is Stage.FRAMES
-    assert report.failure.details["likeness"] in {name, "text"}
+def test_every_stage_that_can_fail_has_a_set_up_or_a_test_of_its_own() -> None:
+    failing = {one.stage for one in SET_UPS.values()} | {
+        stage for one in SET_UPS.values() for stage in one.doubts
+    }
+    assert set(Stage) - failing == {Stage.LATENCY}  # which is in test_port.py
 
 
-async def test_both_wires_of_the_adapter_are_joined(speak: Speak) -> None:
-    speak(b"", lambda heard: heard)
-    report = await diagnose("sim://")
-    assert report.failure is not None
-    assert report.failure.seen == "what was sent comes back, and nothing else"
-    assert "adapter and cable are good" in report.failure.causes[0]
-
-
-async def test_a_computer_that_listens_without_an_aircraft(speak: Speak) -> None:
-    speak(b"")
-    report = await diagnose("tcp://127.0.0.1:7000")
-    assert report.failure is not None
-    assert "the program that listens there has no aircraft" in report.failure.causes[0]
+async def test_the_table_of_the_manual_is_what_they_say() -> None:
+    written = MANUAL.read_text(encoding="utf-8").splitlines()
+    assert [line for line in written if line.startswith("|")] == await rows()
 
 
 @pytest.fixture
@@ -242,6 +145,12 @@ async def test_no_secret_is_in_a_report() -> None:
     assert "777777" not in text
 
 
-async def test_what_is_no_connection_string_is_said_at_once() -> None:
+@pytest.mark.parametrize("url", ["ttyUSB0", "sim://?firmware=9", "sim://?nonsense=1"])
+async def test_what_is_no_connection_string_is_said_at_once(url: str) -> None:
     with pytest.raises(BadURL):
-        await diagnose("ttyUSB0")
+        await diagnose(url)
+
+
+async def test_a_firmware_that_does_not_exist_is_said_and_not_taken_for_a_fault() -> None:
+    with pytest.raises(UsageError, match="no firmware profile is called '9'"):
+        await diagnose("sim://", firmware="9")

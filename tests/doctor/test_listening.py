@@ -10,17 +10,7 @@ from hypothesis import strategies as st
 
 from m100link.doctor.listening import hear
 from m100link.link.uart import read_inverted
-from m100link.wire import encode_frame
-
-TELEMETRY = encode_frame(bytes([2, 0, *range(80)]), session=0, sequence=7)
-
-GPS = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n" * 4
-CONSOLE = b"[    3.141592] usb 1-1: new device\r\nraspberrypi login: "
-
-
-def mavlink(start: int, overhead: int) -> bytes:
-    """Heartbeats."""
-    return bytes([start, 9, *range(overhead - 2 + 9)]) * 6
+from tests.doctor.bench import CONSOLE, GPS, TELEMETRY, mavlink
 
 
 def test_frames_are_counted_and_what_is_cut_off_at_the_end_is_no_damage() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from m100link.doctor.machine import Adapter, Machine
-from tests.doctor.conftest import FakeMachine
+from tests.doctor.bench import FakeMachine
 from tests.waiting import blocking_until
 
 PORT = "/dev/ttyUSB9"

@@ -12,7 +12,7 @@ import pytest
 from m100link.doctor.findings import Finding, Stage, Verdict
 from m100link.doctor.machine import Machine, Permission, Process
 from m100link.doctor.port import look_at_latency, look_at_port
-from tests.doctor.conftest import FakeMachine
+from tests.doctor.bench import FakeMachine
 
 
 class Port(NamedTuple):
