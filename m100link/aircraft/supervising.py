@@ -9,7 +9,6 @@ that it was begun on, and nothing here begins another.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -140,8 +139,11 @@ class Supervised:
         self._feed(_I.CLOSE)
         if task is not None:
             task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+            # Not awaited itself: whoever cancels this one here means it, and the task ends all the
+            # same.
+            await asyncio.wait([task])
+            if not task.cancelled():
+                task.result()
 
     # -- what programs wait for ------------------------------------------------------------------
 
@@ -152,10 +154,12 @@ class Supervised:
             M100Error: No attempt would succeed; it says why.
             LinkClosed: The block was left.
         """
-        while self.aircraft is None:
+        # One whose line is gone is still there until this has been noticed: nobody wants that one,
+        # and who iterates over its end would not let the task run that notices it.
+        while (aircraft := self.aircraft) is None or not aircraft.is_connected:
             self._raise_if_ended()
             await self._change()
-        return self.aircraft
+        return aircraft
 
     def events(self) -> Subscription[SupervisionEvent]:
         """Each change of state, from now on."""
