@@ -31,6 +31,7 @@ from websockets.asyncio.client import connect
 
 from m100link.cli.station import _MOST_UNTOLD, StationOptions, _Teller
 from m100link.errors import M100Error
+from tests.station.test_apart import Pilot
 
 COMMAND = (sys.executable, "-c", "from m100link.cli import main; main()")
 pytestmark = pytest.mark.anyio
@@ -169,6 +170,21 @@ async def test_a_front_that_died_is_told_once_and_its_console_can_be_opened_agai
     assert talk.count(b"the fronts ended (SIGKILL)") == 1
 
 
+async def _takes_off(pilot: Pilot) -> bool:
+    """Whether a flight begins and is given back; a front that got no time has lost its lease."""
+    for service, args in (
+        ("activation", {}),
+        ("sdk_control_authority", {"control_enable": 1}),
+        ("drone_task_control", {"task": 4}),
+        ("sdk_control_authority", {"control_enable": 0}),
+    ):
+        answer = await pilot.call(f"/dji_sdk/{service}", **args)
+        # The values of a call that was refused are the reason, as a text.
+        if not answer["result"] or not answer["values"]["result"]:
+            return False
+    return True
+
+
 async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
     read, write = os.pipe()
     process = await asyncio.create_subprocess_exec(
@@ -180,17 +196,10 @@ async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
     assert process.stdout is not None
     url = json.loads(await process.stdout.readline())["rosbridge"][0]
     os.close(read)  # each event from now on is a broken pipe
-    async with connect(url, close_timeout=1) as client:
-        for service, args in (
-            ("activation", []),
-            ("sdk_control_authority", [1]),
-            ("drone_task_control", [4]),
-            ("sdk_control_authority", [0]),
-        ):
-            call = {"op": "call_service", "service": f"/dji_sdk/{service}", "args": args}
-            await client.send(json.dumps(call))
-            answer = json.loads(await client.recv())
-            assert answer.get("values", {}).get("result") is True, answer
+    async with connect(url, close_timeout=1) as client, asyncio.timeout(PATIENCE):
+        pilot = Pilot(client)
+        while not await _takes_off(pilot):  # noqa: ASYNC110 - what is waited for has no event
+            await asyncio.sleep(0.5)
     process.send_signal(signal.SIGTERM)
     async with asyncio.timeout(30):
         assert await process.wait() == 0
