@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 from nicegui import ui
 from nicegui.events import ValueChangeEventArguments
@@ -23,7 +23,8 @@ _LINES = {
     "433 MHz radio": "faults radio=on",
 }
 
-_Handler = Callable[[ValueChangeEventArguments[Any]], Awaitable[None]]
+# As a text: what comes with a change is not generic in every NiceGUI that is allowed.
+_Handler: TypeAlias = "Callable[[ValueChangeEventArguments[Any]], Awaitable[None]]"
 
 
 def _gives(orders: Orders, order: Callable[[Any], tuple[str, ...]]) -> _Handler:
