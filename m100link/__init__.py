@@ -20,7 +20,24 @@ TYPE_CHECKING = False  # what checkers take for true, without a module of 10 ms 
 if TYPE_CHECKING:
     # For type checkers and editors, which read one file and run nothing: mypy, pyright and jedi see
     # plain imports. A stub beside this file would be a second list to keep, and would hide it.
-    from m100link import errors, sync
+    # Rooms by their own names again, which is how checkers tell what may be used from outside.
+    from m100link import activation as activation
+    from m100link import aircraft as aircraft
+    from m100link import doctor as doctor
+    from m100link import errors as errors
+    from m100link import flight as flight
+    from m100link import geodesy as geodesy
+    from m100link import link as link
+    from m100link import missions as missions
+    from m100link import notifications as notifications
+    from m100link import patterns as patterns
+    from m100link import protocol as protocol
+    from m100link import requests as requests
+    from m100link import session as session
+    from m100link import sim as sim
+    from m100link import sync as sync
+    from m100link import telemetry as telemetry
+    from m100link import wire as wire
     from m100link.activation import ActivationProgress
     from m100link.aircraft import (
         Aircraft,
@@ -379,7 +396,7 @@ _OF_PLANS = frozenset(
 )
 
 # Rooms for users, not looked into for public names: those of the first are the same again.
-_OTHER_ROOMS = ("missions", "sync", "sim", "patterns")
+_OTHER_ROOMS = ("doctor", "missions", "sync", "sim", "patterns")
 
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name

@@ -7,8 +7,11 @@ import functools
 import importlib
 import pickle
 import pydoc
+import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -120,15 +123,58 @@ def test_a_key_loads_the_cipher_when_it_is_used() -> None:
 
 def test_every_public_name_is_what_type_checkers_take_it_for() -> None:
     [block] = [node for node in tree(MODULES["m100link"]).body if is_for_annotations(node)]
-    seen = {"__version__"}
+    seen, rooms = {"__version__"}, set()
     for node in ast.walk(block):
         if isinstance(node, ast.ImportFrom):
             assert node.module is not None
             for alias in node.names:
                 home = importlib.import_module(node.module)
                 assert getattr(m100link, alias.name) is getattr(home, alias.name)
-                seen.add(alias.name)
-    assert seen == set(m100link.__all__)
+                if node.module == "m100link":
+                    assert alias.asname == alias.name, "checkers take it for private"
+                    rooms.add(alias.name)
+                else:
+                    seen.add(alias.name)
+    assert seen == set(m100link.__all__) - rooms
+    assert rooms == {room.partition(".")[0] for room in (*m100link._ROOMS, *m100link._OTHER_ROOMS)}
+
+
+TYPED = """
+import m100link
+from typing import assert_type
+frame = m100link.geodesy.LocalFrame(52.0, 5.0)
+assert_type(frame, m100link.geodesy.LocalFrame)
+m100link.sim.loop_factory(1.0)
+m100link.doctor.diagnose
+m100link.protocol.Arm
+"""
+UNTYPED = """
+import m100link
+m100link.sim.no_such_name
+m100link.no_such_room
+"""
+
+
+@pytest.mark.parametrize(
+    "checker", [("mypy", "--strict", "--python-executable"), ("pyright", "--pythonpath")]
+)
+def test_rooms_have_their_types_without_an_import_of_their_own(
+    checker: tuple[str, ...], tmp_path: Path
+) -> None:
+    if shutil.which(checker[0]) is None:
+        pytest.skip(f"{checker[0]} is not installed")
+    good, bad = tmp_path / "typed.py", tmp_path / "untyped.py"
+    good.write_text(TYPED)
+    bad.write_text(UNTYPED)
+    told = subprocess.run(
+        [*checker, sys.executable, good, bad],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    lines = re.findall(r"(\w+)\.py:(\d+):.* error:", told.stdout)
+    assert lines == [("untyped", "3"), ("untyped", "4")], told.stdout
 
 
 def test_names_are_found_by_all_who_look_for_them() -> None:
