@@ -129,7 +129,7 @@ if TYPE_CHECKING:
     from m100link.flight.missions.waypoint import WaypointFlight
     from m100link.flight.pacing import Tick, Ticker
     from m100link.flight.tasks import TaskProgress
-    from m100link.link import LinkStatistics
+    from m100link.link import LinkStatistics, RoundTrips
     from m100link.missions.plan import (
         AtEnd,
         GimbalPitch,
@@ -293,6 +293,7 @@ __all__ = [
     "ReferenceFrame",
     "RemoteControl",
     "Resumed",
+    "RoundTrips",
     "Sample",
     "SessionMode",
     "Setpoint",

@@ -64,7 +64,7 @@ __all__ = [
     "Topic",
 ]
 
-VERSION = 6
+VERSION = 7
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 # -- both ways ------------------------------------------------------------------------------------
@@ -236,12 +236,17 @@ class LinkCounted:
         counters: Numbers of :class:`~m100link.LinkStatistics` by their names.
         discards: Discarded starts and frames by their causes.
         loop_lag: Seconds that the agent was late at worst in the last second.
+        round_trips: Answered requests by the upper bound of their class, s, ``inf`` for the last;
+            see :class:`~m100link.RoundTrips`.
+        round_trips_s: How long they took together, s.
     """
 
     at: float
     counters: Mapping[str, Any]
     discards: Mapping[str, Any]
     loop_lag: float
+    round_trips: Mapping[str, Any] = field(default_factory=dict)
+    round_trips_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ from m100link.aircraft import Aircraft
 from m100link.errors import AuthorityLost
 from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.events import MissionEvent
+from m100link.link.statistics import ROUND_TRIP_BOUNDS_S
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.sample import Sample
@@ -39,6 +40,7 @@ STATE_INTERVAL = 0.25
 """Seconds between two states that nothing changed in."""
 
 _NONE = MissionKind.NONE
+_BOUNDS = (*(str(bound) for bound in ROUND_TRIP_BOUNDS_S), "inf")
 
 
 class Service:
@@ -148,9 +150,15 @@ class Service:
     def _tell_counters(self, lag: float) -> None:
         aircraft = self._agent.connection.aircraft
         if aircraft is not None:
-            counters = asdict(aircraft.statistics())
+            counted = aircraft.statistics()
+            counters = asdict(counted)
             discards = counters.pop("discards")
-            self._tell(LinkCounted(self._agent.now, counters, discards, lag))
+            del counters["round_trips"]
+            trips = counted.round_trips
+            classes = dict(zip(_BOUNDS, trips.counts, strict=True))
+            self._tell(
+                LinkCounted(self._agent.now, counters, discards, lag, classes, trips.total_s)
+            )
 
     def _tell_state(self) -> None:
         """Tell the state if it has changed: always before what is told because of it."""

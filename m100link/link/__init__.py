@@ -5,7 +5,7 @@ import logging
 from m100link.link.link import Link
 from m100link.link.memory import MemoryTransport, connect_in_memory
 from m100link.link.opening import open_link
-from m100link.link.statistics import LinkStatistics
+from m100link.link.statistics import LinkStatistics, RoundTrips
 from m100link.link.url import DEFAULT_BAUD_RATE, parse_url
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Link",
     "LinkStatistics",
     "MemoryTransport",
+    "RoundTrips",
     "connect_in_memory",
     "open_link",
     "parse_url",

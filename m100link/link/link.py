@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
-from m100link.link.statistics import LinkStatistics
+from m100link.link.statistics import LinkStatistics, RoundTripCounter
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Event, Expired, SessionMode
 from m100link.wire.cipher import Cipher
@@ -70,6 +70,7 @@ class Link(asyncio.Protocol):
         "_level_at",
         "_loop",
         "_pending",
+        "_round_trips",
         "_timers",
         "_transport",
         "last_received_at",
@@ -112,6 +113,7 @@ class Link(asyncio.Protocol):
         self._is_debug = False
         self._level_at = -math.inf
         self._bytes_sent = self._frames_sent = self._dropped_writes = 0
+        self._round_trips = RoundTripCounter()
         self.last_received_at: float | None = None
 
     # -- what users of a link call ---------------------------------------------------------------
@@ -157,6 +159,7 @@ class Link(asyncio.Protocol):
             foreign_acks=sessions.foreign_acks,
             repeats=sessions.transmissions - sessions.requests,
             expired=sessions.expired,
+            round_trips=self._round_trips.counted(),
         )
 
     async def request(
@@ -203,7 +206,9 @@ class Link(asyncio.Protocol):
             self._flush()
             if not self._timers or self._timers[0].when() > now + timeout:
                 self._set_timer()
-            return await future
+            payload = await future
+            self._round_trips.add(self._loop.time() - now)
+            return payload
         except BaseException:
             self._set_timer()  # what is abandoned ends, too
             raise

@@ -1,10 +1,68 @@
-"""Counters of a link."""
+"""Counters of a link, and how long its answers took."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
+from itertools import accumulate
 
-__all__ = ["LinkStatistics"]
+__all__ = ["ROUND_TRIP_BOUNDS_S", "LinkStatistics", "RoundTripCounter", "RoundTrips"]
+
+ROUND_TRIP_BOUNDS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Upper bounds of the classes of :class:`RoundTrips`, s: from memory to a radio that repeats."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoundTrips:
+    """How long answered requests took, from the call to the answer, repeats included.
+
+    Attributes:
+        counts: Requests in each class: up to each of :data:`ROUND_TRIP_BOUNDS_S` (itself included)
+            and beyond the one before; the last class has those beyond the last bound.
+        total_s: All of them together, s.
+    """
+
+    counts: tuple[int, ...] = (0,) * (len(ROUND_TRIP_BOUNDS_S) + 1)
+    total_s: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return sum(self.counts)
+
+    @property
+    def mean_s(self) -> float | None:
+        """Their mean, s; None without any."""
+        return self.total_s / self.count if self.count else None
+
+    def within_s(self, share: float) -> float | None:
+        """The bound that this share of them, 0 to 1, kept; infinity beyond the last one.
+
+        None without any.
+        """
+        if not self.count:
+            return None
+        place = bisect_left(tuple(accumulate(self.counts)), share * self.count)
+        return (*ROUND_TRIP_BOUNDS_S, float("inf"))[min(place, len(ROUND_TRIP_BOUNDS_S))]
+
+
+class RoundTripCounter:
+    """Counts round trips as they end."""
+
+    __slots__ = ("_counts", "_total")
+
+    def __init__(self) -> None:
+        self._counts = [0] * (len(ROUND_TRIP_BOUNDS_S) + 1)
+        self._total = 0.0
+
+    def add(self, seconds: float) -> None:
+        """One more."""
+        self._counts[bisect_left(ROUND_TRIP_BOUNDS_S, seconds)] += 1
+        self._total += seconds
+
+    def counted(self) -> RoundTrips:
+        """All so far."""
+        return RoundTrips(tuple(self._counts), self._total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +83,7 @@ class LinkStatistics:
         foreign_acks: Acks of nothing that was sent here.
         repeats: Transmissions beyond the first of a request.
         expired: Requests that ran out of tries.
+        round_trips: How long answered requests took.
     """
 
     bytes_received: int
@@ -40,3 +99,4 @@ class LinkStatistics:
     foreign_acks: int
     repeats: int
     expired: int
+    round_trips: RoundTrips

@@ -85,7 +85,7 @@ EXAMPLES: list[Message] = [
         dropped_writes=3,
         mismatches=4,
     ),
-    LinkCounted(1.5, {"acks": 3}, {"crc32": 2}, 0.001),
+    LinkCounted(1.5, {"acks": 3}, {"crc32": 2}, 0.001, {"0.005": 7, "inf": 1}, 0.125),
     LeaseChanged(0, ""),
     LeaseChanged(3, "tab", LeaseChange.TAKEN_OVER),
     LeaseGranted(1, "tab", "secret", 3),
