@@ -205,7 +205,6 @@ TESTED_ELSEWHERE = {
     "errors/usage.py": ("test_errors.py", "names and attributes, nothing to run"),
     "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),
     "link/opening.py": ("link/test_serial_pty.py", "what it opens is tested there"),
-    "link/statistics.py": ("link/test_link.py", "names of counters, nothing to run"),
     "flight/missions/deck.py": (
         "flight/missions/test_run.py",
         "names for its surroundings",

@@ -10,11 +10,11 @@ from typing import Annotated, Any
 from rich.table import Table
 
 from m100link.activation import ActivationProgress
-from m100link.aircraft import Aircraft, connect
+from m100link.aircraft import connect
 from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
+from m100link.cli.link import telemetry_rates
 from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
-from m100link.protocol.items import BY_RECORD
 
 __all__ = ["activate", "info"]
 
@@ -54,7 +54,7 @@ async def _info(place: Place, duration: float, as_json: bool) -> int:
             "firmware": aircraft.firmware.name,
             "firmware_is_forced": place.settings.firmware is not None,
             "firmware_summary": aircraft.firmware.summary,
-            "telemetry": _rates(aircraft),
+            "telemetry": telemetry_rates(aircraft),
             "telemetry_mismatches": aircraft.telemetry_mismatches,
             "line": numbers,
         }
@@ -63,16 +63,6 @@ async def _info(place: Place, duration: float, as_json: bool) -> int:
     else:
         _print_info(described)
     return 0
-
-
-def _rates(aircraft: Aircraft) -> dict[str, float | None]:
-    rates = {}
-    for record, item in BY_RECORD.items():
-        statistics = aircraft.state.statistics(record)
-        if statistics.count:
-            rate = statistics.rate_hz
-            rates[item.name] = None if rate is None else round(rate, 1)
-    return rates
 
 
 def _print_info(described: dict[str, Any]) -> None:

@@ -29,6 +29,10 @@ VERBS = {
         "aircraft:info",
         "Show what is at the other end: version, firmware profile, telemetry items, line quality.",
     ),
+    "link": (
+        "link:link",
+        "Measure the line: damage and its causes, how long answers take, rates of telemetry.",
+    ),
     "doctor": (
         "doctor:doctor",
         "Find out why the line is silent: stage by stage, the first that fails with its cause.",
