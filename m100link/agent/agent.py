@@ -18,6 +18,7 @@ from m100link.agent.connection import Connect, Connection
 from m100link.agent.flying import MissionOrder, Pattern
 from m100link.agent.guided import GuidedOrder
 from m100link.agent.holding import Holding, HoldingInput, HoldingState
+from m100link.agent.inherited import Inherited
 from m100link.agent.journal import Journal
 from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
 from m100link.agent.messages import Topic
@@ -59,7 +60,8 @@ class Agent:
         lease_lifetime: Seconds that a lease lasts without renewal.
         keep_authority: Seconds that control authority is kept, hovering, when whoever flew is lost
             with its front; 0 gives it back at once.
-        leases_before: Number of the last lease that an agent before may have granted.
+        leases_before: Number of the last lease that an agent before may have granted; above 0 what
+            that one may have held is given back, once the aircraft answers.
 
     Attributes:
         journal: What happened.
@@ -98,6 +100,7 @@ class Agent:
         )
         self.holding = Holding(self.journal, self.background)
         self.holding.on_change.append(self._holding_changed)
+        self._inherited = Inherited(self.journal, self.background, is_owed=leases_before > 0)
         self._keep_authority = keep_authority
         # Ends a time in which authority is held for nobody.
         self._unclaimed: asyncio.TimerHandle | None = None
@@ -130,8 +133,11 @@ class Agent:
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
         version = self.connection.version
-        if aircraft is not None and version is not None and version.is_activated:
+        if aircraft is None or version is None:
+            return
+        if version.is_activated:
             self.activation.adopt(aircraft)
+        self._inherited.connected(aircraft, is_activated=version.is_activated)
 
     # -- the lease -------------------------------------------------------------------------------
 
@@ -274,6 +280,7 @@ class Agent:
         """
         self._renewed(token)
         aircraft = self.connection.require_aircraft()
+        await self._inherited.settle()
         await self.holding.settle()
         self.desk.check(token, self.now)  # it may have ended while authority went back
         self._is_stopped = False
