@@ -11,11 +11,62 @@ from hypothesis import given
 from m100link import AtEnd, BadPlan, Heading, Trace, TurnTo, Waypoint, WaypointPlan
 from m100link.missions.waypoint import WaypointAction
 from tests.missions.plans import plans
+from tests.missions.qgroundcontrol import file, survey, waypoint
+from tests.missions.qgroundcontrol_rules import faults_of
 
 
 @given(plans())
 def test_what_was_written_is_read(plan: WaypointPlan) -> None:
     assert WaypointPlan.from_qgroundcontrol(plan.to_qgroundcontrol()) == plan
+
+
+@given(plans())
+def test_every_file_is_as_qgroundcontrol_wants_it(plan: WaypointPlan) -> None:
+    assert faults_of(plan.to_qgroundcontrol()) == []
+
+
+def changed_at(path: tuple[str | int, ...], value: object) -> str:
+    """The file of the plan below with one thing changed, or taken out."""
+    part = document = json.loads(PLAN.to_qgroundcontrol())
+    for step in path[:-1]:
+        part = part[step]
+    if value is None:
+        del part[path[-1]]
+    else:
+        part[path[-1]] = value
+    return json.dumps(document)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (("fileType",), "Mission", "fileType"),
+        (("version",), 2, "file has version 2"),
+        (("geoFence",), None, "no geoFence"),
+        (("rallyPoints", "points"), None, "no points"),
+        (("geoFence", "version"), 1, "geoFence has version 1"),
+        (("mission", "version"), 3, "mission has version 3"),
+        (("mission", "firmwareType"), None, "no firmwareType"),
+        (("mission", "plannedHomePosition"), [47.0, 8.0], "plannedHomePosition"),
+        (("mission", "cruiseSpeed"), "5", "cruiseSpeed"),
+        (("mission", "items", 1, "type"), "Simple", "type Simple"),
+        (("mission", "items", 1, "autoContinue"), 1, "autoContinue"),
+        (("mission", "items", 1, "params"), [0] * 6, "seven"),
+        (("mission", "items", 1, "AltitudeMode"), None, "no AltitudeMode"),
+        (("mission", "items", 1, "frame"), 99, "frame 99"),
+        (("mission", "items", 1, "doJumpId"), 1, "stands twice"),
+    ],
+)
+def test_the_rules_see_what_is_wrong(
+    path: tuple[str | int, ...], value: object, words: str
+) -> None:
+    assert words in " ".join(faults_of(changed_at(path, value)))
+
+
+def test_files_that_it_writes_itself_keep_the_rules() -> None:
+    second = waypoint(50) | {"doJumpId": 2}
+    assert faults_of(json.dumps(file(waypoint(0), second))) == []
+    assert faults_of(json.dumps(file(waypoint(0), survey(second)))) != []  # we write simple ones
 
 
 def same_way(action: WaypointAction) -> WaypointAction:

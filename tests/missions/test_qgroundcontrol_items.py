@@ -27,6 +27,33 @@ def test_commands_have_the_names_of_mavlink() -> None:
 
 
 @pytest.mark.parametrize(
+    "name",
+    [
+        "survey",
+        "CorridorScan",
+        "StructureScan",
+        "fwLandingPattern",
+        "vtolLandingPattern",
+        "SpinScan",
+    ],
+)
+@pytest.mark.parametrize("laid_out", [None, {}, {"Items": None}, {"Items": [{"type": "Other"}]}])
+def test_complex_items_that_were_not_laid_out_are_refused_by_name(
+    name: str, laid_out: dict[str, Any] | None
+) -> None:
+    entry = {"type": "ComplexItem", "complexItemType": name, "version": 1}
+    if laid_out is not None:
+        entry["TransectStyleComplexItem"] = laid_out
+    found = file(waypoint(0), entry, waypoint(50))
+    error = refusal(found)
+    assert error.field == "item 2"
+    assert f"item 2 is a {name!r} without items of its own" in error.seen
+    assert error.remedy
+    read = WaypointPlan.from_qgroundcontrol(json.dumps(found), leave_out=[name])
+    assert len(read.waypoints) == 2  # only whoever names it goes without it
+
+
+@pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"fileType": "Fence"}, "fileType is 'Fence'"),
