@@ -12,14 +12,51 @@ import pytest
 from m100link import WaypointPlan
 from m100link.geodesy import distance_m
 from tests.browser.conftest import console_in_browser, until
-from tests.browser.test_console import airborne, hold, is_still, look_at, press, shows
+from tests.browser.test_console import (
+    NOT_TAKEN,
+    airborne,
+    hold,
+    is_still,
+    look_at,
+    press,
+    shows,
+)
 
 pytestmark = [pytest.mark.anyio]
 
-PLACE_AT = """([x, y]) => {
+# What lies under the pointer when it is pressed, as the map is drawn at that moment.
+NOTE_PRESS = """() => {
+  const {leaflet, element} = window.m100.map;
+  element.addEventListener("pointerdown", (event) => {
+    const box = element.getBoundingClientRect();
+    const at = [event.clientX - box.left, event.clientY - box.top];
+    const place = leaflet.containerPointToLatLng(at);
+    window.pressedAt = [place.lat, place.lng];
+  }, {capture: true});
+}"""
+MARKED = """() => {
+  let found = null;
+  window.m100.map.leaflet.eachLayer((one) => {
+    if (one.getElement?.()?.classList?.contains("pointed")) found = one.getLatLng();
+  });
+  return [found.lat, found.lng];
+}"""
+
+
+METRES_PER_PIXEL = """() => {
+  const {leaflet, position} = window.m100.map;
+  return 40075016.7 * Math.cos(position[0] * Math.PI / 180) / 256 / 2 ** leaflet.getZoom();
+}"""
+FOLLOW_FAR = """() => {
+  const {map} = window.m100, at = map.position;
+  map.position = [at[0] + 0.01, at[1], at[2]];
+  map.keepInSight();
+  map.position = at;
+}"""
+PIXEL_OF = """(place) => {
   const {leaflet, element} = window.m100.map, box = element.getBoundingClientRect();
-  const place = leaflet.containerPointToLatLng([x - box.left, y - box.top]);
-  return [place.lat, place.lng];
+  const at = leaflet.latLngToContainerPoint(place);
+  return [box.left + at.x, box.top + at.y];
 }"""
 
 
@@ -60,14 +97,93 @@ async def test_a_click_is_flown_to_and_a_plan_is_drawn_kept_and_flown(
 
 
 async def _click_and_fly(page: Any) -> None:
+    await on_map(page, 0, 0)
+    await page.evaluate(NOTE_PRESS)
     spot = await on_map(page, 40, -110)
-    target = await page.evaluate(PLACE_AT, list(spot))
-    await page.mouse.click(*spot)
+    await page.mouse.move(*spot)
+    await page.mouse.down()
+    target = await page.evaluate("window.pressedAt")
+    # It would follow to somewhere else, but not under a finger that is about to point.
+    await page.evaluate(FOLLOW_FAR)
+    await page.mouse.up()
     await shows(page, "#click-preview", "min")
-    await hold(page, "guide", 1.6)
-    await shows(page, "#guided-flying", "Flies to the point")
-    await page.wait_for_selector("#guided", state="hidden")
-    assert distance_m(*await position(page), *target) < 1.0
+    await page.wait_for_selector(".point.pointed")
+    assert distance_m(*await page.evaluate(MARKED), *target) < 0.4  # a pixel
+    await _confirm_until_there(page, target)
+
+
+async def _confirm_until_there(page: Any, target: tuple[float, float]) -> None:
+    """Hold until it flew there; a flight that something cut short says what."""
+    while True:
+        await hold(page, "guide", 1.6)
+        await page.wait_for_function(
+            "document.querySelector('#guided-flying')?.textContent.includes('Flies to the point')"
+            " || document.querySelector('#problem')?.textContent"
+        )
+        await page.wait_for_selector("#guided", state="hidden")
+        if distance_m(*await position(page), *target) < 1.0:
+            return
+        await page.wait_for_function("document.querySelector('#problem')?.textContent")
+        problem = await page.inner_text("#problem")
+        assert "the aircraft hovers" in problem or any(why in problem for why in NOT_TAKEN)
+        if "You have control" not in await page.inner_text("#banner"):
+            await press(page, "obtain")
+            await shows(page, "#banner", "You have control")
+        if not await page.locator("#click").is_visible():
+            spot = await page.evaluate(PIXEL_OF, list(target))
+            await page.mouse.click(*spot)
+        await page.wait_for_selector("[data-act=guide]:visible")
+
+
+async def drag(page: Any, selector: str, across: float, down: float) -> None:
+    box = await page.locator(selector).bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    await page.mouse.move(x, y)
+    await page.mouse.down()
+    await page.mouse.move(x + across, y + down, steps=6)
+    await page.mouse.up()
+
+
+async def test_handles_on_the_map_set_radius_and_heading_for_whoever_has_control(
+    browser: Any,
+) -> None:
+    async with console_in_browser(browser, "--firmware", "3.1") as console:
+        page = await airborne(console)
+        await page.mouse.click(*await on_map(page, 80, -60))
+        await page.click("[data-wish=circle]")
+        await page.wait_for_selector(".point.handle.radius")
+        await drag(page, ".point.handle.radius", 40, 0)
+        await page.wait_for_function("Number(document.querySelector('#click-radius').value) > 25")
+        radius = float(await page.input_value("#click-radius"))
+        assert radius == pytest.approx(15 + 40 * await page.evaluate(METRES_PER_PIXEL), abs=2.0)
+        await page.click("[data-wish=heading]")
+        await page.wait_for_selector(".point.handle.radius", state="detached")
+        await page.wait_for_selector(".point.handle.yaw")  # at 0°, ahead of the aircraft
+        await drag(page, ".point.handle.yaw", 54, 54)
+        await page.wait_for_function("Number(document.querySelector('#click-yaw').value) > 20")
+        assert 60 < float(await page.input_value("#click-yaw")) < 120
+        await press(page, "release")
+        await page.wait_for_selector(".point.handle.yaw", state="detached")
+
+
+async def test_a_hold_flies_nothing_when_the_point_changed_meanwhile(browser: Any) -> None:
+    async with console_in_browser(browser, "--firmware", "3.1") as console:
+        page = await airborne(console)
+        before = await position(page)
+        await page.mouse.click(*await on_map(page, 40, -110))
+        await shows(page, "#click-preview", "min")
+        box = await page.locator("[data-act=guide]").bounding_box()
+        await page.mouse.move(box["x"] + 10, box["y"] + 10)
+        await page.mouse.down()
+        # As an event that was long on its way, or a second hand on the map.
+        place = [before[0] + 0.0003, before[1]]
+        await page.evaluate("(place) => emitEvent('map_pointed', {view: 'fly', place})", place)
+        await asyncio.sleep(1.8)
+        await page.mouse.up()
+        await shows(page, "#click-refusals", "the point changed while the button was held")
+        assert is_still(console)
+        assert distance_m(*await position(page), *before) < 1.0
+        await _confirm_until_there(page, (place[0], place[1]))
 
 
 async def _refused_beside_the_click(page: Any) -> None:

@@ -21,7 +21,7 @@ _ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
 """What ends a motion is done however late it comes."""
 
 
-_SAID_AT = "m100.socket.saidAt"
+_SAID = "{at: m100.socket.saidAt, shown: event.detail?.shown}"
 
 
 async def _stood_still() -> None:
@@ -30,6 +30,15 @@ async def _stood_still() -> None:
         guard="order_late",
         cause="nobody knows whether it was held: the browser was busy with something else",
         remedy="look at the aircraft, then hold it again",
+    )
+
+
+async def _shifted() -> None:
+    raise GuardRefused(
+        "the page shifted as the button was pressed; nothing was done",
+        guard="page_shifted",
+        cause="where the finger came down, another button had been just before",
+        remedy="see which button is under the finger, then hold it again",
     )
 
 
@@ -55,6 +64,7 @@ class Buttons:
         *,
         kind: str = "",
         hold: bool = False,
+        check: Callable[[object], None] | None = None,
     ) -> Any:
         """A button in the present element; several may give the same order.
 
@@ -65,6 +75,8 @@ class Buttons:
                 its press.
             kind: ``"stop"`` or ``"plain"``, else a usual one.
             hold: Whether it has to be held for a second.
+            check: Called first, with what ``data-shown`` of the button was when the press began;
+                raises what refuses it.
         """
         button = ui.element("button").classes(f"act {kind}").props(f"type=button data-act={name}")
         with button:
@@ -73,12 +85,17 @@ class Buttons:
             self._wording.put(text.set_text, label)
         if hold:
             button.classes("hold")
+            button.on("shifted", lambda: self._tab.attempt(_shifted), args=[])
             button.on("unsure", lambda: self._tab.attempt(_stood_still), args=[])
 
         async def pressed(event: GenericEventArguments) -> None:
+            said = event.args if isinstance(event.args, dict) else {}
+
             async def order() -> None:
                 if name not in _ENDS:
-                    self._tab.check_order(event.args)
+                    self._tab.check_order(said.get("at"))
+                if check is not None:
+                    check(said.get("shown"))
                 await (work(event.args) if name == "stop" else work())
 
             # The page goes on while the aircraft flies.
@@ -89,7 +106,7 @@ class Buttons:
         button.on(
             {"stop": "stopped"}.get(name, "held" if hold else "click"),
             pressed,
-            js_handler=f"(event) => emit({'event.detail' if name == 'stop' else _SAID_AT})",
+            js_handler=f"(event) => emit({'event.detail' if name == 'stop' else _SAID})",
         )
         self._buttons.setdefault(name, []).append((button, True))
         return button

@@ -26,6 +26,7 @@ from m100link.station.console.view.click import (
     Drawing,
     Pointed,
     Refusal,
+    Shown,
     Wish,
     click_of,
 )
@@ -37,10 +38,14 @@ __all__ = ["ClickPart"]
 # What is shown of each wish.
 _SHOWN: dict[Wish, tuple[str, ...]] = {
     Wish.PLACE: ("way", "height", "speed"),
-    Wish.CIRCLE: ("way", "height", "speed", "radius", "turns"),
+    Wish.CIRCLE: ("way", "height", "speed", "radius", "turns", "clockwise"),
     Wish.HEIGHT: ("height",),
     Wish.HEADING: ("yaw_deg",),
 }
+
+
+# Which numbers have handles on the map, and to how many digits a hand sets them.
+_DRAGGED = {"radius": 1, "yaw_deg": 0}
 
 
 class ClickPart:
@@ -54,6 +59,7 @@ class ClickPart:
         self._deck = deck
         self._say = Speaker()
         self._pointed = Pointed()
+        self._shown = Shown()
         self._problem: M100Error | None = None
         self._orders = 0  # given so far: only the newest one's end is told
         self._is_open = False
@@ -69,6 +75,7 @@ class ClickPart:
         """Lay it out."""
         self._deck.load("pointing.js")
         ui.on("map_pointed", self._clicked)
+        ui.on("map_dragged", self._dragged)
         self._opener = ui.element("button").classes("act plain").props("type=button id=point-open")
         with self._opener:
             ui.label(self._word("title"))
@@ -85,7 +92,9 @@ class ClickPart:
             self._refusals = ui.element("div").props("id=click-refusals role=alert")
             with ui.element("div").classes("acts"):
                 add = self._deck.buttons.add
-                self._fly_button = add("guide", self._word("fly"), self._fly, hold=True)
+                self._fly_button = add(
+                    "guide", self._word("fly"), self._fly, hold=True, check=self._check_shown
+                )
                 close = ui.element("button").classes("act plain")
                 with close.props("type=button id=point-close"):
                     ui.label(self._word("close"))
@@ -123,6 +132,14 @@ class ClickPart:
                 # The handle to drag; whoever does not drag has the number and the arrow keys.
                 slider = ui.slider(min=low, max=high, step=step).bind_value(number)
                 slider.props(f'aria-label="{self._word(word)}"')
+
+        with ui.element("div") as self._fields["clockwise"]:
+            box = ui.checkbox(self._word("clockwise"), value=self._pointed.clockwise)
+            box.props("id=click-clockwise").on_value_change(self._turned)
+
+    def _turned(self, event: events.ValueChangeEventArguments[Any]) -> None:
+        self._pointed = replace(self._pointed, clockwise=bool(event.value))
+        self._problem = None
 
     def _number(
         self, word: str, low: float, high: float, step: float, changed: Callable[..., None]
@@ -162,6 +179,15 @@ class ClickPart:
             self._pointed = self._pointed.at(*place)
             self._open(is_open=True)
 
+    def _dragged(self, event: events.GenericEventArguments) -> None:
+        """A handle on the map was let go: the radius of a circle, or a heading."""
+        found = event.args if isinstance(event.args, dict) else {}
+        name, value = found.get("name"), found.get("value")
+        if name in _DRAGGED and _is_number(value) and self._is_open and self._deck.tab.has_lease:
+            self._pointed = self._pointed.changed(name, round(value, _DRAGGED[name]))
+            self._problem = None
+            self._numbers[name].set_value(getattr(self._pointed, name))
+
     def _take_height(self) -> None:
         """A flight to a point keeps the height that the aircraft has, unless somebody says so."""
         telemetry = self._deck.agent.telemetry
@@ -182,6 +208,13 @@ class ClickPart:
         here = position.latitude_deg, position.longitude_deg
         self._pointed = self._pointed.by_distance(here, distance, bearing)
 
+    def _check_shown(self, shown: object) -> None:
+        try:
+            self._shown.check(shown, self._pointed)
+        except M100Error as error:
+            self._problem = error  # beside the point, too
+            raise
+
     async def _fly(self) -> None:
         order, tab = self._pointed.order, self._deck.tab
         if order is None:
@@ -193,6 +226,8 @@ class ClickPart:
         except M100Error as error:
             if mine == self._orders:
                 self._problem = error
+                if not self._is_open:
+                    raise  # it flew, and the panel beside which it would stand is closed
 
     def _begun(self) -> None:
         """It flies: what is pointed at now would be the next one."""
@@ -201,6 +236,7 @@ class ClickPart:
                 self._open(is_open=False)
 
     async def _hover(self) -> None:
+        self._orders += 1  # an end that was asked for is not a problem
         self._deck.agent.halt(f"{self._deck.tab.name}: hover")
 
     # -- what is shown ---------------------------------------------------------------------------
@@ -209,6 +245,7 @@ class ClickPart:
         """Show what is."""
         agent = self._deck.agent
         order = self._pointed.order if self._is_open else None
+        has_control = self._deck.tab.has_lease and agent.has_authority
         foreseen = None
         if order is not None:
             foreseen = preview(order, agent.telemetry, agent.state.limits)
@@ -216,15 +253,16 @@ class ClickPart:
             self._pointed if self._is_open else Pointed(),
             foreseen,
             agent.state.guided,
-            has_control=self._deck.tab.has_lease and agent.has_authority,
+            has_control=has_control,
             problem=self._problem,
         )
         self._preview.set_text(self._said(found.preview))
         self._fly_button.set_visibility(found.may_fly)
+        self._fly_button.props(f"data-shown={self._shown.show(self._pointed)}")
         self._flying.set_text(self._said(found.flying))
         self._guided.set_visibility(agent.state.guided is not None)
         self._tell(found.refusals)
-        self._draw(found)
+        self._draw(found, has_control=has_control)
 
     def _said(self, text: Text | None) -> str:
         return "" if text is None else self._say(text)
@@ -242,8 +280,9 @@ class ClickPart:
                     remedy = refusal.remedy
                     ui.label(self._say(remedy) if isinstance(remedy, Text) else remedy)
 
-    def _draw(self, found: ClickView) -> None:
-        wanted = json.dumps({"pointed": _drawing(found.pointed), "flown": _drawing(found.flown)})
+    def _draw(self, found: ClickView, *, has_control: bool) -> None:
+        drawings = {"pointed": _drawing(found.pointed), "flown": _drawing(found.flown)}
+        wanted = json.dumps(drawings | {"handles": has_control and self._is_open})
         if wanted != self._drawn:
             self._drawn = wanted
             ui.run_javascript(f'import("/console/pointing.js").then((map) => map.draw({wanted}))')

@@ -41,6 +41,8 @@ export class FlightMap {
     this.element = element;
     this.follows = true;
     this.isHeadingUp = false;
+    this.isPressed = false;  // what somebody aims at does not move away under the finger
+    this.turned = 0;  // degrees, as drawn
     this.track = [];
     this.runs = [];       // of the track, one for each stretch of a colour
     this.home = null;
@@ -58,6 +60,7 @@ export class FlightMap {
     leaflet.on("dragstart", () => this.setFollow(false));
     document.addEventListener("click", (event) => this.choose(event.target.closest("[data-map]")));
     turnGestures(this);
+    this.keepStillWhilePressed();
     new ResizeObserver(() => leaflet.invalidateSize({pan: false})).observe(element);
   }
 
@@ -84,11 +87,15 @@ export class FlightMap {
     this.keepInSight();
   }
 
-  get turned() {
-    return this.isHeadingUp && this.attitude ? -this.attitude[2] : 0;
+  keepStillWhilePressed() {
+    this.element.addEventListener("pointerdown", () => { this.isPressed = true; }, {capture: true});
+    for (const end of ["pointerup", "pointercancel", "blur"])
+      window.addEventListener(end, () => { this.isPressed = false; });
   }
 
   turn() {
+    if (!this.isHeadingUp) this.turned = 0;
+    else if (this.attitude) this.turned = -this.attitude[2];
     this.element.parentElement.style.setProperty("--turned", `${this.turned}deg`);
   }
 
@@ -117,7 +124,7 @@ export class FlightMap {
     // Home is where it stood last: a page that comes in flight does not know.
     if (live.pos && live.ground && !(this.home && Math.hypot(...metres(live.pos, this.home)) < 1))
       this.setHome(live.pos.slice(0, 2));
-    if (live.att) this.turn();
+    if (live.att && !this.isPressed) this.turn();
     if (!this.position) return;
     this.drawAircraft(live);
     this.drawHome(live);
@@ -191,7 +198,7 @@ export class FlightMap {
 
   // Moved only when it has to be: a map that stands still costs nothing.
   keepInSight() {
-    if (!this.position) return;
+    if (!this.position || this.isPressed) return;
     const view = this.element.closest("#map-view").getBoundingClientRect(), free = freeOf(view);
     const x = (free.left + free.right) / 2 - view.left, y = (free.top + free.bottom) / 2 - view.top;
     const frame = this.element.parentElement.style;

@@ -1,11 +1,14 @@
 // What was pointed at on the map, and what flies to where somebody pointed.
 
+import {metres, place as placeAt, bearing} from "./map.js";
 import {m100} from "./shell.js";
 
 const AHEAD_M = 30;  // of the line that shows a heading
 
 let layers = null;
 let drawn = {};
+let dragged = null;  // what is under a finger now shows itself
+let handleAt = 90;  // where on its circle the handle stands, degrees from north
 
 const emit = (name, value) => window.emitEvent(name, value);
 
@@ -20,8 +23,25 @@ m100.onMap((map) => {
   layers = {
     pointed: {mark: mark("pointed", true), circle: circle("#1565c0"), line: line("#1565c0")},
     flown: {mark: mark("flown", false), circle: circle("#2e7d32"), line: line("#2e7d32")},
+    radius: mark("handle radius", true),
+    yaw: mark("handle yaw", true),
   };
-  map.leaflet.on("click", ({latlng}) => point(latlng));
+  follow(layers.radius, "radius", (at) => {
+    const centre = drawn.pointed.place;
+    if (!centre) return null;  // something else was chosen meanwhile
+    const radius = Math.hypot(...metres(at, centre));
+    handleAt = bearing(at, centre);
+    layers.pointed.circle.setRadius(radius);
+    return radius;
+  });
+  follow(layers.yaw, "yaw_deg", (at) => {
+    const from = map.position.slice(0, 2), yaw = bearing(at, from);
+    layers.pointed.line.setLatLngs([from, ahead(from, yaw)]);
+    return yaw;
+  });
+  // While it zooms, what is seen is not yet where it will be.
+  map.leaflet.on("click", ({latlng}) => map.leaflet._animatingZoom || point(latlng));
+  watchDrag(layers.pointed.mark);
   layers.pointed.mark.on("dragend", () => point(layers.pointed.mark.getLatLng()));
   m100.onLive(() => redraw(map));
   redraw(map);
@@ -31,7 +51,21 @@ function point({lat, lng}) {
   emit("map_pointed", {view: document.body.dataset.view, place: [lat, lng]});
 }
 
-// {pointed, flown}: each {place: [latitude, longitude] or null, radius, yaw: degrees or null}.
+function watchDrag(mark) {
+  mark.on("dragstart", () => { dragged = mark; });
+  mark.on("dragend", () => { dragged = null; });
+}
+
+// A handle shows at once what it is dragged to, and says it when it is let go.
+function follow(handle, name, read) {
+  const at = () => [handle.getLatLng().lat, handle.getLatLng().lng];
+  watchDrag(handle);
+  handle.on("drag", () => read(at()));
+  handle.on("dragend", () => emit("map_dragged", {name, value: read(at())}));
+}
+
+// {pointed, flown, handles}: the first two each {place: [latitude, longitude] or null, radius, yaw:
+// degrees or null}; handles are there for whoever has control.
 export function draw(wanted) {
   drawn = wanted;
   if (m100.map) redraw(m100.map);
@@ -40,12 +74,23 @@ export function draw(wanted) {
 function redraw(map) {
   for (const name of ["pointed", "flown"]) {
     const {mark, circle, line} = layers[name], {place, radius, yaw} = drawn[name] || {};
-    show(map, mark, place && (() => mark.dragging?.moving?.() || mark.setLatLng(place)));
+    if (name === "pointed" && dragged) continue;
+    show(map, mark, place && (() => mark.setLatLng(place)));
     show(map, circle, place && radius && (() => circle.setLatLng(place).setRadius(radius)));
     const from = map.position?.slice(0, 2);
     const to = place || (from && yaw !== null && yaw !== undefined && ahead(from, yaw));
     show(map, line, from && to && (() => line.setLatLngs([from, to])));
   }
+  if (!dragged) showHandles(map);
+}
+
+function showHandles(map) {
+  const {place, radius, yaw} = drawn.handles ? drawn.pointed || {} : {};
+  const angle = handleAt * Math.PI / 180;
+  show(map, layers.radius, place && radius && (() => layers.radius.setLatLng(
+    placeAt(place, radius * Math.sin(angle), radius * Math.cos(angle)))));
+  const from = map.position?.slice(0, 2), turns = yaw !== null && yaw !== undefined;
+  show(map, layers.yaw, from && !place && turns && (() => layers.yaw.setLatLng(ahead(from, yaw))));
 }
 
 function ahead([latitude, longitude], yaw) {

@@ -6,6 +6,7 @@ import {drawHorizon, drawChannels} from "./instruments.js";
 import {FlightMap} from "./map.js";
 
 const HOLD_MS = 1000;
+const SHIFTED_MS = 400;  // so long after the page shifted, a finger is where another button was
 const STOOD_STILL_MS = 500;  // later than this, nobody knows whether the button was held
 
 const listeners = [];
@@ -44,6 +45,7 @@ export function start(key) {
   });
 }
 
+let shiftedAt = -Infinity;
 let isDrawing = false;
 
 function draw() {
@@ -83,18 +85,22 @@ function stopAtOnce(button) {
   button.addEventListener("click", (event) => event.timeStamp - pressedAt > 1000 && stop());
 }
 
-// Buttons of class "hold" say "held" after a second, or "unsure"; they may come and go.
+// Buttons of class "hold" say "held" after a second, or "unsure"; they may come and go. What is told
+// with it stood on the button when the press began: whatever came since was not what was confirmed.
 function holdToPress() {
   let held = null;
   const begin = (event, button) => {
     if (held || button.disabled || event.button > 0) return;
+    if (event.pointerId !== undefined && performance.now() - shiftedAt < SHIFTED_MS)
+      return void button.dispatchEvent(new CustomEvent("shifted", {detail: {}}));
     button.classList.add("holding");
     const timer = setTimeout(() => {
       const isLate = performance.now() - held.at > HOLD_MS + STOOD_STILL_MS;
       end();
       if (!button.disabled && button.isConnected)
-        button.dispatchEvent(new CustomEvent(isLate ? "unsure" : "held", {detail: {}}));
+        button.dispatchEvent(new CustomEvent(isLate ? "unsure" : "held", {detail: {shown}}));
     }, HOLD_MS);
+    const shown = button.dataset.shown;
     held = {button, timer, at: performance.now(), pointer: event.pointerId};
   };
   const end = () => {
@@ -132,7 +138,13 @@ function holdToPress() {
 
 // The header grows with what it has to say; nothing lies under it.
 function keepBelowHeader(header) {
-  const fit = () => document.documentElement.style.setProperty("--top", `${header.offsetHeight}px`);
+  let height = 0;
+  const fit = () => {
+    if (header.offsetHeight === height) return;
+    if (height) shiftedAt = performance.now();
+    height = header.offsetHeight;
+    document.documentElement.style.setProperty("--top", `${height}px`);
+  };
   new ResizeObserver(fit).observe(header, {box: "border-box"});
 }
 

@@ -24,7 +24,16 @@ from m100link.geodesy import LocalFrame
 from m100link.station.console.view.units import Kind, Quantity
 from m100link.station.console.view.words import Text, say
 
-__all__ = ["HIGHEST_M", "ClickView", "Drawing", "Pointed", "Refusal", "Wish", "click_of"]
+__all__ = [
+    "HIGHEST_M",
+    "ClickView",
+    "Drawing",
+    "Pointed",
+    "Refusal",
+    "Shown",
+    "Wish",
+    "click_of",
+]
 
 LOWEST_M, HIGHEST_M = 2.0, 120.0
 """Heights that the page offers; the guards say which of them are flown."""
@@ -123,6 +132,38 @@ class Pointed:
                 clockwise=self.clockwise,
             )
         return FlyTo(*self.place, height=self.height, speed=self.speed)
+
+
+class Shown:
+    """Which point the preview shows: a hold confirms that one, whatever moved since it began."""
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._pointed = Pointed()
+
+    def show(self, pointed: Pointed) -> int:
+        """The preview shows this one; returns its number, another one for each other point."""
+        if pointed != self._pointed:
+            self._number, self._pointed = self._number + 1, pointed
+        return self._number
+
+    def check(self, number: object, pointed: Pointed) -> None:
+        """Refuse what was not shown when the hold began.
+
+        Args:
+            number: What :meth:`show` returned, as it comes back from the page.
+            pointed: What would be flown.
+
+        Raises:
+            GuardRefused: It is another one.
+        """
+        if str(number) != str(self._number) or pointed != self._pointed:
+            raise GuardRefused(
+                "the point changed while the button was held; nothing was done",
+                guard="order_changed",
+                cause="what the preview showed at the press is not what would be flown",
+                remedy="look at the preview, then hold again",
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,14 @@ from m100link.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo,
 from m100link.agent.preview import Preview
 from m100link.errors import GuardRefused, LinkError, M100Error, NotObserved, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.station.console.view.click import HIGHEST_M, Drawing, Pointed, Wish, click_of
+from m100link.station.console.view.click import (
+    HIGHEST_M,
+    Drawing,
+    Pointed,
+    Shown,
+    Wish,
+    click_of,
+)
 from m100link.station.console.view.units import Language
 from m100link.station.console.view.words import Speaker, Text
 
@@ -30,6 +37,28 @@ def test_a_point_becomes_a_flight_there() -> None:
     assert Pointed().order is None
     pointed = Pointed().at(*HERE).changed("height", 12).changed("speed", 3.5)
     assert pointed.order == FlyTo(*HERE, height=12.0, speed=3.5)
+
+
+def test_a_hold_confirms_what_the_preview_showed_when_it_began() -> None:
+    shown = Shown()
+    first = Pointed().at(*HERE)
+    number = shown.show(first)
+    assert shown.show(first) == number
+    shown.check(str(number), first)  # as it comes back from an attribute of the page
+    moved = first.at(HERE[0] + 0.0001, HERE[1])
+    with pytest.raises(GuardRefused, match="the point changed while the button was held"):
+        shown.check(str(number), moved)  # the preview does not show it yet
+    assert shown.show(moved) != number
+    with pytest.raises(GuardRefused) as refused:
+        shown.check(str(number), moved)  # it does, but not when the hold began
+    assert refused.value.guard == "order_changed"
+    shown.show(first)
+    with pytest.raises(GuardRefused):
+        shown.check(str(number), first)  # there and back again is a change, too
+    nothing: object
+    for nothing in (None, "", 7.5, {}):
+        with pytest.raises(GuardRefused):
+            shown.check(nothing, first)
 
 
 def test_around_it_up_and_round() -> None:
