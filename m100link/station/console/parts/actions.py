@@ -29,12 +29,6 @@ class ActionsPart:
     def build(self) -> None:
         """Lay it out."""
         tab, add = self._deck.tab, self._deck.buttons.add
-        with ui.element("div").classes("told"):
-            self._activation = ui.label().props("id=activation")
-            with ui.element("button").props("type=button data-go=check id=why-not") as why_not:
-                self._why_not = ui.label()
-            self._why_not_button = why_not.classes("see")
-            why_not.on("click", lambda: self._deck.show("check"), args=[])
         with ui.element("div").classes("acts"):
             add("activate", "actions.activate", tab.activate, kind="plain")
             add("obtain", "actions.obtain", self._take_over.obtain)
@@ -47,12 +41,20 @@ class ActionsPart:
                 "simple_task",
                 "actions.simple_task",
                 lambda: tab.simple_task(int(self._number.value)),
+                hold=True,
             )
             self._number = (
                 ui.select(_LEGS, value=0)
                 .props('dense outlined id=task-number aria-label="which simple task"')
                 .classes("task-number")
             )
+        # Behind the buttons: it comes and goes, and they stay where the finger is.
+        with ui.element("div").classes("told"):
+            self._activation = ui.label().props("id=activation")
+            with ui.element("button").props("type=button data-go=check id=why-not") as why_not:
+                self._why_not = ui.label()
+            self._why_not_button = why_not.classes("see")
+            why_not.on("click", lambda: self._deck.show("check"), args=[])
 
     def update(self, view: View) -> None:
         """Show what is."""

@@ -10,6 +10,6 @@ WORDS: dict[str, tuple[str, str]] = {
     "actions.take_off": ("Take off (hold)", "Starten (halten)"),
     "actions.land": ("Land (hold)", "Landen (halten)"),
     "actions.go_home": ("Go home", "Heimfliegen"),
-    "actions.simple_task": ("Simple task", "Einfache Aufgabe"),
+    "actions.simple_task": ("Simple task (hold)", "Einfache Aufgabe (halten)"),
     "actions.why_not": ("Before take-off: {count} to check", "Vor dem Start: {count} zu prüfen"),
 }
