@@ -48,9 +48,14 @@ async def address() -> AsyncIterator[str]:
 
 
 class Watch:
-    """Telemetry of the virtual aircraft, by rosbridge."""
+    """Telemetry of a virtual aircraft, by rosbridge.
 
-    def __init__(self) -> None:
+    Args:
+        prefix: Of its topics, where it is not the first of a station.
+    """
+
+    def __init__(self, prefix: str = "") -> None:
+        self._prefix = f"{prefix}/dji_sdk/"
         self.newest: dict[str, Any] = {}
 
     async def run(self, url: str) -> None:
@@ -62,11 +67,13 @@ class Watch:
     async def _watch(self, socket: ClientConnection) -> None:
         for topic in ("velocity", "height_above_takeoff", "flight_status", "attitude"):
             await socket.send(
-                json.dumps({"op": "subscribe", "topic": f"/dji_sdk/{topic}", "throttle_rate": 20})
+                json.dumps(
+                    {"op": "subscribe", "topic": f"{self._prefix}{topic}", "throttle_rate": 20}
+                )
             )
         async for text in socket:
             message = json.loads(text)
-            self.newest[message["topic"].removeprefix("/dji_sdk/")] = message["msg"]
+            self.newest[message["topic"].removeprefix(self._prefix)] = message["msg"]
 
     @property
     def speed(self) -> tuple[float, float, float]:
@@ -124,12 +131,23 @@ async def until(
 
 
 @contextlib.asynccontextmanager
-async def running_console(*options: str) -> AsyncIterator[tuple[dict[str, Any], Any]]:
+async def running_console(
+    *options: str, aircraft: tuple[str, ...] = ("--sim",)
+) -> AsyncIterator[tuple[dict[str, Any], Any]]:
     """The command, as a user starts it; yields what it printed, and its process."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         *("-c", "from m100link.cli import main; main()"),
-        *("console", "--sim", "--port", "0", "--console-port", "0", "--no-open-browser", "--json"),
+        *(
+            "console",
+            *aircraft,
+            "--port",
+            "0",
+            "--console-port",
+            "0",
+            "--no-open-browser",
+            "--json",
+        ),
         *options,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
