@@ -209,6 +209,10 @@ TESTED_ELSEWHERE = {
         "flight/missions/test_run.py",
         "names for its surroundings",
     ),
+    "flight/missions/ending.py": (
+        "flight/missions/test_flying_on.py",
+        "seen in what false pushes lead to",
+    ),
     "flight/missions/events.py": (
         "flight/missions/test_waypoint.py",
         "seen by the program",

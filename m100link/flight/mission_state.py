@@ -21,6 +21,10 @@ BELIEVED_S = 3.0
 """Seconds for which a push that names a mission is believed; they come at about 10 Hz (facts K23,
 inferred)."""
 
+DENIED_S = 0.25
+"""Seconds in which two pushes come. As long a mission that was told of may fly, whatever the newest
+push says: one alone may be wrong."""
+
 _ECHO_S = 1.0
 """Seconds after the end of a mission in which pushes may still tell of it: they were under way."""
 
@@ -110,6 +114,22 @@ class MissionWatch:
             is_running=self._kind.is_mission and is_fresh,
         )
 
+    @property
+    def flying(self) -> tuple[MissionKind, ...]:
+        """The missions that may fly the aircraft, as all pushes of the last moment tell.
+
+        Of one that flies one push after the other tells, of none one after the other: where they
+        do not agree, the kind that is told of for the longest time stands first.
+        """
+        now, newest = self._clock(), self.state
+        told = [
+            (since, kind)
+            for kind, (since, until) in self._told.items()
+            if kind.is_mission
+            and (now - until <= DENIED_S or (kind is newest.kind and newest.is_running))
+        ]
+        return tuple(kind for _, kind in sorted(told, key=lambda item: item[0]))
+
     def on_status(self, push: MissionStatus, now: float) -> None:
         """A status push came (0x02/0x03)."""
         if push.kind >= len(_KINDS):
@@ -135,13 +155,16 @@ class MissionWatch:
         since, until = self._told.get(kind, (0.0, -math.inf))
         return since if self._clock() - until <= BELIEVED_S else None
 
-    def ended(self, kind: MissionKind) -> None:
-        """A mission of ours ended; pushes of the moment before may still be under way.
+    def ended(self, kind: MissionKind, *, is_echoing: bool) -> None:
+        """A mission ended.
 
-        Not when a push said so: they come in order.
+        Args:
+            kind: Which.
+            is_echoing: Whether pushes of the moment before may still be under way. Not when a push
+                said so: they come in order, and what tells of it again contradicts.
         """
-        now = self._clock()
         self._told.pop(kind, None)
         if self._kind is kind:
-            self._echo = kind, now + _ECHO_S
+            if is_echoing:
+                self._echo = kind, self._clock() + _ECHO_S
             self._kind, self._status = MissionKind.NONE, None

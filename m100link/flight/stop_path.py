@@ -30,6 +30,7 @@ StopAction = Literal["hover", "land"]
 _LANDING_DEADLINE_S = 60.0
 _LANDING_RETRY_S = 0.5
 _STATUS_POLL_S = 0.1
+_STATUS_CONFIRMED_S = 0.25  # in which a second flight status comes, unless it is sent seldom
 _LEAVES_THE_GROUND_S = 1.0  # after a take-off was commanded, if it does at all
 
 
@@ -160,7 +161,10 @@ class StopPath:
         A landing that was under way already ends here too. Releasing authority in the middle of
         either would leave the aircraft in the air.
         """
-        if self._action != "land" or self._missions.is_detached:
+        if self._action != "land":
+            return
+        await self._missions.settled()
+        if self._missions.is_detached:
             return
         if self._missions.is_of_another:
             _logger.warning(
@@ -169,7 +173,7 @@ class StopPath:
             )
             return
         deadline = self._clock() + _LANDING_DEADLINE_S
-        while self._life.plan.land and self._has_authority and self._may_be_airborne():
+        while self._life.plan.land and self._has_authority and not await self._stands():
             try:
                 await run_task(
                     self._commander, Task.LAND, timeout=max(1.0, deadline - self._clock())
@@ -207,22 +211,36 @@ class StopPath:
             if self._clock() >= deadline:
                 break
             await asyncio.sleep(_STATUS_POLL_S)
-        if not is_on_ground(self._commander) or self._may_be_airborne():
+        if not await self._stands() or not is_on_ground(self._commander):
             return  # in the air nothing of the kind is ever sent
         try:
             await switch_motors(self._commander, on=False)
         except M100Error as error:
             _logger.error("the stop path could not stop the motors: %s", error)
 
-    @property
-    def _lands_by_plan(self) -> bool:
+    async def _stands(self) -> bool:
+        """Whether it is not in the air, as two flight statuses tell: one alone may be wrong."""
+        state, until = self._commander.state, self._clock() + _STATUS_CONFIRMED_S
+        first_at = state.received_at(FlightStatus)
+        if self._may_be_airborne():
+            return False
+        while state.received_at(FlightStatus) == first_at:
+            if self._clock() >= until:
+                break
+            await asyncio.sleep(0.02)
+        return not self._may_be_airborne()
+
+    async def _lands_by_plan(self) -> bool:
         """Whether it goes home or lands at the end of a mission, and not by a landing of ours."""
-        return self._missions.lands_by_plan and self._may_be_airborne()
+        return self._missions.lands_by_plan and not await self._stands()
 
     async def _release(self) -> None:
-        if not self._life.plan.release or self._leaves_another_in_flight():
+        if not self._life.plan.release:
             return
-        if self._has_authority and (self._missions.is_detached or self._lands_by_plan):
+        await self._missions.settled()
+        if self._leaves_another_in_flight():
+            return
+        if self._has_authority and (self._missions.is_detached or await self._lands_by_plan()):
             _logger.warning(
                 "authority is kept: what the aircraft flies by itself would end without it"
             )

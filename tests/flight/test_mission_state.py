@@ -61,12 +61,12 @@ def test_a_push_that_is_old_is_not_believed_any_more() -> None:
 def test_late_pushes_of_a_mission_that_has_ended_are_not_a_new_one() -> None:
     found, time = watch()
     found.on_status(told(MissionKind.WAYPOINT), time.now)
-    found.ended(MissionKind.WAYPOINT)
+    found.ended(MissionKind.WAYPOINT, is_echoing=True)
     found.on_status(told(MissionKind.WAYPOINT), time.now)
     assert not found.state.is_running
     found.on_status(told(MissionKind.HOTPOINT), time.now)
     assert found.state.kind is MissionKind.HOTPOINT
-    found.ended(MissionKind.HOTPOINT)
+    found.ended(MissionKind.HOTPOINT, is_echoing=True)
     time.now += 1.5
     found.on_status(told(MissionKind.HOTPOINT), time.now)
     assert found.state.is_running, "it goes on, whatever was said"
@@ -93,7 +93,7 @@ def test_what_is_pushed_behind_a_push_that_ended_a_mission_is_no_late_one() -> N
     found, time = watch()
     found.on_status(told(MissionKind.WAYPOINT), time.now)
     found.on_status(told(MissionKind.NONE), time.now)
-    found.ended(MissionKind.WAYPOINT)
+    found.ended(MissionKind.WAYPOINT, is_echoing=False)
     assert found.told_since(MissionKind.WAYPOINT) is None
     time.now += 0.1
     found.on_status(told(MissionKind.WAYPOINT), time.now)

@@ -31,6 +31,8 @@ from m100link.protocol.commands.activation import GetVersion, Version
 from m100link.protocol.commands.control import RequestAuthority
 from m100link.sim import VirtualClockEventLoop
 from m100link.sim.vehicle.flight import Maneuver
+from tests.flight.foreign_aircraft import ONBOARD
+from tests.flight.missions.foreign import foreign, tell_standby_once
 from tests.rig import FIRMWARES, NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -428,6 +430,15 @@ async def test_an_old_standby_does_not_keep_an_aircraft_in_the_air() -> None:
             await control.take_off()
             await flown.fly(control)
         assert flown.virtual.height == 0.0
+
+
+async def test_one_false_standby_does_not_keep_an_aircraft_in_the_air() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control(stop="land"):
+            asyncio.get_running_loop().call_later(0.1, there.items.add, "status")
+            tell_standby_once(there)
+        assert there.tasks == [6]
+        assert there.device != ONBOARD
 
 
 async def test_stop_land_says_so_when_it_cannot_tell_whether_to_land(

@@ -33,9 +33,9 @@ _logger = logging.getLogger("m100link.flight")
 
 _LANDING = (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
 _TOLD_WITHIN_S = 0.5  # two or three pushes are lost, hardly five
-_GOES_ON_S = 3.0  # after its end, until when what is pushed of its kind is taken for ours
+_GOES_ON_S = 3.0  # after an order to stop, until when what is pushed is taken for what it ended
 _TOLD_BY_S = 1.0  # after its start, by when the pushes tell of a mission
-_CONTRADICTED_BY_S = 0.25  # after a push that ended it, by when two more have come
+_SETTLED_BY_S = 0.6  # until when pushes that contradict each other are waited for at most
 
 
 class MissionKeeper:
@@ -84,8 +84,19 @@ class MissionKeeper:
         run = self._run
         if run is not None and run.is_in_the_air:
             return run.name
-        state = self._watch.state
-        return state.kind.value if state.is_running else ""
+        kind = self._flying_kind
+        return kind.value if kind is not None else ""
+
+    @property
+    def _flying_kind(self) -> MissionKind | None:
+        """What flies the aircraft by the pushes, of which one alone is not believed."""
+        return next(iter(self._watch.flying), None)
+
+    @property
+    def _flying_since(self) -> float | None:
+        """Since when they tell of it."""
+        kind = self._flying_kind
+        return None if kind is None else self._watch.told_since(kind)
 
     @property
     def is_ours(self) -> bool:
@@ -123,7 +134,7 @@ class MissionKeeper:
         run = self._run
         if run is not None and run.state is RunState.DETACHED:
             return "it was detached: it flies on until it ends, or is stopped"
-        if run is not None and self._flies_all_the_same(run):
+        if run is not None and run.flies_all_the_same:
             return "the aircraft goes on to tell of it, although it was told to have ended"
         return (
             "this block did not start it, but a phone did, another program, one that is gone, or "
@@ -133,7 +144,7 @@ class MissionKeeper:
     @property
     def _is_told_to_stop(self) -> bool:
         """Whether what flies is what this block told to stop, in vain."""
-        run, since = self._run, self._watch.state.since
+        run, since = self._run, self._flying_since
         if run is not None and run.is_in_the_air:
             return run.state is RunState.UNSTOPPED
         return since is not None and since < self._stop_asked_at + _GOES_ON_S
@@ -147,9 +158,8 @@ class MissionKeeper:
             await self._run.stop()
             return kind
         self._stop_asked_at = self._commander.link.loop.time()
-        state = self._watch.state
-        kinds = [state.kind] if state.is_running else list(ORDERS)
-        if self._run is not None and self._flies_all_the_same(self._run):
+        kinds = list(self._watch.flying or ORDERS)
+        if self._run is not None and self._run.flies_all_the_same:
             kinds = [self._run.kind]
         stopped = MissionKind.NONE
         for kind in kinds:
@@ -159,7 +169,7 @@ class MissionKeeper:
             if code is MissionCode.SUCCESS:
                 _logger.info("%s stopped", kind.value)
                 stopped = kind
-                self._watch.ended(kind)
+                self._watch.ended(kind, is_echoing=True)
             elif code not in STOPPED_CODES:
                 raise mission_refused(f"the stop of the {kind.value}", code)
         self._detached = None
@@ -174,25 +184,25 @@ class MissionKeeper:
             UsageError: Nothing flies, as far as anybody knows.
             MissionRefused: See each class.
         """
-        run, state = self._run, self._watch.state
+        run, kind = self._run, self._flying_kind
         if run is not None and run.is_in_the_air:
             await (run.pause() if what == "pause" else run.resume())
             return run.kind
-        if not state.is_running:
+        if kind is None:
             raise UsageError(
                 f"a {what} was asked for, and no mission flies as far as the aircraft tells",
                 cause="none does, or the box 'Ground Station Status' is not ticked in the PC "
                 "assistant",
             )
-        orders = ORDERS[state.kind]
+        orders = ORDERS[kind]
         is_pause = what == "pause"
         request = orders.pause if is_pause else orders.resume
         code = await self._commander.requests.execute(
             request, timeout=0.5, tries=3, refusal=MissionRefused
         )
         if code not in (PAUSED_CODES if is_pause else RESUMED_CODES):
-            raise mission_refused(f"the {what} of the {state.kind.value}", code)
-        return state.kind
+            raise mission_refused(f"the {what} of the {kind.value}", code)
+        return kind
 
     def detach_any(self) -> MissionKind:
         """Leave what flies in flight when the block ends.
@@ -200,15 +210,15 @@ class MissionKeeper:
         Raises:
             UsageError: Nothing flies, as far as anybody knows.
         """
-        run, state = self._run, self._watch.state
+        run, kind = self._run, self._flying_kind
         if run is not None and run.is_in_the_air:
             run.detach()
             return run.kind
-        if not state.is_running:
+        if kind is None:
             raise UsageError("there is no mission that could be detached")
-        self._detached = state.kind
-        _logger.warning("%s left in flight: authority is not given back", state.kind.value)
-        return state.kind
+        self._detached = kind
+        _logger.warning("%s left in flight: authority is not given back", kind.value)
+        return kind
 
     # -- for the stop path -----------------------------------------------------------------------
 
@@ -222,7 +232,7 @@ class MissionKeeper:
         was_ours = run is not None and run.state is RunState.DETACHED
         if not was_ours and self._detached is None:
             return False
-        if self._watch.state.kind is not MissionKind.NONE:
+        if self._watch.state.kind is not MissionKind.NONE or self._watch.flying:
             return True
         # A push of before the start says nothing about what flies since.
         began_at = run.started_at if run is not None and was_ours else -math.inf
@@ -235,12 +245,21 @@ class MissionKeeper:
         A phone, a program that is gone or a block before this one started it. A block that is only
         left is no order to break it off.
         """
-        run, state = self._run, self._watch.state
-        if not state.is_running or state.since is None:
+        run, since = self._run, self._flying_since
+        if since is None:
             return False
-        if run is not None and (run.is_in_the_air or self._flies_all_the_same(run)):
+        if run is not None and (run.is_in_the_air or run.flies_all_the_same):
             return False
-        return state.since >= self._stop_asked_at + _GOES_ON_S
+        return since >= self._stop_asked_at + _GOES_ON_S
+
+    async def settled(self) -> None:
+        """Wait until pushes do not contradict each other any more, where they do."""
+        clock, watch = self._commander.link.loop.time, self._watch
+        until = clock() + _SETTLED_BY_S
+        while watch.flying and watch.state.kind not in watch.flying:
+            if clock() >= until:
+                return
+            await asyncio.sleep(0.02)
 
     @property
     def lands_by_plan(self) -> bool:
@@ -271,8 +290,11 @@ class MissionKeeper:
         else:
             if run is not None and run.owes_a_stop:
                 await run.ask()
-        if run is None or not run.owes_a_stop:
-            return run is not None and self._flies_all_the_same(run)
+        if run is None:
+            return False
+        if not run.owes_a_stop:
+            await run.ending.heard_out()
+            return run.flies_all_the_same
         is_told = self._watch.received_at > since
         if is_told and self._watch.state.kind is not run.kind:
             return False
@@ -291,8 +313,8 @@ class MissionKeeper:
         run = self._run
         if run is None:
             return None
-        await self._hear_more(run)
-        if not (run.owes_a_stop or self._flies_all_the_same(run)):
+        await run.ending.heard_out()
+        if not (run.owes_a_stop or run.flies_all_the_same):
             return None
         try:
             await (run.stop() if run.owes_a_stop else self.stop_any())
@@ -302,26 +324,6 @@ class MissionKeeper:
             _logger.error("%s", error)
             return error
         return None
-
-    async def _hear_more(self, run: MissionRun) -> None:
-        """One push may be wrong: when it has just ended ours, those behind it are waited for."""
-        clock, until = self._commander.link.loop.time, run.ended_at + _CONTRADICTED_BY_S
-        if run.state is not RunState.OVER or run.is_stopped:
-            return
-        while clock() < until and self._watch.received_at >= run.ended_at - _CONTRADICTED_BY_S:
-            if self._flies_all_the_same(run):
-                return
-            await asyncio.sleep(0.02)
-
-    def _flies_all_the_same(self, run: MissionRun) -> bool:
-        """Whether pushes went on to tell of ours when something had said that it is over.
-
-        Whatever others say between them.
-        """
-        since = self._watch.told_since(run.kind)
-        if run.state is not RunState.OVER or since is None:
-            return False
-        return since < run.ended_at + _GOES_ON_S  # one that began later is somebody else's
 
     def give_up(self, failure: M100Error | None, why: str) -> None:
         """What flies is left in flight.

@@ -19,10 +19,10 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.flight.cancellation import Errand
-from m100link.flight.known import known
 from m100link.flight.lifecycle import StopCause
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.deck import Deck, Over, Track
+from m100link.flight.missions.ending import Ending, Ground
 from m100link.flight.missions.events import (
     Aborted,
     Events,
@@ -45,7 +45,6 @@ from m100link.flight.missions.refusal import mission_refused
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Request
 from m100link.protocol.commands.missions import MissionStatus, Uploaded, WaypointEvent
-from m100link.protocol.records import FlightPhase, FlightStatus
 
 __all__ = ["AUTHORITY_CODES", "MissionRun"]
 
@@ -78,8 +77,7 @@ class MissionRun:
         kind, flies_without_rc: As above.
         state: Where it is in its life.
         started_at: When the start was sent, on the event loop's clock; minus infinity before.
-        ended_at: When it was taken for over; minus infinity before.
-        is_stopped: Whether it is over by the answer to a stop; otherwise something told so.
+        ending: When it was told to be over, and whether pushes contradict.
         events: For the program.
     """
 
@@ -95,8 +93,9 @@ class MissionRun:
         self.state = RunState.READY
         self.events = Events()
         self._is_told = False  # the program was told why it was broken off
-        self.started_at = self.ended_at = -math.inf
-        self.is_stopped = False
+        self.started_at = -math.inf
+        self.ending = Ending(deck.commander, kind)
+        self._ground = Ground(deck.commander)
         self._pushed_at = 0.0  # when a push told of this mission last, or it was started
         self._is_pushed = False  # whether one ever did
         # What the pushes said while a stop was under way, for the case that nobody answers it.
@@ -118,7 +117,14 @@ class MissionRun:
     @property
     def owes_a_stop(self) -> bool:
         """Whether it must not be left behind like this."""
-        return self.state in OWES_A_STOP
+        return self.state in OWES_A_STOP or (
+            self.state is RunState.RETURNING and self.ending.is_way_home_contradicted
+        )
+
+    @property
+    def flies_all_the_same(self) -> bool:
+        """Whether it is pushed on, although something had told that it is over."""
+        return self.state is RunState.OVER and self.ending.is_contradicted
 
     def feed(self, what: RunInput) -> bool:
         """Something happened. Returns whether it stands in the table for the present state."""
@@ -277,8 +283,7 @@ class MissionRun:
         elif code is not MissionCode.SUCCESS and code not in STOPPED_CODES:
             self.feed(RunInput.NOT_STOPPED)
             raise mission_refused(f"the stop of the {self.name}", code)
-        self.is_stopped = True
-        self._end(RunInput.STOPPED)
+        self._end(RunInput.STOPPED, is_answered=True)
 
     def _given_up(self) -> None:
         """The stop is not under way any more; unless it ended otherwise, it was not heard."""
@@ -317,6 +322,8 @@ class MissionRun:
             MissionAborted: It was broken off, and nobody told the program.
             AckTimeout, MissionRefused, LinkError: It may be flying on.
         """
+        if self._deck.block.is_open:
+            await self.ending.heard_out()
         if self.owes_a_stop and self._deck.block.is_open:
             try:
                 await self.stop()
@@ -345,6 +352,8 @@ class MissionRun:
         with self._deck.block.waiting(self.name):
             event = await self.events.take()
             failure = self.events.failure
+            if event is None:
+                await self.ending.heard_out()
             if event is None and getattr(failure, "code", None) in AUTHORITY_CODES:
                 # The push overtakes the notification of what matters more: a lost authority.
                 await asyncio.sleep(_HANDOVER_S)
@@ -378,7 +387,12 @@ class MissionRun:
             elif self.is_in_the_air:
                 self.events.add(item)
                 if isinstance(item, Finished):
-                    self.feed(RunInput.RETURNS if self._track.ends_by_landing else RunInput.FLOWN)
+                    self._flown()
+
+    def _flown(self) -> None:
+        """Every waypoint was flown, it says."""
+        if self.feed(RunInput.RETURNS if self._track.ends_by_landing else RunInput.FLOWN):
+            self.ending.tell()
 
     def _break_off(self, event: Aborted) -> None:
         if RunInput.BROKEN_OFF not in TRANSITIONS[self.state]:
@@ -397,15 +411,16 @@ class MissionRun:
         self.events.add(event)
         self._end(RunInput.BROKEN_OFF, failure)
 
-    def _end(self, how: RunInput, failure: M100Error | None = None) -> None:
+    def _end(
+        self, how: RunInput, failure: M100Error | None = None, *, is_answered: bool = False
+    ) -> None:
         """It does not fly any more."""
         if not self.feed(how):
             return
-        self.ended_at = self._clock()
+        self.ending.over(is_answered=is_answered)
         if how is RunInput.STOPPED:
             self.events.add(Stopped())
         self.events.end(failure)
-        self._deck.watch.ended(self.kind)
         self._let_go()
 
     def give_up(self, failure: M100Error | None) -> None:
@@ -465,11 +480,10 @@ class MissionRun:
         Raises:
             GuardRefused: A guard says no.
         """
-        if self.state is RunState.RETURNING:
-            status = known(self._deck.commander.state, FlightStatus)
-            if status is not None and status.status == FlightPhase.STANDBY:
+        if self.state is RunState.RETURNING and not self.owes_a_stop:
+            if self._ground.is_told():
                 self._end(RunInput.FINISHED)
-        elif self.state in (RunState.FLYING, RunState.PAUSED, RunState.ENDING):
+        elif self.is_in_the_air and self.state not in (RunState.STOPPING, RunState.UNSTOPPED):
             self._deck.guards.check_mission(self.name)
 
     async def ask(self) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import m100link
 from m100link import Aircraft, Waypoint, WaypointPlan
 from m100link.link import Link, connect_in_memory
-from tests.flight.foreign_aircraft import APP_ID, KEY, ForeignInMemory
+from tests.flight.foreign_aircraft import APP_ID, KEY, STANDBY, ForeignInMemory
 from tests.flight.foreign_missions import COS_LATITUDE, EARTH_M, LATITUDE_DEG, LONGITUDE_DEG
 
 CORNERS = ((20.0, 0.0), (20.0, 20.0), (0.0, 20.0), (0.0, 0.0))
@@ -56,6 +56,14 @@ def orders(there: ForeignInMemory, *numbers: int) -> list[tuple[int, int | None]
         for order in there.missions.orders
         if not numbers or order.number in numbers
     ]
+
+
+def tell_standby_once(there: ForeignInMemory) -> None:
+    """One false flight status, and no other until the item is sent again."""
+    status, there.status = there.status, STANDBY
+    there.step()
+    there.status = status
+    there.items.discard("status")
 
 
 async def assert_rests(there: ForeignInMemory, seconds: float = 10.0) -> None:

@@ -8,9 +8,19 @@ from contextlib import suppress
 
 import pytest
 
-from m100link import AuthorityLost, MissionAborted, MissionRefused, MissionRunning
-from tests.flight.foreign_aircraft import MODE_F, ONBOARD, frame
-from tests.flight.missions.foreign import assert_rests, foreign
+from m100link import (
+    AtEnd,
+    AuthorityLost,
+    Finished,
+    MissionAborted,
+    MissionKind,
+    MissionProgress,
+    MissionRefused,
+    MissionRunning,
+)
+from m100link.flight.stop_path import StopAction
+from tests.flight.foreign_aircraft import GOING_HOME, MODE_F, ONBOARD, STANDBY, frame
+from tests.flight.missions.foreign import assert_rests, foreign, plan, tell_standby_once
 from tests.flight.missions.test_keeper import start_from_a_phone
 from tests.flight.missions.test_run import (
     SLOW,
@@ -212,3 +222,173 @@ async def test_one_that_is_pushed_on_behind_a_pilot_who_took_the_aircraft_is_sto
                 there.leave_f()
                 await asyncio.sleep(9.0)
         assert stops(there) == [0]
+
+
+# -- one push alone is not believed ----------------------------------------------------------------
+
+LAST, FINISHED = b"\x02\x03\1\3\1\0\0\0", b"\x02\x04\1\0\0\0\0\0"
+MOMENTS = [step * 0.01 for step in range(0, 32, 3)]  # from one push to the next, thrice
+NONE = frame(b"\x02\x03" + bytes(6))
+
+
+@pytest.mark.parametrize("at_end", list(AtEnd))
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.3, 2.0])
+async def test_a_false_finished_behind_a_false_last_waypoint_does_not_leave_it_in_flight(
+    at_end: AtEnd, seconds: float
+) -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(plan(speed=1.0, at_end=at_end)) as mission:
+                await asyncio.sleep(2.0)
+                there._write(frame(LAST) + frame(FINISHED))
+                async for event in mission:
+                    if isinstance(event, Finished):
+                        break
+                else:
+                    pytest.fail("not finished")
+            await asyncio.sleep(seconds)
+            if at_end is AtEnd.HOVER:  # it is told to be over: what is said of it decides
+                with pytest.raises(MissionRunning):
+                    control.send(NORTH)
+            else:
+                assert stops(there) == [0]
+        assert not there.movements
+        await assert_stopped(there)
+
+
+@pytest.mark.parametrize("at_end", list(AtEnd))
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.3, 2.0])
+async def test_a_false_push_of_no_mission_does_not_leave_ours_in_flight(
+    at_end: AtEnd, seconds: float
+) -> None:
+    """Whatever the plan has for its end: it has not come to it."""
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(plan(speed=1.0, at_end=at_end)):
+                await asyncio.sleep(2.0)
+                there._write(NONE)
+                await asyncio.sleep(seconds)
+        await assert_stopped(there)
+
+
+@pytest.mark.parametrize("at_end", [AtEnd.GO_HOME, AtEnd.LAND])
+async def test_one_false_standby_on_the_way_home_is_not_the_ground(at_end: AtEnd) -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(plan(at_end=at_end)) as mission:
+                async for event in mission:
+                    if isinstance(event, Finished):
+                        there.status, there._lands_at = GOING_HOME, there.now() + 10.0
+                    if isinstance(event, MissionProgress) and there.status == GOING_HOME:
+                        tell_standby_once(there)
+                        await asyncio.sleep(0.25)
+                        there.items.add("status")
+            assert there.status == STANDBY
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize("stop", ["hover", "land"])
+@pytest.mark.parametrize("is_ours", [True, False])
+async def test_one_false_push_of_no_mission_does_not_end_a_detached_one(
+    moment: float, stop: StopAction, is_ours: bool
+) -> None:
+    async with foreign() as (there, aircraft):
+        if not is_ours:
+            start_from_a_phone(there)
+            await asyncio.sleep(0.5)
+        async with aircraft.control(stop=stop) as control:
+            if is_ours:
+                async with control.waypoint_mission(SLOW) as mission:
+                    await asyncio.sleep(2.0)
+                    mission.detach()
+            else:
+                control.detach_mission()
+            asyncio.get_running_loop().call_later(moment, there._write, NONE)
+            await asyncio.sleep(0.15)
+        await asyncio.sleep(2.0)
+        assert (there.missions.flying, there.device, there.tasks) == ("waypoint", ONBOARD, [])
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize("stop", ["hover", "land"])
+async def test_one_false_push_of_no_mission_does_not_end_that_of_somebody_else(
+    moment: float, stop: StopAction
+) -> None:
+    async with foreign() as (there, aircraft):
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        async with aircraft.control(stop=stop):
+            asyncio.get_running_loop().call_later(moment, there._write, NONE)
+            await asyncio.sleep(0.15)
+        await asyncio.sleep(2.0)
+        assert (there.missions.flying, there.device, there.tasks) == ("waypoint", ONBOARD, [])
+
+
+@pytest.mark.parametrize("push", [NONE, *NOT_FLYING[2:]], ids=["none", "hotpoint", "follow", "IOC"])
+async def test_beside_one_false_push_the_mission_is_refused_paused_and_stopped(
+    push: bytes,
+) -> None:
+    async with foreign() as (there, aircraft):
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        async with aircraft.control() as control:
+            there._write(push)
+            await asyncio.sleep(0.005)
+            with pytest.raises(MissionRunning):
+                control.send(NORTH)
+            assert await control.stop_mission() is MissionKind.WAYPOINT
+        await assert_rests(there)
+
+
+async def test_an_end_that_two_pushes_tell_is_believed() -> None:
+    async with foreign() as (there, aircraft):
+        start_from_a_phone(there)
+        await asyncio.sleep(0.5)
+        async with aircraft.control() as control:
+            control.detach_mission()
+            there.missions.break_off(0xD9)
+            await asyncio.sleep(0.3)
+            control.send(NORTH)
+        assert there.device != ONBOARD
+
+
+async def test_a_detached_mission_whose_end_is_told_at_the_last_moment_keeps_no_authority() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(SLOW) as mission:
+                await asyncio.sleep(2.0)
+                mission.detach()
+            there.missions.break_off(0xD9)
+            there._write(NONE)
+        assert there.device != ONBOARD
+
+
+async def test_a_pilot_who_took_the_aircraft_beside_one_false_push_finds_no_mission() -> None:
+    async with foreign() as (there, aircraft):
+        with pytest.raises((AuthorityLost, MissionAborted)):
+            async with aircraft.control() as control, control.waypoint_mission(SLOW) as mission:
+                await asyncio.sleep(2.0)
+                there.missions.break_off = lambda reason: None  # type: ignore[method-assign] # not it
+                there.missions.answers = {0x12: 0}
+                there.leave_f()
+                there._write(NONE)
+                async for _ in mission:
+                    pass
+        assert stops(there) == [0]
+
+
+@pytest.mark.parametrize("at_end", [AtEnd.GO_HOME, AtEnd.LAND])
+async def test_one_false_standby_does_not_give_back_what_is_on_its_way_home(
+    at_end: AtEnd,
+) -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(plan(at_end=at_end)) as mission:
+                async for event in mission:
+                    if isinstance(event, Finished):
+                        break
+                there.status, there._lands_at = GOING_HOME, there.now() + 10.0
+                await asyncio.sleep(0.5)
+            asyncio.get_running_loop().call_later(0.1, there.items.add, "status")
+            tell_standby_once(there)
+        assert there.device == ONBOARD
