@@ -453,7 +453,7 @@ class FrameDecoder:
             if data[place + 2] > 0x03:  # the version, behind two bits of length
                 versions += 1  # that of the densest floods
                 continue
-            word = _unpack_word(data, place)[0]
+            (word,) = _unpack_word(data, place)
             length = word >> 8 & 0x3FF
             if word & _RESERVED:
                 discards[_RESERVED_BITS] += 1
@@ -469,7 +469,7 @@ class FrameDecoder:
                 and crc32(data[place : place + length], ZLIB_START) != FRAME_RESIDUE
             ):
                 discards[_FRAME_CRC] += 1
-            elif word & _PADS and (length <= OVERHEAD or _cannot_pad(word, length)):
+            elif word & _PADS and _cannot_pad(word, length):
                 discards[_PADDING] += 1
             else:
                 break

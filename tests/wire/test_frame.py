@@ -396,6 +396,94 @@ def test_a_header_with_another_start_byte_begins_nothing(bit: int) -> None:
         assert frames == [GOOD_DECODED] * (stream != wire)
 
 
+# -- kinds that are known --------------------------------------------------------------------------
+
+OF_ALL_KINDS = {
+    "header alone": raw_frame(session=3, is_ack=True),
+    "no data": raw_frame(b"", length=16),
+    "no data, encrypted": raw_frame(b"", length=16, encryption=1),
+    "plain": GOOD,
+    "encrypted": encrypted_frame(b"abc"),
+    "encrypted, no whole block": raw_frame(bytes(range(21)), encryption=1, padding=2),
+}
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
+@pytest.mark.parametrize("name", OF_ALL_KINDS)
+def test_a_frame_of_a_known_kind_is_read_and_counted_as_the_first_one(
+    name: str, key: bytes | None
+) -> None:
+    wire = OF_ALL_KINDS[name]
+    for size in range(1, len(wire) + 1):
+        decoder = FrameDecoder(None if key is None else Cipher(key))
+        first, before = decoder.feed(wire), decoder.discards
+        for end in range(size, len(wire), size):
+            assert decoder.feed(wire[end - size : end]) == []
+            assert decoder.pending == end
+        assert decoder.feed(wire[(len(wire) - 1) // size * size :]) == first
+        assert decoder.discards == {cause: 2 * count for cause, count in before.items()}
+        assert (decoder.frames, decoder.bytes) == (2 * len(first), 2 * len(wire))
+        assert decoder.discarded_bytes == (0 if first else 2 * len(wire))
+
+
+def test_an_encrypted_frame_without_data_needs_no_key() -> None:
+    (frame,), decoder = decode(OF_ALL_KINDS["no data, encrypted"])
+    assert (frame.encrypted, frame.data) == (True, b"")
+    assert faults(decoder) == {}
+
+
+@pytest.mark.parametrize("encryption", [0, 1])
+def test_padding_without_data_is_refused_in_pieces_too(encryption: int) -> None:
+    wire = raw_frame(b"", length=16, padding=1, encryption=encryption)
+    for at in range(1, len(wire)):
+        decoder = FrameDecoder(Cipher(KEY))
+        assert decoder.feed(wire[:at]) + decoder.feed(wire[at:]) == []
+        assert faults(decoder) == {"padding": 1}
+
+
+@pytest.mark.parametrize("sequence", [1, 2, 0x5555, 0xFFFF])
+def test_a_known_header_whose_checksum_is_joined_wrongly_begins_nothing(sequence: int) -> None:
+    """Its CRC16 is that of the kind xor a share of the sequence number, and not their and or or."""
+    kind, right = crc16(raw_frame()[:10]), crc16(raw_frame(sequence=sequence)[:10])
+    share = kind ^ right
+    for wrong in (kind & share, kind | share, kind, share):
+        decoder = FrameDecoder()
+        assert len(decoder.feed(raw_frame())) == 1
+        assert decoder.feed(raw_frame(sequence=sequence, crc16_error=right ^ wrong)) == []
+
+
+def test_behind_a_damaged_frame_a_start_byte_alone_begins_nothing() -> None:
+    """The length of this frame is 0xAA, and what follows reads as a header but for its checksum."""
+    wire = bytearray(encode_frame(bytes(154), session=1, sequence=0))
+    assert wire[1] == 0xAA
+    decoder = FrameDecoder()
+    assert len(decoder.feed(bytes(wire))) == 1
+    wire[20] ^= 1
+    assert decoder.feed(bytes(wire) + bytes(200)) == []
+    assert decoder.frames == 1
+
+
+def test_an_end_that_is_too_short_for_a_header_is_kept_whatever_its_checksum_is() -> None:
+    short = b"\xaa\x64" + bytes(7)
+    short += crc16(short).to_bytes(2, "little")
+    decoder = FrameDecoder()
+    assert decoder.feed(b"\xaa" * 6 + bytes(40) + short) == []
+    assert decoder.pending == len(short) == 11
+
+
+@pytest.mark.parametrize("name", OF_ALL_KINDS)
+def test_behind_a_flood_of_start_bytes_each_kind_is_found(name: str) -> None:
+    found, _ = decode(b"\xaa" * 40 + OF_ALL_KINDS[name], KEY)
+    assert found == decode(OF_ALL_KINDS[name], KEY)[0] != []
+
+
+def test_frames_in_one_piece_are_counted() -> None:
+    decoder = FrameDecoder()
+    assert decoder.feed(b"noise" + GOOD * 3) == [GOOD_DECODED] * 3
+    assert (decoder.frames, decoder.bytes) == (3, 5 + 3 * len(GOOD))
+    assert decoder.discarded_bytes == 5
+
+
 # -- checksums, bit by bit -------------------------------------------------------------------------
 
 

@@ -34,6 +34,14 @@ def model(data: bytes, begin: int, end: int) -> list[int]:
     ]
 
 
+def dense() -> bytearray:
+    """A header with a right CRC16 at every third byte, the first at 0."""
+    made = bytearray(b"\xaa" * 10)
+    while len(made) < 1000:
+        made += crc16(bytes(made[-10:])).to_bytes(2, "little") + b"\xaa"
+    return made
+
+
 @given(STREAMS, st.data())
 def test_the_places_are_those_of_the_simple_model(data: bytes, draw: st.DataObject) -> None:
     last = max(0, len(data) - HEADER_SIZE + 1)
@@ -74,17 +82,36 @@ def test_a_header_with_any_flipped_bit_is_not_among_them(bit: int) -> None:
 
 
 def test_where_right_headers_are_dense_each_is_found_and_none_twice() -> None:
-    """A header with a right CRC16 at every third byte: whole blocks are computed at once."""
+    """Whole blocks are computed at once."""
     hunt._shares.cache_clear()  # so that it is this test that computes them
-    made = bytearray(b"\xaa" * 10)
-    while len(made) < 1000:
-        made += crc16(bytes(made[-10:])).to_bytes(2, "little") + b"\xaa"
+    made = dense()
     for begin in (0, 1, 65):
         data = bytes(made)
         end = len(data) - HEADER_SIZE + 1
         wanted = model(data, begin, end)
         assert len(wanted) > 290 - begin // 3
         assert list(right_headers(data, begin, end)) == wanted
+
+
+@pytest.mark.parametrize("bit", range(16))
+def test_where_right_headers_are_dense_a_wrong_bit_of_a_checksum_is_seen(bit: int) -> None:
+    made = dense()
+    made[250 + bit // 8] ^= 1 << bit % 8
+    data = bytes(made)
+    end = len(data) - HEADER_SIZE + 1
+    assert 240 not in right_headers(data, 0, end)
+    assert list(right_headers(data, 0, end)) == model(data, 0, end)
+
+
+def test_a_header_at_the_beginning_of_a_block_is_found_in_that_block_alone() -> None:
+    """The bytes behind a block, which its last headers reach into, are looked at with it."""
+    data = bytearray(300)
+    for place in range(64, 128, 3):
+        data[place] = 0xAA
+    for place in (94, 130):
+        data[place : place + HEADER_SIZE] = raw_frame(session=3)
+    end = len(data) - HEADER_SIZE + 1
+    assert list(right_headers(bytes(data), 0, end)) == model(bytes(data), 0, end) == [94, 130]
 
 
 def test_they_are_found_when_they_are_asked_for() -> None:
