@@ -458,12 +458,11 @@ class Link(asyncio.Protocol):
         while not self._disconnected.is_set() and self._loop.time() < deadline:
             port = self._transport.get_extra_info("serial")
             try:
-                waiting = self._transport.get_write_buffer_size() + (
-                    port.out_waiting if port else 0
-                )
+                is_empty = not self._transport.get_write_buffer_size()
+                is_sent = port is None or not port.out_waiting
             except OSError:
                 return  # the port is gone: nothing will leave any more
-            if not waiting:
+            if is_empty and is_sent:
                 return
             await asyncio.sleep(0.005)
 

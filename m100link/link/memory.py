@@ -18,7 +18,7 @@ class MemoryTransport(asyncio.Transport):
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, protocol: asyncio.Protocol) -> None:
-        super().__init__({"memory": True})
+        super().__init__()
         self._loop = loop
         self._protocol = protocol
         self._peer: MemoryTransport | None = None

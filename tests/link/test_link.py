@@ -436,6 +436,53 @@ async def test_two_links_rarely_begin_with_the_same_number() -> None:
 # -- a line that does not drain --------------------------------------------------------------------
 
 
+class Line(asyncio.Transport):
+    """Holds bytes, in its own buffer and in the system's, until they are taken.
+
+    Attributes:
+        size: Bytes in its own.
+        out_waiting: Bytes in the system's.
+    """
+
+    def __init__(self) -> None:
+        super().__init__({"serial": self})
+        self.size = self.out_waiting = 0
+
+    def get_write_buffer_size(self) -> int:
+        return self.size
+
+
+@pytest.mark.parametrize(("size", "out_waiting"), [(3, 0), (0, 3), (3, 3), (5, 2)])
+async def test_closing_waits_for_what_is_in_either_buffer(size: int, out_waiting: int) -> None:
+    link, line, began_at = Link(), Line(), now()
+    link.connection_made(line)
+    line.size, line.out_waiting = size, out_waiting
+
+    def take() -> None:
+        line.size = line.out_waiting = 0
+
+    aborted_at: list[float] = []
+    line.abort = lambda: aborted_at.append(now())  # type: ignore[method-assign] # to see when
+    asyncio.get_running_loop().call_later(0.25, take)
+    closing = asyncio.create_task(link.close())
+    await asyncio.sleep(0.4)
+    assert 0.25 <= aborted_at[0] - began_at < 0.27
+    link.connection_lost(None)
+    await closing
+
+
+async def test_pushes_that_come_in_one_read_arrive_in_order() -> None:
+    taken: list[bytes] = []
+    link = Link(on_received=lambda frame, _: taken.append(frame.data))
+    _, peer, _ = await connected(link=link)
+    for count in (1, 2, 3):
+        for number in range(count):
+            peer.link.push(bytes([number]))
+        await settle()
+        assert taken == [bytes([number]) for number in range(count)]
+        taken.clear()
+
+
 async def test_while_the_line_does_not_drain_pushes_are_dropped_and_counted() -> None:
     link, peer, transport = await connected()
     assert peer.link._transport is not None

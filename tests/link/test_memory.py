@@ -115,6 +115,14 @@ async def test_either_end_closes_both_once() -> None:
     assert other.is_closing()
 
 
+@pytest.mark.parametrize("how", ["close", "abort"])
+async def test_closing_and_aborting_are_the_same(how: str) -> None:
+    here, there, end, _ = await pair()
+    getattr(end, how)()
+    await settle()
+    assert here.log == there.log == ["lost"]
+
+
 async def test_a_pulled_cable_shows_its_error_to_both() -> None:
     here, there, end, _ = await pair()
     end.break_off(OSError("pulled"))

@@ -20,9 +20,9 @@ from m100link.errors import (
     PortNotFound,
     PortPermissionDenied,
 )
-from m100link.link import Link, connect_in_memory, open_link, transport
+from m100link.link import Link, connect_in_memory, open_link, opening, transport
 from m100link.link.url import ConnectionString, parse_url
-from tests.link.peer import Peer
+from tests.link.peer import Peer, settle
 from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]
@@ -105,6 +105,62 @@ async def test_a_port_in_use_names_its_owner_where_the_system_tells(
     with pytest.raises(PortBusy, match=words) as caught:
         await open_link("/dev/ttyUSB0")
     assert caught.value.owners == owners
+
+
+async def test_a_tilde_is_the_home_of_the_user(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "tty").touch()
+    with pytest.raises(PortFailed) as caught:
+        await open_link("~/tty")
+    assert caught.value.seen == f"{tmp_path / 'tty'} is not a serial port"
+
+
+@pytest.mark.parametrize(
+    ("ports", "words"), [([], "machine: none"), (["/dev/ttyUSB7"], "machine: /dev/ttyUSB7")]
+)
+async def test_what_is_no_port_names_those_that_are(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ports: list[str], words: str
+) -> None:
+    monkeypatch.setattr(transport, "serial_ports", lambda: ports)
+    with pytest.raises(PortFailed) as caught:
+        await open_link(str(tmp_path))
+    assert caught.value.remedy.endswith(words)
+
+
+class SlowLine(asyncio.Transport):
+    """A line that opens late, and needs a moment to end."""
+
+    def __init__(self, link: Link) -> None:
+        super().__init__()
+        self._link = link
+        self.is_over = False
+
+    def abort(self) -> None:
+        asyncio.get_running_loop().call_later(0.01, self._end)
+
+    def _end(self) -> None:
+        self.is_over = True
+        self._link.connection_lost(None)
+
+
+async def test_an_opening_that_is_cut_off_gives_the_line_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[SlowLine] = []
+
+    async def open_late(_: ConnectionString, link: Link) -> SlowLine:
+        made.append(SlowLine(link))
+        return made[0]
+
+    monkeypatch.setattr(opening, "open_transport", open_late)
+    task = asyncio.create_task(open_link("tcp://127.0.0.1:1"))
+    await settle()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await asyncio.wait_for(task, PATIENCE)
+    assert made[0].is_over, "whoever opens it next finds it free"
 
 
 async def test_a_file_is_no_serial_port(tmp_path: Path) -> None:

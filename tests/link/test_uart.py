@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
 from m100link.link.uart import read_inverted
@@ -18,6 +20,30 @@ from m100link.link.uart import read_inverted
 )
 def test_what_is_read_of_single_bytes(sent: bytes, read: bytes) -> None:
     assert read_inverted(sent) == read
+
+
+def read_as_a_receiver(data: bytes) -> bytes:
+    """The same, level by level: idle, start, eight bits, stop; after a stop bit of 0 it waits."""
+    line = "0" + "".join("1" + f"{byte ^ 0xFF:08b}"[::-1] + "0" for byte in data) + "0" * 12
+    read, before, bits = bytearray(), "0", ""
+    for level in line:
+        if bits:
+            bits += level
+            if len(bits) == 10:
+                read.append(int(bits[8:0:-1], 2))
+                bits, before = "", level
+        elif before == "1" and level == "0":
+            bits = level
+        else:
+            before = level
+    return bytes(read)
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_it_is_what_a_receiver_samples(seed: int) -> None:
+    dice = random.Random(seed)
+    data = dice.randbytes(dice.randrange(1, 12))
+    assert read_inverted(data) == read_as_a_receiver(data)
 
 
 def test_the_same_frame_is_always_read_as_the_same_bytes() -> None:

@@ -419,7 +419,7 @@ def test_a_frame_of_a_known_kind_is_read_and_counted_as_the_first_one(
         first, before = decoder.feed(wire), decoder.discards
         for end in range(size, len(wire), size):
             assert decoder.feed(wire[end - size : end]) == []
-            assert decoder.pending == end
+            assert (decoder.pending, decoder.bytes) == (end, len(wire) + end)
         assert decoder.feed(wire[(len(wire) - 1) // size * size :]) == first
         assert decoder.discards == {cause: 2 * count for cause, count in before.items()}
         assert (decoder.frames, decoder.bytes) == (2 * len(first), 2 * len(wire))
