@@ -42,6 +42,12 @@ PARTNERS = {
 }
 """Module, tests beside its own that are about it."""
 
+UNSEEN = {
+    "link": "tests/link/test_link_interrupted.py::test_ctrl_c",
+    "serial_transport": "tests/link/test_serial_transport.py::test_ctrl_c",
+}
+"""Module, tests beside it that watch its lines by a tracer of their own: the record misses them."""
+
 IN_THIS_PROCESS = ("tests/link",)
 """Folders whose tests marked ``pty`` start no program of their own, and so see a change."""
 
@@ -125,14 +131,18 @@ class Trials:
     def chosen(self, change: Change) -> dict[str, float]:
         """Tests to run and their times: the mirrored ones first, then the fastest."""
         names = self.tests_of(change)
-        if "" in names:
-            every = self._lines[change.module].values()
-            # A module of declarations alone is run by no test and used by any.
-            names = {name for found in every for name in found} - {""} or set(self._took)
         stem = Path(change.module).stem
         mirrored = tuple(
             f"{self._folder}/test_{name}.py" for name in (stem, *PARTNERS.get(stem, ()))
         )
+        if "" in names:
+            every = self._lines[change.module].values()
+            # A module of declarations alone is run by no test and used by any; a table may be read
+            # by a test that runs nothing.
+            names = {name for found in every for name in found} - {""} or set(self._took)
+            names |= {name for name in self._took if name.startswith(mirrored)}
+        if stem in UNSEEN:
+            names |= {name for name in self._took if name.startswith(UNSEEN[stem])}
         own = [name for name in names if name.startswith(mirrored)]
         chosen, spent = sorted(own, key=self._took.__getitem__), 0.0
         for name in self._of_each_family(names.difference(own)):

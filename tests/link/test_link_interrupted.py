@@ -223,14 +223,15 @@ def close(life: Life) -> None:
 
 
 def lose(life: Life) -> None:
-    """The transport tells again what it could not tell."""
+    """The transport tells it once; again only where not even the first line of that was begun."""
 
     async def tell() -> None:
         life.peer.transport.break_off(None)
         await asyncio.sleep(0)
 
     life.run(tell())
-    if life.interrupt.came_in:
+    begin = Link.connection_lost.__code__.co_firstlineno + 2
+    if life.interrupt.came_in == f"connection_lost:{begin}":
         life.link.connection_lost(None)
 
 
