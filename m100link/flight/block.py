@@ -243,7 +243,6 @@ class ControlBlock:
         try:
             yield
         except BaseException as error:
-            program.leave()
             if program.take_back(error):
                 self.require_flying(what)
             raise

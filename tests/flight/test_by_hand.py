@@ -310,3 +310,17 @@ async def test_nothing_waits_for_its_end_any_more_when_it_was_released() -> None
         await control.release()
         await asyncio.sleep(0.1)
         assert asyncio.all_tasks() == before
+
+
+async def test_what_stands_in_for_the_block_ends_behind_the_stop_path_and_stays_cancelled() -> None:
+    """asyncio.run waits for it, and for nothing that was begun after its cancellation."""
+    async with rig() as flown:
+        control = await flown.aircraft.control(stop="land").obtain()
+        await control.take_off()
+        keeper = control._block._keeper
+        assert keeper is not None
+        keeper.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await keeper
+        assert not flown.is_running
+        assert flown.is_released
