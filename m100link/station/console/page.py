@@ -31,26 +31,27 @@ from m100link.station.console.parts.plots import PlotsPart
 from m100link.station.console.parts.settings import SettingsPart, load_settings
 from m100link.station.console.parts.status import StatusPart
 from m100link.station.console.parts.telemetry import TelemetryPart
-from m100link.station.console.parts.wording import Wording
+from m100link.station.console.parts.wording import Wording, attribute
 from m100link.station.console.tab import Tab
 from m100link.station.console.tabs import Tabs
 from m100link.station.console.view.inputs import Inputs, Ship
 from m100link.station.console.view.memory import Memory
 from m100link.station.console.view.view import View, view_of
+from m100link.station.console.view.words import for_browser
 
 __all__ = ["VIEWS", "Page"]
 
 UPDATE_INTERVAL = 0.25
 
-VIEWS: dict[str, tuple[str, str, tuple[Callable[[Deck], Part], ...]]] = {
-    "fly": ("Fly", "flight", (Fly,)),
-    "plan": ("Plan", "route", (PlanPart,)),
-    "check": ("Check", "checklist", (ChecklistPart,)),
-    "data": ("Data", "show_chart", (PlotsPart, TelemetryPart, LinkPart)),
-    "events": ("Events", "list", (EventsPart,)),
-    "settings": ("Settings", "settings", (SettingsPart,)),
+VIEWS: dict[str, tuple[str, tuple[Callable[[Deck], Part], ...]]] = {
+    "fly": ("flight", (Fly,)),
+    "plan": ("route", (PlanPart,)),
+    "check": ("checklist", (ChecklistPart,)),
+    "data": ("show_chart", (PlotsPart, TelemetryPart, LinkPart)),
+    "events": ("list", (EventsPart,)),
+    "settings": ("settings", (SettingsPart,)),
 }
-"""By name: what stands on its tab, its icon, and its parts in their order."""
+"""By name, ``page.view.<name>`` stands on its tab: its icon, and its parts in their order."""
 
 _MAP_VIEWS = ("fly", "plan")
 
@@ -105,8 +106,10 @@ class Page:
     def build(self, key: str) -> None:
         """Lay the page out and start its updates."""
         ui.add_head_html(f'<link rel="stylesheet" href="/console/console.css">{installable.HEAD}')
+        told = json.dumps(for_browser(self._deck.wording.settings.speaker))
         ui.add_body_html(
             '<script type="module">'
+            f'import {{choose}} from "/console/said.js"; choose({told});'
             f'import {{start}} from "/console/shell.js"; start({json.dumps(key)});</script>'
         )
         with ui.element("header").props("id=header"):
@@ -117,21 +120,23 @@ class Page:
         with ui.element("main").props("id=stage"):
             with ui.element("div").props("id=map-view"):
                 self._map.build()
-            for name, (label, _, _) in VIEWS.items():
-                self._sections[name] = ui.element("section").props(
-                    f'data-view={name} aria-label="{label}"'
-                )
+            for name in VIEWS:
+                section = ui.element("section").props(f"data-view={name}")
+                self._deck.wording.put(attribute(section), f"page.view.{name}")
+                self._sections[name] = section
         self._show("fly")
         ui.timer(0.0, lambda: load_settings(self._deck), once=True)
         ui.timer(UPDATE_INTERVAL, self._update)
 
     def _build_bar(self) -> None:
-        with ui.element("nav").props('id=bar aria-label="views"'):
-            for name, (label, icon, _) in VIEWS.items():
+        put = self._deck.wording.put
+        with ui.element("nav").props("id=bar") as bar:
+            put(attribute(bar), "page.views")
+            for name, (icon, _) in VIEWS.items():
                 tab = ui.element("button").props(f"type=button data-go={name}")
                 with tab:
                     ui.icon(icon).props("aria-hidden=true")
-                    ui.label(label)
+                    put(ui.label().set_text, f"page.view.{name}")
                 # The page shows the view by itself; here it is built, and kept up to date.
                 tab.on("click", partial(self._show, name), args=[])
 
@@ -139,7 +144,7 @@ class Page:
         self._shown = name
         if name not in self._parts:
             with self._sections[name]:
-                self._parts[name] = [make(self._deck) for make in VIEWS[name][2]]
+                self._parts[name] = [make(self._deck) for make in VIEWS[name][1]]
                 for part in self._parts[name]:
                     part.build()
         self._update()

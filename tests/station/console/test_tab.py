@@ -19,6 +19,7 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude, RcMode, Velocity
 from m100link.station.console.tab import BEAT_LIFETIME, Tab, _read
 from m100link.station.console.view.instruments import FIELDS, live, read
+from m100link.station.console.view.words import Speaker, say
 from m100link.station.way_time import MAX_ORDER_LATE
 from tests.station.conftest import Rig
 
@@ -321,9 +322,9 @@ def test_no_field_shows_a_zero_below_zero_or_a_whole_turn() -> None:
     fields = {field.name: field for field in FIELDS}
     half = math.radians(-0.2) / 2
     a_bit_west = Attitude(q0=math.cos(half), q1=0.0, q2=0.0, q3=math.sin(half))
-    assert fields["heading"].text(a_bit_west) == "0°"
+    assert Speaker()(fields["heading"].text(a_bit_west)) == "0°"
     sinking = Velocity(north_m_s=0.0, east_m_s=0.0, up_m_s=-0.02, status=None)
-    assert fields["climb"].text(sinking) == "+0.0 m/s"
+    assert Speaker()(fields["climb"].text(sinking)) == "+0.0 m/s"
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "1", "[" * 1000, "x" * 3000, b"\xff\xfe"])
@@ -337,8 +338,8 @@ async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
     await anyio.sleep(1.5)
     readings = {field.name: read(field, telemetry) for field in FIELDS}
     assert not readings["height"].is_stale
-    assert readings["flight_status"].text == "standby"
-    assert readings["control_device"].note == "never arrived"  # not sent by default
+    assert Speaker()(readings["flight_status"].text) == "standby"
+    assert readings["control_device"].note == say("instruments.never")  # not sent by default
     rig.aircraft.stall_line()
     await anyio.sleep(1.5)
     readings = {field.name: read(field, telemetry) for field in FIELDS}

@@ -5,14 +5,16 @@ from __future__ import annotations
 from nicegui import ui
 
 from m100link.protocol.commands.control import Task
+from m100link.station.console.parts.fields import say_options
 from m100link.station.console.parts.part import Deck
 from m100link.station.console.parts.take_over import TakeOverDialog
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.view import View
 from m100link.station.console.view.words import say
 
 __all__ = ["ActionsPart"]
 
-_LEGS = {0: "0: legs, angles", 1: "1: legs, velocity", 4: "4: whole flight"}
+_SIMPLE = (0, 1, 4)
 
 
 class ActionsPart:
@@ -24,7 +26,7 @@ class ActionsPart:
 
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
-        self._take_over = TakeOverDialog(deck.tab)
+        self._take_over = TakeOverDialog(deck.tab, deck.wording)
 
     def build(self) -> None:
         """Lay it out."""
@@ -43,11 +45,11 @@ class ActionsPart:
                 lambda: tab.simple_task(int(self._number.value)),
                 hold=True,
             )
-            self._number = (
-                ui.select(_LEGS, value=0)
-                .props('dense outlined id=task-number aria-label="which simple task"')
-                .classes("task-number")
-            )
+            self._number = ui.select(list(_SIMPLE), value=0).classes("task-number")
+            self._number.props("dense outlined id=task-number")
+            keys = {number: f"page.simple.{number}" for number in _SIMPLE}
+            say_options(self._number, keys, self._deck.wording)
+            self._deck.wording.put(attribute(self._number), "page.which_task")
         # Behind the buttons: it comes and goes, and they stay where the finger is.
         with ui.element("div").classes("told"):
             self._activation = ui.label().props("id=activation")

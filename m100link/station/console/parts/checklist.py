@@ -41,7 +41,7 @@ class ChecklistPart:
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
         self._rows: dict[Item, _Row] = {}
-        self._take_over = TakeOverDialog(deck.tab)
+        self._take_over = TakeOverDialog(deck.tab, deck.wording)
 
     def build(self) -> None:
         """Lay it out."""

@@ -13,7 +13,9 @@ from nicegui import events, ui
 from m100link.agent.preview import preview
 from m100link.errors import M100Error
 from m100link.protocol.records import Position
+from m100link.station.console.parts.fields import NumberField
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.click import (
     FASTEST_M_S,
     HIGHEST_M,
@@ -30,8 +32,10 @@ from m100link.station.console.view.click import (
     Wish,
     click_of,
 )
+from m100link.station.console.view.settings import Settings
+from m100link.station.console.view.units import Kind
 from m100link.station.console.view.view import View
-from m100link.station.console.view.words import Speaker, Text, say
+from m100link.station.console.view.words import Text
 
 __all__ = ["ClickPart"]
 
@@ -57,35 +61,33 @@ class ClickPart:
 
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
-        self._say = Speaker()
+        self._say = deck.wording
         self._pointed = Pointed()
         self._shown = Shown()
         self._problem: M100Error | None = None
         self._orders = 0  # given so far: only the newest one's end is told
         self._is_open = False
         self._drawn = ""
-        self._told: tuple[Refusal, ...] = ()
+        self._told: tuple[tuple[Refusal, ...], Settings] | None = None  # and what it was said in
         self._fields: dict[str, ui.element] = {}
-        self._numbers: dict[str, ui.number] = {}
+        self._numbers: dict[str, NumberField] = {}
         self._wishes: dict[Wish, ui.element] = {}
 
     # -- layout ----------------------------------------------------------------------------------
 
     def build(self) -> None:
         """Lay it out."""
+        put = self._deck.wording.put
         self._deck.load("pointing.js")
         ui.on("map_pointed", self._clicked)
         ui.on("map_dragged", self._dragged)
         self._opener = ui.element("button").classes("act plain").props("type=button id=point-open")
         with self._opener:
-            ui.label(self._word("title"))
+            put(ui.label().set_text, "click.title")
         self._opener.on("click", lambda: self._open(is_open=True), args=[])
-        with (
-            ui.element("div")
-            .classes("card click")
-            .props(f'id=click role=region aria-label="{self._word("title")}"') as self._card
-        ):
-            ui.label(self._word("hint")).classes("hint")
+        with ui.element("div").classes("card click").props("id=click role=region") as self._card:
+            put(attribute(self._card), "click.title")
+            put(ui.label().classes("hint").set_text, "click.hint")
             self._build_wishes()
             self._build_fields()
             self._preview = ui.label().props("id=click-preview role=status")
@@ -93,15 +95,15 @@ class ClickPart:
             with ui.element("div").classes("acts"):
                 add = self._deck.buttons.add
                 self._fly_button = add(
-                    "guide", self._word("fly"), self._fly, hold=True, check=self._check_shown
+                    "guide", "click.fly", self._fly, hold=True, check=self._check_shown
                 )
                 close = ui.element("button").classes("act plain")
                 with close.props("type=button id=point-close"):
-                    ui.label(self._word("close"))
+                    put(ui.label().set_text, "click.close")
                 close.on("click", lambda: self._open(is_open=False), args=[])
         with ui.element("div").classes("card guided").props("id=guided") as self._guided:
             self._flying = ui.label().props("id=guided-flying role=status")
-            self._deck.buttons.add("hover", self._word("hover"), self._hover, kind="plain")
+            self._deck.buttons.add("hover", "click.hover", self._hover, kind="plain")
         self._guided.set_visibility(False)
         self._open(is_open=False)
 
@@ -110,46 +112,60 @@ class ClickPart:
             for wish in Wish:
                 button = ui.element("button").props(f"type=button data-wish={wish.value}")
                 with button:
-                    ui.label(self._word(wish.value))
+                    self._deck.wording.put(ui.label().set_text, f"click.{wish.value}")
                 button.on("click", partial(self._wish, wish), args=[])
                 self._wishes[wish] = button
 
     def _build_fields(self) -> None:
         with ui.element("div").classes("numbers") as self._fields["way"]:
-            self._distance = self._number("distance", 0, 5000, 1, self._by_distance)
-            self._bearing = self._number("bearing", 0, 360, 1, self._by_distance)
-        for name, word, low, high, step in (
-            ("height", "height_m", LOWEST_M, HIGHEST_M, 0.5),
-            ("speed", "speed", SLOWEST_M_S, FASTEST_M_S, 0.5),
-            ("radius", "radius", SMALLEST_M, WIDEST_M, 1.0),
-            ("turns", "turns", 0.25, MOST_TURNS, 0.25),
-            ("yaw_deg", "yaw", 0, 359, 1),
+            far = {"kind": Kind.LENGTH, "limits": (0, 5000)}
+            self._distance = self._number("distance", self._by_distance, **far)
+            self._bearing = self._number("bearing", self._by_distance, limits=(0, 360))
+        for name, word, low, high, step, kind in (
+            ("height", "height_m", LOWEST_M, HIGHEST_M, 0.5, Kind.LENGTH),
+            ("speed", "speed", SLOWEST_M_S, FASTEST_M_S, 0.5, Kind.SPEED),
+            ("radius", "radius", SMALLEST_M, WIDEST_M, 1.0, Kind.LENGTH),
+            ("turns", "turns", 0.25, MOST_TURNS, 0.25, None),
+            ("yaw_deg", "yaw", 0, 359, 1, None),
         ):
             with ui.element("div").classes("dragged") as self._fields[name]:
-                number = self._number(word, low, high, step, partial(self._changed, name))
-                number.set_value(getattr(self._pointed, name))
-                self._numbers[name] = number
-                # The handle to drag; whoever does not drag has the number and the arrow keys.
-                slider = ui.slider(min=low, max=high, step=step).bind_value(number)
-                slider.props(f'aria-label="{self._word(word)}"')
+                self._numbers[name] = self._number(
+                    word,
+                    partial(self._changed, name),
+                    kind=kind,
+                    limits=(low, high),
+                    step=step,
+                    value=getattr(self._pointed, name),
+                )
+                self._build_slider(word, self._numbers[name], step)
 
         with ui.element("div") as self._fields["clockwise"]:
-            box = ui.checkbox(self._word("clockwise"), value=self._pointed.clockwise)
+            box = ui.checkbox(value=self._pointed.clockwise)
             box.props("id=click-clockwise").on_value_change(self._turned)
+            self._deck.wording.put(box.set_text, "click.clockwise")
 
     def _turned(self, event: events.ValueChangeEventArguments[Any]) -> None:
         self._pointed = replace(self._pointed, clockwise=bool(event.value))
         self._problem = None
 
-    def _number(
-        self, word: str, low: float, high: float, step: float, changed: Callable[..., None]
-    ) -> ui.number:
-        number = ui.number(label=self._word(word), min=low, max=high, step=step)
-        number.props(f"dense outlined for=click-{word}").on_value_change(changed)
-        return number
+    def _build_slider(self, word: str, number: NumberField, step: float) -> None:
+        """The handle to drag; whoever does not drag has the number and the arrow keys."""
+        low, high = number.shown_limits
+        slider = ui.slider(min=low or 0.0, max=high or 0.0, step=step)
+        slider.bind_value(number.element)
+        unit = {} if number.kind is None else {"unit": number.kind}
+        self._deck.wording.put(attribute(slider), f"click.{word}", **unit)
 
-    def _word(self, key: str) -> str:
-        return self._say(say(f"click.{key}"))
+        def follow() -> None:
+            low, high = number.shown_limits
+            slider.props(f"min={low} max={high}")
+
+        self._deck.wording.follow(follow)
+
+    def _number(self, word: str, changed: Callable[[Any], None], **options: Any) -> NumberField:
+        number = NumberField(self._deck.wording, f"click.{word}", changed=changed, **options)
+        number.element.props(f"dense outlined for=click-{word}")
+        return number
 
     # -- what the operator does ------------------------------------------------------------------
 
@@ -186,7 +202,7 @@ class ClickPart:
         if name in _DRAGGED and _is_number(value) and self._is_open and self._deck.tab.has_lease:
             self._pointed = self._pointed.changed(name, round(value, _DRAGGED[name]))
             self._problem = None
-            self._numbers[name].set_value(getattr(self._pointed, name))
+            self._numbers[name].set(getattr(self._pointed, name))
 
     def _take_height(self) -> None:
         """A flight to a point keeps the height that the aircraft has, unless somebody says so."""
@@ -194,12 +210,12 @@ class ClickPart:
         position = None if telemetry is None else telemetry.fresh(Position, within=1.0)
         if position is not None and position.height_m > LOWEST_M:
             self._pointed = self._pointed.changed("height", round(position.height_m))
-            self._numbers["height"].set_value(self._pointed.height)
+            self._numbers["height"].set(self._pointed.height)
 
-    def _changed(self, name: str, event: events.ValueChangeEventArguments[Any]) -> None:
-        self._pointed, self._problem = self._pointed.changed(name, event.value), None
+    def _changed(self, name: str, value: float | None) -> None:
+        self._pointed, self._problem = self._pointed.changed(name, value), None
 
-    def _by_distance(self) -> None:
+    def _by_distance(self, _: float | None) -> None:
         telemetry = self._deck.agent.telemetry
         position = None if telemetry is None else telemetry.fresh(Position, within=1.0)
         distance, bearing = self._distance.value, self._bearing.value
@@ -268,9 +284,10 @@ class ClickPart:
         return "" if text is None else self._say(text)
 
     def _tell(self, refusals: tuple[Refusal, ...]) -> None:
-        if refusals == self._told:
+        told = refusals, self._deck.wording.settings
+        if told == self._told:
             return
-        self._told = refusals
+        self._told = told
         self._refusals.clear()
         with self._refusals:
             for refusal in refusals:

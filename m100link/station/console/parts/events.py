@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from nicegui import ui
 
-from m100link.station.console.parts.fields import card
+from m100link.station.console.parts.fields import card, say_options
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.events import LEVELS, MIME, Format, Line, export, select
 from m100link.station.console.view.view import View
 from m100link.station.console.view.words import say
@@ -43,19 +43,18 @@ class EventsPart:
                 level = ui.select({name: name for name in LEVELS}, value=self._least)
                 level.props("outlined dense for=event-level").classes("min-w-32")
                 level.on_value_change(lambda event: self._choose(least=str(event.value)))
-                wording.put(lambda text: level.props(f'label="{text}"'), "events.level")
-                for name in LEVELS:
-                    wording.put(_option(level, name), f"events.level.{name}")
+                wording.put(attribute(level, "label"), "events.level")
+                say_options(level, {name: f"events.level.{name}" for name in LEVELS}, wording)
                 words = ui.input().props("outlined dense clearable for=event-words").classes("grow")
                 words.on_value_change(lambda event: self._choose(words=str(event.value or "")))
-                wording.put(lambda text: words.props(f'label="{text}"'), "events.words")
+                wording.put(attribute(words, "label"), "events.words")
             with ui.element("div").classes("acts"):
                 for how in Format:
                     self._build_save(how)
             self._count = ui.label().props("id=event-count role=status").classes("note-plain")
             self._list = ui.element("div").classes("events w-full")
             self._list.props("id=events role=log tabindex=0 aria-live=off")
-            wording.put(lambda text: self._list.props(f'aria-label="{text}"'), "events.title")
+            wording.put(attribute(self._list, "aria-label"), "events.title")
 
     def _build_save(self, how: Format) -> None:
         with (
@@ -110,10 +109,3 @@ class EventsPart:
         time = line.time(wording.utc_offset_min).strftime("%H:%M:%S")
         text = f"{time} {_SHAPES[line.level]} {line.said(wording.settings.speaker)}"
         return ui.label(text).classes(line.level)
-
-
-def _option(select_: Any, name: str) -> Callable[[str], None]:
-    def show(text: str) -> None:
-        select_.set_options({**select_.options, name: text})
-
-    return show

@@ -8,9 +8,10 @@ from typing import Any
 from nicegui import ui
 
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.fleet import FleetRow
+from m100link.station.console.view.settings import Settings
 from m100link.station.console.view.view import View
-from m100link.station.console.view.words import Speaker, say
 
 __all__ = ["FleetPart"]
 
@@ -24,7 +25,6 @@ class FleetPart:
 
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
-        self._speaker = Speaker()
         self._rows: dict[str, _Row] = {}
 
     def build(self) -> None:
@@ -32,10 +32,10 @@ class FleetPart:
         agents = self._deck.tabs.agents
         if len(agents) < 2:
             return
-        said = self._speaker
-        with ui.element("nav").props(f'id=fleet aria-label="{said(say("fleet.label"))}"'):
+        with ui.element("nav").props("id=fleet") as row:
             for name in agents:
-                self._rows[name] = _Row(self._deck, name, said)
+                self._rows[name] = _Row(self._deck, name)
+        self._deck.wording.put(attribute(row), "fleet.label")
         self._deck.load("ships.js")
 
     def update(self, view: View) -> None:
@@ -46,12 +46,12 @@ class FleetPart:
 
 
 class _Row:
-    def __init__(self, deck: Deck, name: str, speaker: Speaker) -> None:
-        self._deck, self._name, self._speaker = deck, name, speaker
-        self._shown: FleetRow | None = None
+    def __init__(self, deck: Deck, name: str) -> None:
+        self._deck, self._name = deck, name
+        self._shown: tuple[FleetRow, Settings] | None = None  # and what it was said in
         with ui.element("div").classes("ship") as self._box:
             turn = ui.element("button").props(f'type=button data-ship="{name}"')
-            turn.props(f'title="{speaker(say("fleet.show", name=name))}"')
+            deck.wording.put(attribute(turn, "title"), "fleet.show", name=name)
             with turn:
                 ui.label(name).classes("ship-name")
                 self._control = ui.label().classes("ship-control")
@@ -62,9 +62,9 @@ class _Row:
             stop = (
                 ui.element("button").classes("ship-stop").props(f'type=button data-halt="{name}"')
             )
-            stop.props(f'aria-label="{speaker(say("fleet.stop", name=name))}"')
+            deck.wording.put(attribute(stop), "fleet.stop", name=name)
             with stop:
-                ui.label("STOP")
+                deck.wording.put(ui.label().set_text, "actions.stop")
             stop.on("click", self._stop, args=[])
 
     def _turn_to(self) -> None:
@@ -78,10 +78,10 @@ class _Row:
 
     def show(self, row: FleetRow) -> None:
         """Show what has changed."""
-        before, self._shown = self._shown, row
-        if row == before:
+        said = self._deck.wording
+        before, self._shown = self._shown, (row, said.settings)
+        if self._shown == before:
             return
-        said = self._speaker
         self._control.set_text(said(row.control))
         self._flies.set_text(said(row.flies))
         self._battery.set_text(said(row.battery))

@@ -7,7 +7,6 @@ from nicegui import ui
 from m100link.station.console.parts.actions import ActionsPart
 from m100link.station.console.parts.click import ClickPart
 from m100link.station.console.parts.instruments import InstrumentsPart
-from m100link.station.console.parts.legend import LegendPart
 from m100link.station.console.parts.part import Deck, Part
 from m100link.station.console.parts.sticks import SticksPart
 from m100link.station.console.view.view import View
@@ -27,7 +26,7 @@ class Fly:
             ("hud", InstrumentsPart(deck)),
             ("orders", ActionsPart(deck)),
             ("clicked", ClickPart(deck)),
-            ("steering", SticksPart(LegendPart())),
+            ("steering", SticksPart(deck.wording)),
         )
 
     def build(self) -> None:

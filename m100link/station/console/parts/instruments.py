@@ -6,6 +6,7 @@ from nicegui import ui
 
 from m100link.station.console.parts.fields import ReadingRow
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.instruments import FIELDS
 from m100link.station.console.view.view import View
 
@@ -27,13 +28,12 @@ class InstrumentsPart:
 
     def build(self) -> None:
         """Lay it out."""
-        ui.element("canvas").props(
-            'id=horizon role=img aria-label="attitude, speed, height and vertical speed"'
-        )
+        horizon = ui.element("canvas").props("id=horizon role=img")
+        self._deck.wording.put(attribute(horizon), "instruments.horizon")
         with ui.element("div").classes("values"):
             for one in FIELDS:
                 if one.name in _SHOWN:
-                    self._rows[one.name] = ReadingRow(one.name, one.label)
+                    self._rows[one.name] = ReadingRow(one.name, self._deck.wording)
 
     def update(self, view: View) -> None:
         """Show what is."""

@@ -4,31 +4,48 @@ from __future__ import annotations
 
 from nicegui import ui
 
+from m100link.station.console.parts.wording import Wording, attribute
 from m100link.station.console.view.view import View
 
 __all__ = ["LegendPart"]
 
-_LEGEND = """
-<div class="idle">click here, then hold keys to fly</div>
-<div id="did" role="status"></div>
-<div class="keys"><b>W A S D</b> move, <b>Q E</b> turn, <b>Z C</b> climb and sink,
-<b>Esc</b> leaves, gamepad: hold a shoulder button</div>
-<div class="choices">
-<button type="button" data-steer="slower" aria-label="slower">−</button>
-<span>speed</span><output data-level>1</output>
-<button type="button" data-steer="faster" aria-label="faster">+</button>
-<button type="button" data-steer="mode">mode <b data-mode>1</b>
-<span class="hint" data-hint></span></button>
-</div>
-"""
-
 
 class LegendPart:
-    """Stands between the sticks; ``static/steer.js`` fills it in."""
+    """Stands between the sticks; ``static/steer.js`` fills it in.
+
+    Args:
+        wording: Says what stands there always.
+    """
+
+    def __init__(self, wording: Wording) -> None:
+        self._wording = wording
 
     def build(self) -> None:
         """Lay it out."""
-        ui.html(_LEGEND, sanitize=False).classes("legend")
+        put = self._wording.put
+        with ui.element("div").classes("legend"):
+            put(ui.label().classes("idle").set_text, "page.legend.idle")
+            ui.element("div").props("id=did role=status")
+            put(ui.label().classes("keys").set_text, "page.legend.keys")
+            with ui.element("div").classes("choices"):
+                self._build_step("slower", "−")
+                put(_span().set_content, "page.legend.speed")
+                ui.element("output").props("data-level")
+                self._build_step("faster", "+")
+                with ui.element("button").props("type=button data-steer=mode"):
+                    put(_span().classes("mode").set_content, "page.legend.mode")
+                    ui.element("b").props("data-mode")
+                    ui.element("span").classes("hint").props("data-hint")
+
+    def _build_step(self, what: str, sign: str) -> None:
+        button = ui.element("button").props(f"type=button data-steer={what}")
+        with button:
+            ui.label(sign).props("aria-hidden=true")
+        self._wording.put(attribute(button), f"page.legend.{what}")
 
     def update(self, view: View) -> None:
         """What it shows comes from the hand, not from the aircraft."""
+
+
+def _span() -> ui.html:
+    return ui.html("", sanitize=False, tag="span")

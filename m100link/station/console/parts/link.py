@@ -10,7 +10,7 @@ from m100link.station.console.parts.fields import card, field
 from m100link.station.console.parts.part import Deck
 from m100link.station.console.view.link import LINK_ITEMS
 from m100link.station.console.view.view import View
-from m100link.station.console.view.words import Speaker, Text, say
+from m100link.station.console.view.words import Text, say
 
 __all__ = ["LinkPart"]
 
@@ -31,27 +31,29 @@ class LinkPart:
 
     def build(self) -> None:
         """Lay it out. The page itself fills in the age that it measures."""
-        speak = Speaker()
-        with card(speak(say("link.title"))):
+        wording = self._deck.wording
+        with card("link.title", wording):
             for name in LINK_ITEMS:
-                self._numbers[name] = field(name, speak(Text(f"link.{name}")))[1]
-            field("age", speak(say("link.age")))
+                self._numbers[name] = field(name, f"link.{name}", wording)[1]
+            field("age", "link.age", wording)
             self._reason = ui.label().classes("problem").props("id=connection-error")
         for name in ("causes", "rates"):
-            with card(speak(Text(f"link.{name}"))):
+            with card(f"link.{name}", wording):
                 box = ui.element("div").props(f"id=link-{name}").classes("w-full")
                 self._tables[name] = box, ()
 
     def update(self, view: View) -> None:
         """Show what is."""
+        speak = self._deck.wording
         for name, text in view.link.texts.items():
-            self._numbers[name].set_text(text)
+            self._numbers[name].set_text(speak(text))
         self._reason.set_text(view.link.reason)
-        speak = Speaker()
-        none = ((speak(say("link.none")), ""),)
-        self._fill("causes", ("", ""), view.link.causes or none)
+        causes = view.link.causes or ((say("link.none"), ""),)
+        self._fill("causes", ("", ""), tuple((speak(cause), count) for cause, count in causes))
         heads = tuple(speak(Text(f"link.{name}")) for name in _RATE_COLUMNS)
-        rows = tuple((one.name, one.rate, one.jitter, one.longest_gap) for one in view.link.rates)
+        rows = tuple(
+            (speak(one.name), one.rate, one.jitter, one.longest_gap) for one in view.link.rates
+        )
         self._fill("rates", heads, rows)
 
     def _fill(self, name: str, heads: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> None:

@@ -7,18 +7,19 @@ import json
 from nicegui import ui
 
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.chart import Chart
 from m100link.station.console.view.view import View
 
 __all__ = ["MapPart"]
 
 _TOOLS = (
-    ("in", "zoom in", "add"),
-    ("out", "zoom out", "remove"),
-    ("follow", "follow the aircraft", "my_location"),
-    ("turn", "heading up", "navigation"),
+    ("in", "add"),
+    ("out", "remove"),
+    ("follow", "my_location"),
+    ("turn", "navigation"),
 )
-"""What each does, its name for people, its icon."""
+"""What each does, ``page.map.<that>`` is its name for people; its icon."""
 
 
 class FlightMap(ui.leaflet):
@@ -52,10 +53,12 @@ class MapPart:
                     options={"maxNativeZoom": 19, "maxZoom": 22},
                 )
         with ui.element("div").classes("map-tools"):
-            for what, label, icon in _TOOLS:
-                tool = ui.element("button").props(f'type=button data-map={what} title="{label}"')
-                with tool.props(f'aria-label="{label}"'):
+            for what, icon in _TOOLS:
+                tool = ui.element("button").props(f"type=button data-map={what}")
+                with tool:
                     ui.icon(icon).props("aria-hidden=true")
+                for name in ("title", "aria-label"):
+                    self._deck.wording.put(attribute(tool, name), f"page.map.{what}")
         ui.label().props("id=map-home").classes("map-home")
 
     def update(self, view: View) -> None:

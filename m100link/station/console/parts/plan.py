@@ -17,6 +17,7 @@ from m100link.station.console.parts.fields import card
 from m100link.station.console.parts.part import Deck
 from m100link.station.console.parts.waypoint import WaypointPart
 from m100link.station.console.parts.whole import WholePart
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.draft import Draft, History, Note, checked, profile
 from m100link.station.console.view.planning import (
     drawing,
@@ -26,7 +27,6 @@ from m100link.station.console.view.planning import (
     upload_of,
 )
 from m100link.station.console.view.view import View
-from m100link.station.console.view.words import Speaker, say
 
 __all__ = ["PlanPart"]
 
@@ -45,22 +45,19 @@ class PlanPart:
 
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
-        self._say = Speaker()
+        self._say = deck.wording
         self._history = History()
         self._chosen: int | None = None
         self._is_area = False  # clicks make corners of the area, and not points
         self._found = checked(Draft())
         self._waypoint = WaypointPart(
-            self._word, self._change_point, self._move_point, self._refuse
+            deck.wording, self._change_point, self._move_point, self._refuse
         )
-        self._whole = WholePart(self._word, self._change, self._survey)
+        self._whole = WholePart(deck.wording, self._change, self._survey)
 
     @property
     def _draft(self) -> Draft:
         return self._history.draft
-
-    def _word(self, key: str) -> str:
-        return self._say(say(f"plan.{key}"))
 
     # -- layout ----------------------------------------------------------------------------------
 
@@ -70,21 +67,23 @@ class PlanPart:
         ui.on("map_pointed", self._clicked)
         ui.on("plan_moved", self._moved)
         ui.on("plan_chosen", self._picked)
-        with card(self._word("title")):
-            ui.label(self._word("hint")).classes("hint")
+        wording = self._deck.wording
+        with card("plan.title", wording):
+            wording.put(ui.label().classes("hint").set_text, "plan.hint")
             self._build_tools()
             self._problem = ui.label().classes("problem").props("id=plan-problem role=alert")
             self._summary = ui.label().props("id=plan-summary role=status")
             self._notes = ui.element("ul").props("id=plan-notes").classes("notes")
             self._rows = ui.element("ol").props("id=plan-rows").classes("rows")
         self._waypoint.build()
-        with card(self._word("profile")):
-            self._chart = ui.echart(profile_options([])).classes("profile")
+        with card("plan.profile", wording):
+            self._chart = ui.echart({}).classes("profile")
             self._chart.props("id=plan-profile role=img")
+            wording.put(attribute(self._chart), "plan.profile")
         self._whole.build()
         self._build_files()
         self._build_mission()
-        self._show()
+        wording.follow(self._show)
 
     def _build_tools(self) -> None:
         with ui.element("div").classes("choices").props("role=group"):
@@ -101,30 +100,30 @@ class PlanPart:
     def _tool(self, word: str, work: Callable[[], None]) -> ui.element:
         button = ui.element("button").props(f"type=button data-plan={word}")
         with button:
-            ui.label(self._word(word))
+            self._deck.wording.put(ui.label().set_text, f"plan.{word}")
         button.on("click", work, args=[])
         return button
 
     def _build_files(self) -> None:
-        with card(self._word("file")):
+        with card("plan.file", self._deck.wording):
             upload = ui.upload(
-                label=self._word("file"),
                 auto_upload=True,
                 max_file_size=_MAX_PLAN,
                 on_upload=self._opened,
             )
             upload.props("flat dense accept=.json,.plan id=plan-file").classes("w-full")
+            self._deck.wording.put(attribute(upload, "label"), "plan.file")
             with ui.element("div").classes("choices"):
                 self._tool("export_plan", lambda: self._save("plan"))
                 self._tool("export_json", lambda: self._save("json"))
 
     def _build_mission(self) -> None:
         tab, add = self._deck.tab, self._deck.buttons.add
-        with card(self._word("mission")):
+        with card("plan.mission", self._deck.wording):
             self._uploaded = ui.label().props("id=plan-uploaded")
             self._plan = ui.label().props("id=plan")
             with ui.element("div").classes("acts"):
-                add("mission_upload", self._word("upload"), self._upload)
+                add("mission_upload", "plan.upload", self._upload)
                 for name, action in (
                     ("start", Action.MISSION_START),
                     ("pause", Action.MISSION_PAUSE),
@@ -132,10 +131,10 @@ class PlanPart:
                     ("stop", Action.MISSION_STOP),
                 ):
                     work = partial(tab.order_mission, action)
-                    add(f"mission_{name}", self._word(name), work, hold=name == "start")
-            self._progress = ui.linear_progress(0.0, show_value=False).props(
-                f'id=mission-progress aria-label="{self._word("progress")}"'
-            )
+                    add(f"mission_{name}", f"plan.{name}", work, hold=name == "start")
+            self._progress = ui.linear_progress(0.0, show_value=False)
+            self._progress.props("id=mission-progress")
+            self._deck.wording.put(attribute(self._progress), "plan.progress")
             self._state = ui.label().props("id=mission role=status")
 
     # -- what the operator does ------------------------------------------------------------------
@@ -261,7 +260,7 @@ class PlanPart:
         return None if position is None else (position.latitude_deg, position.longitude_deg)
 
     def _show(self) -> None:
-        """Show the draft: after each change of it, and only then."""
+        """Show the draft: after each change of it or of the settings, and only then."""
         draft = self._draft
         found = self._found = checked(draft, self._here())
         self._summary.set_text(self._say(summary_of(draft, found)))
@@ -276,7 +275,8 @@ class PlanPart:
         chosen = None if self._chosen is None else draft.points[self._chosen]
         self._waypoint.show(self._chosen, chosen)
         self._whole.show(draft)
-        self._chart.options.update(profile_options(profile(draft.points)))
+        units = self._deck.wording.settings.units
+        self._chart.options.update(profile_options(profile(draft.points), units))
         self._chart.update()
         _run(f"map.draw({json.dumps(drawing(draft, found, self._chosen))})")
 
@@ -300,8 +300,8 @@ class PlanPart:
         agent = self._deck.agent
         uploaded = upload_of(self._found.plan, agent.plan, agent.plan_by)
         self._uploaded.set_text(self._say(uploaded))
-        self._plan.set_text(view.mission.plan)
-        self._state.set_text(view.mission.state)
+        self._plan.set_text(self._say(view.mission.plan))
+        self._state.set_text(self._say(view.mission.state))
         self._progress.set_value(view.mission.part)
 
 

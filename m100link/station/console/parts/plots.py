@@ -10,6 +10,7 @@ from nicegui import events, ui
 from m100link.station.console.history import COLUMNS, INTERVAL
 from m100link.station.console.parts.fields import card
 from m100link.station.console.parts.part import Deck
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.plots import (
     FIRST_CHOICE,
     MOST,
@@ -22,6 +23,7 @@ from m100link.station.console.view.plots import (
     step,
 )
 from m100link.station.console.view.view import View
+from m100link.station.console.view.words import Text
 
 __all__ = ["PlotsPart"]
 
@@ -46,29 +48,46 @@ class PlotsPart:
 
     def build(self) -> None:
         """Lay it out."""
-        with card("Plots").props("id=plots-card"):
+        wording = self._deck.wording
+        with card("plots.title", wording).props("id=plots-card"):
             with ui.row().classes("w-full items-center gap-2"):
                 self._chosen = ui.select(
-                    {name: label(name) for name in COLUMNS},
+                    list(COLUMNS),
                     value=self._names,
                     multiple=True,
                     with_input=True,
-                    label=f"numbers, at most {MOST}",
                     on_change=self._choose,
                 )
                 self._chosen.props("id=plot-names dense use-chips").classes("grow")
-                ui.select(
-                    RANGES, value=self._seconds, label="shows", on_change=self._set_range
-                ).props("id=plot-range dense")
-                self._pause = ui.button("Pause", on_click=self._toggle).props(
+                wording.follow(self._name_options)
+                wording.put(attribute(self._chosen, "label"), "plots.numbers", most=MOST)
+                seconds = ui.select(RANGES, value=self._seconds, on_change=self._set_range)
+                wording.put(attribute(seconds.props("id=plot-range dense"), "label"), "plots.range")
+                self._pause = ui.button(on_click=self._toggle).props(
                     "id=plot-pause outline aria-pressed=false"
                 )
-                ui.button("CSV", on_click=self._download).props(
-                    'id=plot-csv outline title="download what is drawn"'
-                )
-            self._chart: Any = ui.echart(chart(self._names)).classes("w-full")
-            self._chart.props('id=plots role=img aria-label="plots of the chosen numbers"')
-            self._resize()
+                csv = ui.button(on_click=self._download).props("id=plot-csv outline")
+                wording.put(csv.set_text, "plots.csv")
+                wording.put(attribute(csv, "title"), "plots.csv.note")
+            self._chart: Any = ui.echart({}).classes("w-full").props("id=plots role=img")
+            wording.put(attribute(self._chart), "plots.chart")
+            wording.follow(self._say_again)
+
+    def _name_options(self) -> None:
+        said = self._deck.wording
+        self._chosen.set_options({name: said(label(name)) for name in COLUMNS})
+
+    def _say_again(self) -> None:
+        """In another language, or other units: then every point is another one, too."""
+        self._name_pause()
+        self._draw_anew()
+
+    def _draw_anew(self) -> None:
+        self._chart.options.clear()
+        self._chart.options.update(chart(self._names, self._deck.wording.settings.speaker))
+        self._resize()
+        self._chart.update()
+        self._is_whole_wanted = True
 
     def _resize(self) -> None:
         self._chart.style(f"height: {height(self._names)}px")
@@ -81,11 +100,7 @@ class PlotsPart:
             self._chosen.set_value(names)  # comes back here
             return
         self._names = names
-        self._chart.options.clear()
-        self._chart.options.update(chart(names))
-        self._resize()
-        self._chart.update()
-        self._is_whole_wanted = True
+        self._draw_anew()
 
     def _set_range(self, event: events.ValueChangeEventArguments[Any]) -> None:
         self._seconds = int(event.value)
@@ -94,9 +109,13 @@ class PlotsPart:
     def _toggle(self) -> None:
         is_paused = self._until is None
         self._until = self._deck.history.count if is_paused else None
-        self._pause.set_text("Go on" if is_paused else "Pause")
+        self._name_pause()
         self._pause.props(f"aria-pressed={str(is_paused).lower()}")
         self._is_whole_wanted = True
+
+    def _name_pause(self) -> None:
+        key = "plots.pause" if self._until is None else "plots.go_on"
+        self._pause.set_text(self._deck.wording(Text(key)))
 
     def _download(self) -> None:
         text = self._deck.history.csv(self._names, last_s=self._seconds, until=self._until)
@@ -121,9 +140,8 @@ class PlotsPart:
         self._sent, self._is_whole_wanted = history.count, False
         self._version += is_whole
         if rows:
-            given = json.dumps(
-                [self._version, points(rows), 1000 * self._seconds], separators=(",", ":")
-            )
+            drawn = points(rows, self._names, self._deck.wording.settings.units)
+            given = json.dumps([self._version, drawn, 1000 * self._seconds], separators=(",", ":"))
             ui.run_javascript(
                 f'import("/console/plots.js").then((m)=>m.add({self._chart.id},...{given}))'
             )

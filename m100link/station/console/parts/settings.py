@@ -10,13 +10,14 @@ from typing import Any
 
 from nicegui import ui
 
-from m100link.station.console.parts.fields import card
+from m100link.station.console.parts.fields import card, say_options
 from m100link.station.console.parts.part import Deck
-from m100link.station.console.parts.simpanel import sim_panel
+from m100link.station.console.parts.simpanel import SimPanel
+from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.settings import Settings, Theme
 from m100link.station.console.view.units import Language, LengthUnit, SpeedUnit
 from m100link.station.console.view.view import View
-from m100link.station.console.view.words import Text
+from m100link.station.console.view.words import Text, for_browser
 
 __all__ = ["SettingsPart", "apply_settings", "load_settings"]
 
@@ -50,9 +51,11 @@ def apply_settings(deck: Deck, settings: Settings) -> None:
     if settings.name:
         deck.tab.name = settings.name
     deck.dark.set_value({Theme.AUTO: None, Theme.DARK: True}.get(settings.theme, False))
+    told = json.dumps(for_browser(settings.speaker))
     ui.run_javascript(
         f"document.documentElement.lang = {json.dumps(settings.language.value)};"
         f"document.body.classList.toggle('sun', {json.dumps(settings.theme is Theme.SUN)});"
+        f'import("/console/said.js").then((said) => said.choose({told}));'
     )
     deck.wording.choose(settings)
 
@@ -74,7 +77,7 @@ class SettingsPart:
             name = ui.input(value=self._deck.tab.name).props("for=name outlined maxlength=64")
             name.classes("w-60")
             name.on_value_change(lambda event: self._rename(str(event.value)))
-            wording.put(lambda text: name.props(f'label="{text}"'), "settings.name")
+            wording.put(attribute(name, "label"), "settings.name")
             for field, kind in _CHOICES:
                 self._build_choice(field, kind)
             for field in ("sound", "speech"):
@@ -90,7 +93,7 @@ class SettingsPart:
                 wording.put(ui.label().classes("note-plain").set_text, key)
         if self._deck.orders is not None:
             with card("status.virtual", wording):
-                sim_panel(self._deck.orders)
+                SimPanel(self._deck.orders, wording).build()
 
     def _build_choice(self, field: str, kind: type[Enum]) -> None:
         wording = self._deck.wording
@@ -99,10 +102,9 @@ class SettingsPart:
         choice = ui.select({value: value for value in values}, value=chosen)
         choice.props(f"for={field} outlined").classes("w-60")
         choice.on_value_change(self._chooser(field, kind))
-        wording.put(lambda text: choice.props(f'label="{text}"'), f"settings.{field}")
+        wording.put(attribute(choice, "label"), f"settings.{field}")
         if field in _NAMED:
-            for value in values:
-                wording.put(_option(choice, value), f"settings.{field}.{value}")
+            say_options(choice, {one: f"settings.{field}.{one}" for one in values}, wording)
 
     def _rename(self, name: str) -> None:
         self._deck.tab.name = name[:64]
@@ -134,10 +136,3 @@ class SettingsPart:
 
     def update(self, view: View) -> None:
         """Nothing of it comes from the aircraft."""
-
-
-def _option(choice: Any, value: str) -> Callable[[str], None]:
-    def show(text: str) -> None:
-        choice.set_options({**choice.options, value: text})
-
-    return show

@@ -6,7 +6,9 @@ from nicegui import ui
 
 from m100link.agent.lease import LeaseHeld
 from m100link.errors import M100Error
+from m100link.station.console.parts.wording import Wording
 from m100link.station.console.tab import Tab
+from m100link.station.console.view.words import say
 
 __all__ = ["TakeOverDialog"]
 
@@ -16,10 +18,11 @@ class TakeOverDialog:
 
     Args:
         tab: Who wants control.
+        wording: Asks in the operator's language.
     """
 
-    def __init__(self, tab: Tab) -> None:
-        self._tab = tab
+    def __init__(self, tab: Tab, wording: Wording) -> None:
+        self._tab, self._wording = tab, wording
         # The order runs in the background, where no element can be made.
         self._is_wanted = False
 
@@ -42,14 +45,17 @@ class TakeOverDialog:
         except M100Error:
             return  # it is free by now
         with ui.dialog() as dialog, ui.card():
-            ui.label(f"{wanted.from_name} has control. Take it over?").props("id=take-over")
-            ui.label("The aircraft stops and hovers; the other side can steer no more.")
+            asked = self._wording(say("page.take_over", name=wanted.from_name))
+            ui.label(asked).props("id=take-over")
+            ui.label(self._wording(say("page.take_over.effect")))
             with ui.row():
 
                 async def confirm() -> None:
                     dialog.close()
                     await self._tab.attempt(lambda: self._tab.confirm_take_over(wanted))
 
-                ui.button("Take over", on_click=confirm).props("color=red id=confirm")
-                ui.button("Leave it", on_click=dialog.close).props("flat")
+                take = self._wording(say("page.take_over.confirm"))
+                ui.button(take, on_click=confirm).props("color=red-9 id=confirm")
+                leave = self._wording(say("page.take_over.leave"))
+                ui.button(leave, on_click=dialog.close).props("flat")
         dialog.open()

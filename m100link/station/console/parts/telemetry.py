@@ -10,6 +10,7 @@ from m100link.station.console.parts.fields import ReadingRow, card
 from m100link.station.console.parts.part import Deck
 from m100link.station.console.view.instruments import FIELDS
 from m100link.station.console.view.view import View
+from m100link.station.console.view.words import say
 
 __all__ = ["TelemetryPart"]
 
@@ -29,18 +30,19 @@ class TelemetryPart:
 
     def build(self) -> None:
         """Lay it out."""
-        with card("Flight"):
+        wording = self._deck.wording
+        with card("instruments.title", wording):
             for one in FIELDS:
-                self._rows[one.name] = ReadingRow(one.name, one.label)
-        with card("Attitude"):
-            self._age = ui.label("no attitude").classes("note").props("id=attitude-age")
+                self._rows[one.name] = ReadingRow(one.name, wording)
+        with card("instruments.attitude", wording):
+            self._age = ui.label().classes("note").props("id=attitude-age")
             self._frame = ui.element("div").classes("attitude")
             with self._frame:
                 self._build_scene()
-        with card("Remote control"):
+        with card("instruments.remote_control", wording):
             for name in _CHANNELS:
                 with ui.row().classes("w-full items-center gap-2 no-wrap"):
-                    ui.label(name).classes("w-20")
+                    wording.put(ui.label().classes("w-20").set_text, f"instruments.rc.{name}")
                     ui.element("div").classes("grow").props(f"data-rc={name}")
 
     def _build_scene(self) -> None:
@@ -64,7 +66,8 @@ class TelemetryPart:
         for name, row in self._rows.items():
             row.show(view.instruments.readings[name])
         attitude = view.instruments.attitude
-        self._age.set_text("" if attitude is not None else "no attitude: what is drawn is old")
+        old = self._deck.wording(say("instruments.no_attitude"))
+        self._age.set_text("" if attitude is not None else old)
         if attitude is None:
             self._frame.classes(add="stale")
             return

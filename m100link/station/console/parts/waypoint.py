@@ -10,7 +10,10 @@ from nicegui import events, ui
 
 from m100link.errors import UsageError
 from m100link.missions.waypoint import Waypoint
+from m100link.station.console.parts.fields import NumberField
+from m100link.station.console.parts.wording import Wording, attribute
 from m100link.station.console.view.draft import actions_of, text_of
+from m100link.station.console.view.units import Kind
 
 __all__ = ["WaypointPart"]
 
@@ -25,7 +28,7 @@ class WaypointPart:
     """A card for one waypoint.
 
     Args:
-        word: Says a word of the catalogue.
+        wording: Says what stands there.
         change: Changes its values.
         move: Puts it earlier (-1) or later (1), or removes it (0).
         refuse: Told what is not an action.
@@ -33,13 +36,13 @@ class WaypointPart:
 
     def __init__(
         self,
-        word: Callable[[str], str],
+        wording: Wording,
         change: ChangePoint,
         move: Callable[[int], None],
         refuse: Callable[[str], None],
     ) -> None:
-        self._word, self._change, self._move, self._refuse = word, change, move, refuse
-        self._numbers: dict[str, ui.number] = {}
+        self._wording, self._change, self._move, self._refuse = wording, change, move, refuse
+        self._numbers: dict[str, NumberField] = {}
         self._is_showing = False  # what is set then was not typed
 
     def build(self) -> None:
@@ -47,26 +50,32 @@ class WaypointPart:
         with ui.element("div").classes("card w-full").props("id=waypoint") as self._card:
             self._title = ui.label().classes("title")
             with ui.element("div").classes("numbers"):
-                for name, word, step in (
-                    ("height", "height", 1.0),
-                    ("heading_deg", "heading", 5.0),
-                    ("gimbal_pitch_deg", "pitch", 5.0),
-                    ("latitude_deg", "latitude", 1e-5),
-                    ("longitude_deg", "longitude", 1e-5),
+                for name, word, step, kind in (
+                    ("height", "height", 1.0, Kind.LENGTH),
+                    ("heading_deg", "heading", 5.0, None),
+                    ("gimbal_pitch_deg", "pitch", 5.0, None),
+                    ("latitude_deg", "latitude", 1e-5, None),
+                    ("longitude_deg", "longitude", 1e-5, None),
                 ):
-                    number = ui.number(label=self._word(word), step=step)
-                    number.props(f"dense outlined debounce=300 for=waypoint-{word}")
-                    number.on_value_change(partial(self._typed, name))
+                    number = NumberField(
+                        self._wording,
+                        f"plan.{word}",
+                        kind=kind,
+                        step=step,
+                        changed=partial(self._typed, name),
+                    )
+                    number.element.props(f"dense outlined debounce=300 for=waypoint-{word}")
                     self._numbers[name] = number
-            self._actions = ui.input(label=self._word("actions"))
+            self._actions = ui.input()
             self._actions.props("dense outlined debounce=500 for=waypoint-actions")
-            self._actions.props(f'hint="{self._word("actions_hint")}"')
+            self._wording.put(attribute(self._actions, "label"), "plan.actions")
+            self._wording.put(attribute(self._actions, "hint"), "plan.actions_hint")
             self._actions.on_value_change(self._acted)
             with ui.element("div").classes("choices"):
                 for word, by in (("earlier", -1), ("later", 1), ("remove", 0)):
                     button = ui.element("button").props(f"type=button data-plan={word}")
                     with button:
-                        ui.label(self._word(word))
+                        self._wording.put(ui.label().set_text, f"plan.{word}")
                     button.on("click", partial(self._move, by), args=[])
         self._card.set_visibility(False)
 
@@ -78,9 +87,7 @@ class WaypointPart:
         self._is_showing = True
         self._title.set_text(str(index + 1))
         for name, number in self._numbers.items():
-            value = getattr(point, name)
-            if number.value != value:
-                number.set_value(value)
+            number.set(getattr(point, name))
         if not self._is_same_text(point):
             self._actions.set_value(text_of(point.actions))
         self._is_showing = False
@@ -92,9 +99,9 @@ class WaypointPart:
         except UsageError:
             return False
 
-    def _typed(self, name: str, event: events.ValueChangeEventArguments[Any]) -> None:
-        if not self._is_showing and isinstance(event.value, int | float):
-            self._change(**{name: event.value})
+    def _typed(self, name: str, value: float | None) -> None:
+        if value is not None:
+            self._change(**{name: value})
 
     def _acted(self, event: events.ValueChangeEventArguments[Any]) -> None:
         if self._is_showing:

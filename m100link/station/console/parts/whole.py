@@ -13,8 +13,10 @@ from nicegui import events, ui
 from m100link.errors import UsageError
 from m100link.missions.survey import line_spacing
 from m100link.missions.waypoint import AtEnd, Heading, Trace
-from m100link.station.console.parts.fields import card
+from m100link.station.console.parts.fields import NumberField, card, say_options
+from m100link.station.console.parts.wording import Wording, attribute
 from m100link.station.console.view.draft import Draft
+from m100link.station.console.view.units import Kind
 
 __all__ = ["WholePart"]
 
@@ -27,69 +29,88 @@ _CHOICES: tuple[tuple[str, str, type[IntEnum]], ...] = (
     ("trace", "trace", Trace),
 )
 
+_LINES: tuple[tuple[str, float | None, float, float, Kind | None], ...] = (
+    ("height", 30.0, 2, 1, Kind.LENGTH),
+    ("overlap", 70.0, 0, 5, None),
+    ("spacing", None, 1, 1, Kind.LENGTH),
+    ("angle", 0.0, -180, 5, None),
+    ("photo_every", None, 2, 1, Kind.LENGTH),
+)
+"""Of the survey: its name, what stands there at first, the least, the step of its arrows, and what
+it measures."""
+
 
 class WholePart:
     """Two cards.
 
     Args:
-        word: Says a word of the catalogue.
+        wording: Says what stands there.
         change: Takes another draft.
         survey: Makes lines over the area.
     """
 
     def __init__(
         self,
-        word: Callable[[str], str],
+        wording: Wording,
         change: Callable[[Draft], None],
         survey: Callable[..., None],
     ) -> None:
-        self._word, self._change, self._survey = word, change, survey
+        self._wording, self._change, self._survey = wording, change, survey
         self._draft = Draft()
         self._selects: dict[str, ui.select] = {}
-        self._lines: dict[str, ui.number] = {}
+        self._lines: dict[str, NumberField] = {}
         self._is_showing = False  # what is set then was not chosen
 
     def build(self) -> None:
         """Lay it out."""
+        wording = self._wording
         with ui.element("div").classes("card w-full"), ui.element("div").classes("numbers"):
-            self._speed = ui.number(label=self._word("speed"), min=0, max=15, step=0.5)
-            self._speed.props("dense outlined debounce=300 for=plan-speed")
-            self._speed.on_value_change(self._sped)
+            self._speed = NumberField(
+                wording,
+                "plan.speed",
+                kind=Kind.SPEED,
+                limits=(0, 15),
+                step=0.5,
+                changed=self._sped,
+            )
+            self._speed.element.props("dense outlined debounce=300 for=plan-speed")
             for name, word, kind in _CHOICES:
-                options = {one.value: self._word(f"{word}.{one.name.lower()}") for one in kind}
-                select = ui.select(options, label=self._word(word))
+                select = ui.select([one.value for one in kind])
+                say_options(
+                    select, {one.value: f"plan.{word}.{one.name.lower()}" for one in kind}, wording
+                )
+                wording.put(attribute(select, "label"), f"plan.{word}")
                 select.props(f"dense outlined for=plan-{word}")
                 select.on_value_change(partial(self._selected, name, kind))
                 self._selects[name] = select
-        with card(self._word("survey")):
+        with card("plan.survey", wording):
             with ui.element("div").classes("numbers"):
-                for name, value, low, step in (
-                    ("height", 30.0, 2, 1),
-                    ("overlap", 70.0, 0, 5),
-                    ("spacing", None, 1, 1),
-                    ("angle", 0.0, -180, 5),
-                    ("photo_every", None, 2, 1),
-                ):
-                    number = ui.number(label=self._word(name), value=value, min=low, step=step)
-                    number.props(f"dense outlined clearable for=survey-{name}")
+                for name, value, low, step, measure in _LINES:
+                    number = NumberField(
+                        wording,
+                        f"plan.{name}",
+                        kind=measure,
+                        limits=(low, None),
+                        step=step,
+                        value=value,
+                    )
+                    number.element.props(f"dense outlined clearable for=survey-{name}")
                     self._lines[name] = number
             button = ui.element("button").classes("act plain").props("type=button data-plan=lines")
             with button:
-                ui.label(self._word("lines"))
+                wording.put(ui.label().set_text, "plan.lines")
             button.on("click", self._make_lines, args=[])
 
     def show(self, draft: Draft) -> None:
         """Show what holds for a draft."""
         self._draft, self._is_showing = draft, True
-        if self._speed.value != draft.speed:
-            self._speed.set_value(draft.speed)
+        self._speed.set(draft.speed)
         for name, select in self._selects.items():
             select.set_value(int(getattr(draft, name)))
         self._is_showing = False
 
-    def _sped(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        if not self._is_showing and isinstance(event.value, int | float):
-            speed = float(event.value)
+    def _sped(self, speed: float | None) -> None:
+        if speed is not None:
             self._change(replace(self._draft, speed=speed, max_speed=max(10.0, speed)))
 
     def _selected(

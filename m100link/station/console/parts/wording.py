@@ -23,7 +23,7 @@ class Wording:
     def __init__(self) -> None:
         self.settings = Settings()
         self.utc_offset_min = 0
-        self._placed: list[tuple[Callable[[str], object], Text]] = []
+        self._followers: list[Callable[[], object]] = []
 
     def __call__(self, text: Text) -> str:
         """The text as it is shown now."""
@@ -38,14 +38,18 @@ class Wording:
             values: What stands in its braces.
         """
         text = say(key, **values)
-        self._placed.append((show, text))
-        show(self(text))
+        self.follow(lambda: show(self(text)))
+
+    def follow(self, show: Callable[[], object]) -> None:
+        """Call this now and after every change of the settings."""
+        self._followers.append(show)
+        show()
 
     def choose(self, settings: Settings) -> None:
         """Take other settings."""
         self.settings = settings
-        for show, text in self._placed:
-            show(self(text))
+        for show in self._followers:
+            show()
 
 
 def attribute(element: ui.element, name: str = "aria-label") -> Callable[[str], None]:

@@ -1,5 +1,7 @@
 // What a pilot looks at, drawn from the messages of the socket: a value that is not in them is old.
 
+import {number, units, words} from "./said.js";
+
 export function fit(canvas) {
   const scale = window.devicePixelRatio || 1;
   const width = canvas.clientWidth, height = canvas.clientHeight;
@@ -14,6 +16,7 @@ export function fit(canvas) {
 }
 
 const TAPE = 46, RATE = 16, TOP = 20;
+const STEPS = {"m": 2, "ft": 5, "m/s": 1, "km/h": 5, "kn": 2};  // of a tape's numbers
 
 export function drawHorizon(canvas, live) {
   const [g, width, height] = fit(canvas);
@@ -22,8 +25,8 @@ export function drawHorizon(canvas, live) {
   const middle = [TAPE, TOP, width - 2 * TAPE - RATE, height - TOP];
   drawAttitude(g, middle, live.att);
   drawHeading(g, width, live.att);
-  drawTape(g, [0, TOP, TAPE, height - TOP], live.vel && live.vel[0], "m/s", 1);
-  drawTape(g, [width - TAPE - RATE, TOP, TAPE, height - TOP], live.pos && live.pos[2], "m", 2);
+  drawTape(g, [0, TOP, TAPE, height - TOP], live.vel && live.vel[0], units.speed);
+  drawTape(g, [width - TAPE - RATE, TOP, TAPE, height - TOP], live.pos && live.pos[2], units.length);
   drawRate(g, [width - RATE, TOP, RATE, height - TOP], live.vel && live.vel[1]);
 }
 
@@ -67,7 +70,7 @@ function drawAttitude(g, box, attitude) {
     g.moveTo(width / 2 - 36, height / 2); g.lineTo(width / 2 - 12, height / 2);
     g.moveTo(width / 2 + 12, height / 2); g.lineTo(width / 2 + 36, height / 2);
     g.stroke();
-    if (!attitude) label(g, "no attitude", width / 2, height / 2 - 14, 90);
+    if (!attitude) label(g, words("no_attitude"), width / 2, height / 2 - 14, 90);
   });
 }
 
@@ -91,7 +94,7 @@ function drawHeading(g, width, attitude) {
     g.textAlign = "center";
     const reach = width / 2 / perDegree;
     for (let at = Math.ceil((yaw - reach) / 15) * 15; at <= yaw + reach; at += 15) {
-      const name = {0: "N", 90: "E", 180: "S", 270: "W"}[turned(at)];
+      const name = {0: "N", 90: words("compass_east"), 180: "S", 270: "W"}[turned(at)];
       const x = width / 2 + (at - yaw) * perDegree;
       g.fillText(name || (at % 30 ? "·" : turned(at)), x, 15);
     }
@@ -102,7 +105,8 @@ function drawHeading(g, width, attitude) {
 const turned = (degrees) => ((degrees % 360) + 360) % 360;
 
 // A tape moves behind a window in which the value stands; crossed out when it is not known.
-function drawTape(g, box, value, unit, step) {
+function drawTape(g, box, metric, [factor, unit]) {
+  const value = metric === undefined ? undefined : factor * metric, step = STEPS[unit];
   within(g, box, (width, height) => {
     g.fillStyle = "rgba(0, 0, 0, .72)";
     g.fillRect(0, 0, width, height);
@@ -121,7 +125,7 @@ function drawTape(g, box, value, unit, step) {
       g.moveTo(width - 4, 24); g.lineTo(4, height - 24);
       g.stroke();
     }
-    label(g, value === undefined ? "old" : value.toFixed(1), width / 2, height / 2, width);
+    label(g, value === undefined ? words("old") : number(value, 1), width / 2, height / 2, width);
     g.fillStyle = "#bbb";
     g.font = "10px sans-serif";
     g.fillText(unit, width / 2, height - 5);

@@ -1,5 +1,7 @@
 // What is drawn on the map, and how it follows; Leaflet itself comes with the page.
 
+import {length, onChoose, units, words} from "./said.js";
+
 const RADIUS_M = 6378137;
 const radians = (degrees) => degrees * Math.PI / 180;
 const GRID_STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
@@ -47,9 +49,9 @@ export class FlightMap {
     this.runs = [];       // of the track, one for each stretch of a colour
     this.home = null;
     this.drawnAt = 0;
-    
     this.canvas = L.canvas({padding: 0.3});
-    L.control.scale({imperial: false}).addTo(leaflet);
+    onChoose(() => this.showScale());
+    this.showScale();
     this.grid = grid(L, () => this.home || this.track[0] || this.position);
     this.grid.addTo(leaflet);
     this.route = L.polyline([], {color: "#ab47bc", weight: 3, renderer: this.canvas}).addTo(leaflet);
@@ -62,6 +64,12 @@ export class FlightMap {
     turnGestures(this);
     this.keepStillWhilePressed();
     new ResizeObserver(() => leaflet.invalidateSize({pan: false})).observe(element);
+  }
+
+  showScale() {
+    this.scale?.remove();
+    const isImperial = units.length[1] === "ft";
+    this.scale = window.L.control.scale({imperial: isImperial, metric: !isImperial}).addTo(this.leaflet);
   }
 
   choose(button) {
@@ -189,10 +197,10 @@ export class FlightMap {
   drawHome(live) {
     const text = document.querySelector("#map-home");
     if (!text) return;
-    if (!this.home) return void (text.textContent = "home was not seen");
+    if (!this.home) return void (text.textContent = words("home_unseen"));
     const far = Math.hypot(...metres(this.home, this.position));
-    const way = far < 1 ? "" : ` · ${Math.round(bearing(this.home, this.position)) % 360}°`;
-    const shown = live.pos ? `home ${far.toFixed(0)} m${way}` : "home: position is old";
+    const way = {far: length(far), bearing: Math.round(bearing(this.home, this.position)) % 360};
+    const shown = live.pos ? words(far < 1 ? "home" : "home_way", way) : words("home_old");
     if (text.textContent !== shown) text.textContent = shown;
   }
 

@@ -1,5 +1,7 @@
 // The socket of the page: beats out, instruments in, and the times that tell how old either is.
 
+import {number, words} from "./said.js";
+
 const ALIVE_MS = 500;
 const LOST_MS = 1000;
 const VIEW_MS = 2000;  // the texts of the page come four times a second
@@ -90,7 +92,7 @@ export class Socket {
 
   watch() {
     const age = this.live ? this.live.age : undefined;
-    fill("age", age === undefined ? "–" : `${(age + this.age).toFixed(2)} s ago`);
+    fill("age", age === undefined ? "–" : words("age", {seconds: number(age + this.age, 2)}));
     document.body.classList.toggle("station-lost", this.isLost);
   }
 }

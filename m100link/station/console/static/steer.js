@@ -4,6 +4,8 @@
 //
 // Whatever ends it also asks for a new press: nothing that is still held flies on by itself.
 
+import {number, onChoose, speed, words} from "./said.js";
+
 const BEAT_MS = 50;
 const STOOD_STILL_MS = 1000;  // a page that slept so long does not know what is held
 
@@ -100,6 +102,7 @@ export class Steering {
     document.addEventListener("freeze", () => this.rest());
     document.addEventListener("visibilitychange", () => document.hidden && this.rest());
     setInterval(() => this.tick(), BEAT_MS);
+    onChoose(() => this.show());
     this.show();
   }
 
@@ -137,13 +140,13 @@ export class Steering {
   setLevel(level) {
     this.level = Math.max(1, Math.min(LEVELS, level));
     this.show();
-    this.say(`speed ${this.level} of ${LEVELS}`);
+    this.say(words("level", {level: this.level, levels: LEVELS}));
   }
 
   setMode(mode) {
     this.mode = mode;
     this.show();
-    this.say(mode === 1 ? "mode 1: angles" : "mode 2: velocity over ground");
+    this.say(words(mode === 1 ? "angles" : "velocity"));
   }
 
   gamepad() {
@@ -182,7 +185,7 @@ export class Steering {
     const axes = this.demand();
     this.pad.classList.toggle("steering", axes !== null);
     if (axes === null) {
-      if (this.wasActive) { this.socket.send({op: "rest"}); this.say("let go: it hovers"); }
+      if (this.wasActive) { this.socket.send({op: "rest"}); this.say(words("let_go")); }
       this.wasActive = false;
       if (!this.hasFocus) this.letGo();
       return;
@@ -212,16 +215,16 @@ export class Steering {
 
   tell(axes, turn, climb) {
     const parts = [];
-    const go = (value, plus, minus) => value && parts.push(value > 0 ? plus : minus);
+    const go = (value, plus, minus) => value && parts.push(words(value > 0 ? plus : minus));
     const north = this.mode === 2;
     go(axes.forward, north ? "north" : "forward", north ? "south" : "back");
     go(axes.right, north ? "east" : "right", north ? "west" : "left");
     const size = Math.min(1, Math.hypot(axes.forward, axes.right)) * this.level;
-    if (parts.length) parts.push(north ? `${(SPEED_M_S * size).toFixed(1)} m/s` : `${(ANGLE_DEG * size).toFixed(0)}°`);
-    if (turn) parts.push(`turn ${turn > 0 ? "right" : "left"} ${Math.abs(turn).toFixed(0)} °/s`);
-    if (climb) parts.push(`${climb > 0 ? "climb" : "sink"} ${Math.abs(climb).toFixed(1)} m/s`);
+    if (parts.length) parts.push(north ? speed(SPEED_M_S * size) : `${number(ANGLE_DEG * size, 0)}°`);
+    if (turn) parts.push(words(turn > 0 ? "turn_right" : "turn_left", {rate: number(Math.abs(turn), 0)}));
+    if (climb) parts.push(words(climb > 0 ? "climb" : "sink", {speed: speed(Math.abs(climb))}));
     const keys = [...this.held].map((code) => code.slice(3)).join(" ");
-    this.say(`${keys ? `${keys}: ` : ""}${parts.join(" ") || "held, at rest"}`);
+    this.say(`${keys ? `${keys}: ` : ""}${parts.join(" ") || words("at_rest")}`);
   }
 
   say(text) {
@@ -234,6 +237,6 @@ export class Steering {
     this.pad.querySelector("[data-level]").textContent = this.level;
     this.pad.querySelector("[data-mode]").textContent = this.mode;
     this.pad.querySelector("[data-hint]").textContent =
-      this.mode === 1 ? "(angles, W forward)" : "(velocity, W north)";
+      words(this.mode === 1 ? "angles_hint" : "velocity_hint");
   }
 }

@@ -20,6 +20,8 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.station.console.view.inputs import Inputs
+from m100link.station.console.view.units import Quantity
+from m100link.station.console.view.words import Text, say
 from m100link.telemetry.state import AircraftState
 
 __all__ = [
@@ -39,17 +41,15 @@ class Field:
     """A field of the console.
 
     Attributes:
-        name: Identifies it in the page.
-        label: What stands before the value.
+        name: Identifies it in the page; ``instruments.<name>`` is what it is called.
         record: Telemetry record that it comes from.
-        text: The value as text.
+        text: The value, to be said.
         stale_after: Seconds after which it is greyed out: a few times the slowest usual interval.
     """
 
     name: str
-    label: str
     record: type[Any]
-    text: Callable[[Any], str]
+    text: Callable[[Any], Text]
     stale_after: float = 1.0
 
 
@@ -60,51 +60,64 @@ class Reading:
     Attributes:
         text: The value, or a dash.
         is_stale: Whether it is too old to be believed, or was never there.
-        note: Its age when it is stale.
+        note: Its age when it is stale; None where there is nothing to add.
     """
 
-    text: str
+    text: Text
     is_stale: bool
-    note: str = ""
+    note: Text | None = None
 
 
-def _phase(status: FlightStatus) -> str:
+def _phase(status: FlightStatus) -> Text:
     phase = status.phase
-    return phase.name.replace("_", " ").lower() if phase is not None else f"{status.status}?"
+    if phase is None:
+        return say("instruments.unknown_code", code=status.status)
+    return Text(f"instruments.phase.{phase.name.lower()}")
 
 
-def _device(item: ControlDevice) -> str:
+def _device(item: ControlDevice) -> Text:
     device = item.device
-    return device.name.lower() if device is not None else f"{item.control}?"
+    if device is None:
+        return say("instruments.unknown_code", code=item.control)
+    return Text(f"instruments.device.{device.name.lower()}")
 
 
-def _gps(position: Position) -> str:
+def _gps(position: Position) -> Text:
     health = position.gps_health
     if health is None:
-        return "not reported"
-    return f"{health} of 5" + ("" if health >= 3 else " (too low for velocity and position)")
+        return say("instruments.gps.none")
+    return Text(f"instruments.gps.{'good' if health >= 3 else 'low'}", {"health": health})
+
+
+def _value(value: object) -> Text:
+    return say("instruments.value", value=value)
+
+
+def _place(degrees: float) -> Text:
+    # With a point in every language: this is copied into other programs.
+    return say("instruments.degrees", value=f"{degrees:.6f}")
+
+
+def _gimbal(gimbal: Gimbal) -> Text:
+    roll, pitch, yaw = map(round, (gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg))
+    return say("instruments.gimbal_angles", roll=roll, pitch=pitch, yaw=yaw)
 
 
 FIELDS: tuple[Field, ...] = (
-    Field("flight_status", "Flight status", FlightStatus, _phase, 2.0),
-    Field("battery", "Battery", Battery, lambda b: f"{b.percent} %", 3.0),
-    Field("gps", "GPS health", Position, _gps),
-    Field("height", "Height above take-off", Position, lambda p: f"{p.height_m:.1f} m"),
-    Field("altitude", "Altitude", Position, lambda p: f"{p.altitude_m:.1f} m"),
-    Field("latitude", "Latitude", Position, lambda p: f"{p.latitude_deg:.6f}°"),
-    Field("longitude", "Longitude", Position, lambda p: f"{p.longitude_deg:.6f}°"),
-    Field("speed", "Ground speed", Velocity, lambda v: f"{v.ground_speed_m_s:.1f} m/s"),
-    Field("climb", "Climb", Velocity, lambda v: f"{v.up_m_s:+z.1f} m/s"),
-    Field("heading", "Heading", Attitude, lambda a: f"{round(a.yaw_deg) % 360}°"),
-    Field(
-        "gimbal",
-        "Gimbal",
-        Gimbal,
-        lambda g: f"roll {g.roll_deg:.0f}° pitch {g.pitch_deg:.0f}° yaw {g.yaw_deg:.0f}°",
-    ),
-    Field("mode_switch", "Mode switch", RemoteControl, lambda rc: rc.mode_switch.name),
-    Field("control_device", "Controlled by", ControlDevice, _device, 2.0),
-    Field("time", "Aircraft clock", Time, lambda t: f"{t.seconds:.1f} s", 1.0),
+    Field("flight_status", FlightStatus, _phase, 2.0),
+    Field("battery", Battery, lambda b: say("unit.percent", percent=b.percent), 3.0),
+    Field("gps", Position, _gps),
+    Field("height", Position, lambda p: _value(Quantity.length(p.height_m, 1))),
+    Field("altitude", Position, lambda p: _value(Quantity.length(p.altitude_m, 1))),
+    Field("latitude", Position, lambda p: _place(p.latitude_deg)),
+    Field("longitude", Position, lambda p: _place(p.longitude_deg)),
+    Field("speed", Velocity, lambda v: _value(Quantity.speed(v.ground_speed_m_s))),
+    Field("climb", Velocity, lambda v: _value(Quantity.speed(v.up_m_s, signed=True))),
+    Field("heading", Attitude, lambda a: say("instruments.degrees", value=round(a.yaw_deg) % 360)),
+    Field("gimbal", Gimbal, _gimbal),
+    Field("mode_switch", RemoteControl, lambda rc: _value(rc.mode_switch.name)),
+    Field("control_device", ControlDevice, _device, 2.0),
+    Field("time", Time, lambda t: say("unit.seconds", seconds=t.seconds)),
 )
 """The fields, in the order of the page."""
 
@@ -113,11 +126,12 @@ def read(field: Field, telemetry: AircraftState | None) -> Reading:
     """A field as it is now; without telemetry, as it is while no aircraft is connected."""
     record = telemetry.get(field.record) if telemetry is not None else None
     if telemetry is None or record is None:
-        return Reading("–", is_stale=True, note="never arrived" if telemetry is not None else "")
+        never = None if telemetry is None else say("instruments.never")
+        return Reading(say("instruments.nothing"), is_stale=True, note=never)
     age = telemetry.age(field.record) or 0.0
     if age <= field.stale_after:
         return Reading(field.text(record), is_stale=False)
-    return Reading(field.text(record), is_stale=True, note=f"{age:.0f} s old")
+    return Reading(field.text(record), is_stale=True, note=say("instruments.old", age=round(age)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,8 @@ from typing import Any
 
 from m100link.protocol.items import ITEMS
 from m100link.station.console.view.inputs import Inputs
+from m100link.station.console.view.words import Text, say
+from m100link.wire.frame import Discard
 
 __all__ = ["LINK_ITEMS", "ItemRate", "LinkView", "link_of"]
 
@@ -35,7 +37,7 @@ class ItemRate:
         longest_gap: Longest interval so far, s.
     """
 
-    name: str
+    name: Text
     rate: str
     jitter: str
     longest_gap: str
@@ -52,8 +54,8 @@ class LinkView:
         reason: Why there is no connection; empty when there is.
     """
 
-    texts: dict[str, str]
-    causes: tuple[tuple[str, str], ...]
+    texts: dict[str, Text]
+    causes: tuple[tuple[Text, str], ...]
     rates: tuple[ItemRate, ...]
     reason: str
 
@@ -61,35 +63,48 @@ class LinkView:
 def link_of(inputs: Inputs) -> LinkView:
     """The numbers as they are now."""
     state, holder, counted = inputs.state, inputs.holder, inputs.link
-    texts = dict.fromkeys(LINK_ITEMS, "–")
-    texts["connection"] = "silent" if inputs.is_silent else state.connection
-    texts["clients"] = f"{holder.name}, {state.lease_remaining:.0f} s" if holder.number else "free"
+    texts = dict.fromkeys(LINK_ITEMS, say("link.nothing"))
+    texts["connection"] = Text(f"link.{'silent' if inputs.is_silent else state.connection}")
+    texts["clients"] = (
+        say("link.holder", name=holder.name, seconds=round(state.lease_remaining))
+        if holder.number
+        else say("link.free")
+    )
     texts["front_lag"] = _ms(inputs.front_lag)
-    texts["page_ms"] = "–" if inputs.page_trip is None else _ms(inputs.page_trip)
+    if inputs.page_trip is not None:
+        texts["page_ms"] = _ms(inputs.page_trip)
     if inputs.telemetry is not None:
         trip = state.round_trip
         texts |= {
-            "firmware": state.firmware,
-            "aircraft_ms": "no answer" if trip is None else _ms(trip),
-            "discards": str(state.discards),
-            "mismatches": str(state.mismatches),
+            "firmware": _value(state.firmware),
+            "aircraft_ms": say("link.no_answer") if trip is None else _ms(trip),
+            "discards": _value(state.discards),
+            "mismatches": _value(state.mismatches),
         }
     causes: dict[str, Any] = {}
     if counted is not None:
         texts["agent_lag"] = _ms(counted.loop_lag)
-        texts |= {name: str(counted.counters.get(name, "–")) for name in _COUNTERS}
+        texts |= {name: _value(counted.counters.get(name, "–")) for name in _COUNTERS}
         causes = dict(sorted(counted.discards.items(), key=lambda one: -one[1]))
     fault = state.connection_fault
     return LinkView(
         texts,
-        tuple((cause, str(count)) for cause, count in causes.items()),
+        tuple((_cause(cause), str(count)) for cause, count in causes.items()),
         _rates(inputs),
         str(fault.error()) if fault is not None else "",
     )
 
 
-def _ms(seconds: float) -> str:
-    return f"{1000.0 * seconds:.0f} ms"
+def _ms(seconds: float) -> Text:
+    return say("unit.ms", ms=round(1000.0 * seconds))
+
+
+def _value(value: object) -> Text:
+    return say("link.value", value=str(value))
+
+
+def _cause(name: str) -> Text:
+    return Text(f"link.cause.{name}") if name in set(Discard) else _value(name)
 
 
 def _rates(inputs: Inputs) -> tuple[ItemRate, ...]:
@@ -98,7 +113,7 @@ def _rates(inputs: Inputs) -> tuple[ItemRate, ...]:
     told = [inputs.telemetry.statistics(item.record) for item in ITEMS]
     return tuple(
         ItemRate(
-            one.name,
+            Text(f"plots.item.{one.name}"),
             "–" if one.rate_hz is None else f"{one.rate_hz:.1f}",
             "–" if one.jitter_s is None else f"{1000.0 * one.jitter_s:.1f}",
             f"{one.longest_gap_s:.2f}",

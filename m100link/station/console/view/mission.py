@@ -6,8 +6,18 @@ from dataclasses import dataclass
 
 from m100link.missions.plan import WaypointPlan
 from m100link.station.console.view.inputs import Inputs
+from m100link.station.console.view.units import Quantity
+from m100link.station.console.view.words import Text, say
 
-__all__ = ["MissionView", "mission_of", "progress", "summary"]
+__all__ = ["MissionView", "mission_of", "name_of", "progress", "summary"]
+
+_NAMES = {
+    "": "mission.unknown",
+    "no mission": "mission.none",
+    "waypoint mission": "mission.waypoint",
+    "hotpoint": "mission.hotpoint",
+    "follow mission": "mission.follow",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,12 +26,12 @@ class MissionView:
 
     Attributes:
         plan: The plan in one line.
-        state: What flies, in words.
+        state: What flies.
         part: How much of it is flown, 0 to 1.
     """
 
-    plan: str
-    state: str
+    plan: Text
+    state: Text
     part: float
 
 
@@ -32,24 +42,33 @@ def mission_of(inputs: Inputs) -> MissionView:
     return MissionView(summary(plan), text, part)
 
 
-def summary(plan: WaypointPlan | None) -> str:
+def summary(plan: WaypointPlan | None) -> Text:
     """A plan in one line."""
     if plan is None:
-        return "no plan"
-    lowest, highest = plan.heights
-    return (
-        f"{len(plan.waypoints)} waypoints, {plan.length_m:.0f} m at {plan.speed:g} m/s, "
-        f"height {lowest:.0f} to {highest:.0f} m"
+        return say("mission.no_plan")
+    low, high = map(Quantity.length, plan.heights)
+    return say(
+        "mission.plan",
+        count=len(plan.waypoints),
+        length=Quantity.length(plan.length_m),
+        speed=Quantity.speed(plan.speed),
+        low=low,
+        high=high,
     )
 
 
-def progress(plan: WaypointPlan | None, mission: str, index: int) -> tuple[str, float]:
-    """What flies, in words and as a part of 1."""
-    if mission in ("", "no mission"):
-        return mission or "nothing is known of missions", 0.0
-    if index < 0:
-        return mission, 0.0
+def name_of(mission: str) -> Text:
+    """What an agent calls a mission, to be said."""
+    key = _NAMES.get(mission)
+    return Text(key) if key is not None else say("mission.other", name=mission)
+
+
+def progress(plan: WaypointPlan | None, mission: str, index: int) -> tuple[Text, float]:
+    """What flies, to be said, and how much of it is flown, as a part of 1."""
+    what = name_of(mission)
+    if mission in ("", "no mission") or index < 0:
+        return what, 0.0
     if plan is None or index >= len(plan.waypoints):
-        return f"{mission}: to waypoint {index + 1}", 0.0
+        return say("mission.to", what=what, number=index + 1), 0.0
     count = len(plan.waypoints)
-    return f"{mission}: to waypoint {index + 1} of {count}", index / count
+    return say("mission.to_of", what=what, number=index + 1, count=count), index / count

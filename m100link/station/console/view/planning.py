@@ -7,7 +7,7 @@ import math
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from m100link.station.console.view.draft import Checked, Draft, text_of
-from m100link.station.console.view.units import Quantity
+from m100link.station.console.view.units import Kind, Quantity, Units
 from m100link.station.console.view.words import Text, say
 
 __all__ = ["drawing", "profile_options", "row_of", "summary_of", "upload_of"]
@@ -69,17 +69,27 @@ def drawing(draft: Draft, found: Checked, chosen: int | None) -> dict[str, objec
     }
 
 
-def profile_options(points: list[tuple[float, float]]) -> dict[str, object]:
-    """The chart of heights by distance, as ECharts takes it."""
+def profile_options(points: list[tuple[float, float]], units: Units) -> dict[str, object]:
+    """The chart of heights by distance, as ECharts takes it.
+
+    Args:
+        points: Way and height, m.
+        units: What they are drawn in.
+    """
+    data = [[round(units.convert(one, Kind.LENGTH), 1) for one in at] for at in points]
+    axis = {
+        "type": "value",
+        "axisLabel": {"formatter": f"{{value}} {units.unit(Kind.LENGTH)}", "hideOverlap": True},
+    }
     return {
         "animation": False,
-        "grid": {"left": 44, "right": 14, "top": 12, "bottom": 28},
-        "xAxis": {"type": "value", "axisLabel": {"formatter": "{value} m"}},
-        "yAxis": {"type": "value", "axisLabel": {"formatter": "{value} m"}},
+        "grid": {"left": 52, "right": 14, "top": 12, "bottom": 28},
+        "xAxis": axis,
+        "yAxis": axis,
         "series": [
             {
                 "type": "line",
-                "data": [[round(far, 1), round(height, 1)] for far, height in points],
+                "data": data,
                 "areaStyle": {"opacity": 0.15},
             }
         ],

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from m100link.station.console.history import COLUMNS, INTERVAL
+from m100link.station.console.view.units import Kind, Units
+from m100link.station.console.view.words import Speaker, Text
 
 __all__ = [
     "FIRST_CHOICE",
@@ -14,11 +16,11 @@ __all__ = [
     "RANGES",
     "chart",
     "height",
+    "kind",
     "known",
     "label",
     "points",
     "step",
-    "unit",
 ]
 
 FIRST_CHOICE = (
@@ -53,23 +55,32 @@ _TOP, _HEIGHT, _GAP = 28, 88, 40  # of each line's own stripe, in pixels
 _COLOURS = ("#1e88e5", "#e53935", "#43a047", "#fb8c00", "#8e24aa", "#00897b")
 
 
-def unit(name: str) -> str:
-    """The unit of a column; empty when it has none."""
+def kind(name: str) -> Kind | None:
+    """What a column measures, where the operator chooses the unit."""
+    sign = _sign(name)
+    return next((one for one in Kind if one.value == sign), None)
+
+
+def _sign(name: str) -> str:
     if name.endswith(".percent"):
         return "%"
     return next((told for end, told in _UNITS if name.endswith(end)), "")
 
 
-def label(name: str) -> str:
+def label(name: str) -> Text:
     """A column for people: ``position: height, m``."""
     item, _, field = name.partition(".")
-    told = unit(name)
-    for end, _unit in _UNITS:
-        if field.endswith(end):
-            field = field.removesuffix(end)
-            break
-    words = f"{item.replace('_', ' ')}: {field.replace('_', ' ')}"
-    return f"{words}, {told}" if told else words
+    sign = _sign(name)
+    end = next((end for end, _ in _UNITS if field.endswith(end)), "")
+    if field == "tick_hz":  # else it would be called as the tick itself
+        end = ""
+    values: dict[str, object] = {
+        "item": Text(f"plots.item.{item}"),
+        "field": Text(f"plots.field.{field.removesuffix(end)}"),
+    }
+    if not sign:
+        return Text("plots.label", values)
+    return Text("plots.label_unit", values | {"unit": kind(name) or sign})
 
 
 def step(seconds: float) -> int:
@@ -82,20 +93,40 @@ def known(names: Iterable[str]) -> list[str]:
     return [name for name in dict.fromkeys(names) if name in COLUMNS][:MOST]
 
 
-def points(rows: Sequence[tuple[float, ...]]) -> list[list[float | None]]:
-    """Rows as the page takes them: milliseconds since 1970, None where there is no value."""
+def points(
+    rows: Sequence[tuple[float, ...]], names: Sequence[str], units: Units
+) -> list[list[float | None]]:
+    """Rows as the page takes them.
+
+    Args:
+        rows: Seconds since 1970, and a value for each name; not a number where there is none.
+        names: The columns.
+        units: What lengths and speeds are drawn in.
+
+    Returns:
+        Milliseconds since 1970, and values of six digits; None where there is none.
+    """
+    kinds = [kind(name) for name in names]
+    factors = [1.0 if one is None else units.convert(1.0, one) for one in kinds]
     return [
-        [round(1000.0 * utc), *(None if math.isnan(v) else float(f"{v:.6g}") for v in values)]
+        [
+            round(1000.0 * utc),
+            *(
+                None if math.isnan(value) else float(f"{factor * value:.6g}")
+                for value, factor in zip(values, factors, strict=True)
+            ),
+        ]
         for utc, *values in rows
     ]
 
 
-def chart(names: Sequence[str]) -> dict[str, Any]:
+def chart(names: Sequence[str], speaker: Speaker) -> dict[str, Any]:
     """The options of an ECharts chart: a stripe for each number, one time and one cursor for all.
 
     Its points come later, by ``static/plots.js``: only what is new goes to the page.
     """
     stripes = range(len(names))
+    labels = [speaker(label(name)) for name in names]
     return {
         "animation": False,
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
@@ -114,17 +145,17 @@ def chart(names: Sequence[str]) -> dict[str, Any]:
                 "type": "value",
                 "gridIndex": n,
                 "scale": True,
-                "name": label(name),
+                "name": labels[n],
                 "nameGap": 12,
                 "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -54]},
                 "splitNumber": 3,
             }
-            for n, name in enumerate(names)
+            for n in stripes
         ],
         "series": [
             {
                 "type": "line",
-                "name": label(name),
+                "name": labels[n],
                 "xAxisIndex": n,
                 "yAxisIndex": n,
                 "showSymbol": False,
@@ -133,7 +164,7 @@ def chart(names: Sequence[str]) -> dict[str, Any]:
                 "color": _COLOURS[n % len(_COLOURS)],
                 "data": [],
             }
-            for n, name in enumerate(names)
+            for n in stripes
         ],
     }
 

@@ -15,6 +15,7 @@ from enum import Enum
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Device, RcMode
 from m100link.station.console.view.inputs import Inputs
+from m100link.station.console.view.mission import name_of
 from m100link.station.console.view.situation import (
     MAX_TELEMETRY_AGE,
     Hearing,
@@ -113,11 +114,6 @@ _TASKS = {
     "land": "status.task.land",
     "go home": "status.task.go_home",
 }
-_MISSIONS = {
-    "waypoint mission": "status.mission.waypoint",
-    "hotpoint": "status.mission.hotpoint",
-    "follow mission": "status.mission.follow",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,8 +181,7 @@ def _flies(now: Situation) -> Text | None:
         key = _TASKS.get(now.task)
         return say(key) if key is not None else say("status.program", name=now.task)
     if now.has_mission:
-        key = _MISSIONS.get(now.mission)
-        what = say(key) if key is not None else say("status.program", name=now.mission)
+        what = name_of(now.mission)
         if now.mission_index is None:
             return what
         return say("status.to_waypoint", mission=what, number=now.mission_index + 1)

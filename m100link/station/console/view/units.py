@@ -92,6 +92,10 @@ class Units:
             return value * _LENGTH_FACTORS[self.length]
         return value * _SPEED_FACTORS[self.speed]
 
+    def to_si(self, shown: float, kind: Kind) -> float:
+        """A number in these units as a number in SI units."""
+        return shown / self.convert(1.0, kind)
+
     def unit(self, kind: Kind) -> str:
         """The sign of the unit."""
         return self.length.value if kind is Kind.LENGTH else self.speed.value

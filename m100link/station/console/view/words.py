@@ -11,9 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from m100link.station.console.view.catalogue import CATALOGUE
-from m100link.station.console.view.units import METRIC, Language, Quantity, Units, number
+from m100link.station.console.view.units import METRIC, Kind, Language, Quantity, Units, number
 
-__all__ = ["Speaker", "Text", "say"]
+__all__ = ["Speaker", "Text", "for_browser", "say"]
+
+_BROWSER = "browser."
 
 _INDEX = {Language.ENGLISH: 0, Language.GERMAN: 1}
 
@@ -25,7 +27,7 @@ class Text:
     Attributes:
         key: Of the entry in the catalogue.
         values: What stands in its braces: a text, a whole number, a number with one digit behind
-            the point, a quantity, or another text to be said.
+            the point, a quantity, the unit of a kind, or another text to be said.
     """
 
     key: str
@@ -65,6 +67,22 @@ class Speaker:
             return self(value)
         if isinstance(value, Quantity):
             return self.units.text(value, self.language)
+        if isinstance(value, Kind):
+            return self.units.unit(value)
         if isinstance(value, float):
             return number(value, 1, self.language)
         return str(value)
+
+
+def for_browser(speaker: Speaker) -> dict[str, object]:
+    """What ``static/said.js`` is told: its words, units as factor and sign, the decimal sign."""
+    units = speaker.units
+    keys = [key for key in CATALOGUE if key.startswith(_BROWSER)]
+    return {
+        "words": {
+            key.removeprefix(_BROWSER): CATALOGUE[key][_INDEX[speaker.language]] for key in keys
+        },
+        "length": [units.convert(1.0, Kind.LENGTH), units.unit(Kind.LENGTH)],
+        "speed": [units.convert(1.0, Kind.SPEED), units.unit(Kind.SPEED)],
+        "point": number(0.0, 1, speaker.language)[1],
+    }

@@ -5,9 +5,18 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.protocol.records import Attitude
+from m100link.protocol.records import (
+    Attitude,
+    ControlDevice,
+    Device,
+    FlightPhase,
+    FlightStatus,
+)
+from m100link.station.console.view.catalogue import CATALOGUE
 from m100link.station.console.view.inputs import Inputs
-from m100link.station.console.view.instruments import FIELDS, instruments_of, live
+from m100link.station.console.view.instruments import FIELDS, Field, instruments_of, live
+from m100link.station.console.view.units import Language, LengthUnit, SpeedUnit, Units
+from m100link.station.console.view.words import Speaker
 from m100link.telemetry.state import AircraftState
 from tests.station.conftest import Rig
 
@@ -32,3 +41,29 @@ async def test_the_socket_tells_speed_over_ground_and_where_to(rig: Rig) -> None
     assert len(told["vel"]) == 4
     assert told["ground"]  # home is where it stands
     assert len(str(told)) < 400  # twenty times a second
+
+
+async def test_heights_and_speeds_are_in_the_units_and_the_language_that_were_chosen(
+    rig: Rig,
+) -> None:
+    await anyio.sleep(1.5)
+    readings = instruments_of(Inputs(telemetry=rig.front.telemetry)).readings
+    said = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+    assert said(readings["height"].text) == "0,0 ft"
+    assert said(readings["speed"].text) == "0,0 km/h"
+    assert said(readings["climb"].text) == "+0,0 km/h"
+    assert said(readings["flight_status"].text) == "bereit"
+    assert said(readings["gps"].text) == "5 von 5"
+
+
+@pytest.mark.parametrize("field", FIELDS, ids=lambda field: field.name)
+def test_every_field_has_a_name(field: Field) -> None:
+    assert f"instruments.{field.name}" in CATALOGUE
+
+
+def test_every_phase_and_every_device_has_words() -> None:
+    fields = {field.name: field.text for field in FIELDS}
+    phases = [fields["flight_status"](FlightStatus(phase)) for phase in FlightPhase]
+    devices = [fields["control_device"](ControlDevice(device, None)) for device in Device]
+    assert all(text.key in CATALOGUE for text in (*phases, *devices))
+    assert Speaker()(fields["flight_status"](FlightStatus(9))) == "9?"

@@ -14,10 +14,14 @@ from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.console.view.mission import progress, summary
+from m100link.station.console.view.units import Language, LengthUnit, SpeedUnit, Units
+from m100link.station.console.view.words import Speaker
 from tests.station.conftest import Rig
 from tests.station.console.test_tab import Browser, airborne, keep_alive
 
 pytestmark = pytest.mark.anyio
+
+SAY = Speaker()
 
 
 @pytest.fixture
@@ -41,13 +45,14 @@ async def test_a_plan_from_a_file_is_flown(rig: Rig, as_qgroundcontrol: bool) ->
     text = plan.to_qgroundcontrol() if as_qgroundcontrol else plan.to_json()
     tab = browser.tab
     assert await tab.attempt(lambda: tab.upload_plan(text.encode())), tab.problem
-    assert summary(tab.plan).startswith("3 waypoints, 30 m at 4 m/s, height 8 to 8 m")
+    assert SAY(summary(tab.plan)) == "3 waypoints, 30 m at 4.0 m/s, height 8 m to 8 m"
     assert await tab.attempt(lambda: tab.order_mission(Action.MISSION_START)), tab.problem
 
     async def see() -> list[str]:
         seen: list[str] = []
         while not seen or rig.front.state.mission != "no mission":
-            text, part = progress(tab.plan, rig.front.state.mission, rig.front.state.mission_index)
+            what, part = progress(tab.plan, rig.front.state.mission, rig.front.state.mission_index)
+            text = SAY(what)
             assert 0.0 <= part < 1.0
             if text not in seen:
                 seen.append(text)
@@ -89,9 +94,23 @@ async def test_what_is_not_a_plan_or_comes_from_somebody_without_control(rig: Ri
     assert not await other.attempt(lambda: other.order_mission(Action.MISSION_START))
 
 
-def test_words() -> None:
-    assert summary(None) == "no plan"
-    assert progress(None, "", -1) == ("nothing is known of missions", 0.0)
-    assert progress(None, "no mission", -1) == ("no mission", 0.0)
-    assert progress(None, "hotpoint", -1) == ("hotpoint", 0.0)
-    assert progress(None, "waypoint mission", 4) == ("waypoint mission: to waypoint 5", 0.0)
+@pytest.mark.parametrize(
+    ("mission", "index", "said"),
+    [
+        ("", -1, "nothing is known of missions"),
+        ("no mission", -1, "no mission"),
+        ("hotpoint", -1, "circle around a point"),
+        ("of another kind", -1, "program of another kind"),
+        ("waypoint mission", 4, "waypoint mission: to waypoint 5"),
+    ],
+)
+def test_how_far_it_is_without_a_plan(mission: str, index: int, said: str) -> None:
+    what, part = progress(None, mission, index)
+    assert (SAY(what), part) == (said, 0.0)
+
+
+def test_a_plan_in_one_line_in_the_units_that_were_chosen() -> None:
+    assert SAY(summary(None)) == "no plan"
+    plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.101, 4.31, height=30)])
+    german = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KNOT))
+    assert german(summary(plan)) == "2 Wegpunkte, 367 ft mit 9,7 kn, Höhe 66 ft bis 98 ft"

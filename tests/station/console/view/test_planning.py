@@ -16,7 +16,7 @@ from m100link.station.console.view.planning import (
     summary_of,
     upload_of,
 )
-from m100link.station.console.view.units import Language, LengthUnit, Units
+from m100link.station.console.view.units import METRIC, Language, LengthUnit, Units
 from m100link.station.console.view.words import Speaker
 
 SAY = Speaker()
@@ -67,6 +67,12 @@ def test_what_the_map_draws_says_which_points_are_wrong() -> None:
 
 @pytest.mark.parametrize("points", [[], [(0.0, 20.0), (112.34, 30.0)]])
 def test_the_chart_has_each_waypoint(points: list[tuple[float, float]]) -> None:
-    found: Any = profile_options(points)
+    found: Any = profile_options(points, METRIC)
     [series] = found["series"]
     assert series["data"] == [[round(far, 1), height] for far, height in points]
+
+
+def test_the_chart_is_in_the_unit_that_was_chosen() -> None:
+    found: Any = profile_options([(100.0, 30.48)], Units(LengthUnit.FOOT))
+    assert found["series"][0]["data"] == [[328.1, 100.0]]
+    assert found["yAxis"]["axisLabel"]["formatter"] == "{value} ft"

@@ -6,15 +6,18 @@ from m100link.agent.messages import Event
 from m100link.station.console.view.inputs import Inputs
 from m100link.station.console.view.memory import Memory
 from m100link.station.console.view.view import view_of
+from m100link.station.console.view.words import say
 
 
 def test_of_nothing_known_nothing_is_shown() -> None:
     view = view_of(Inputs(now=7.0))
     assert view.at == 7.0
     assert view.instruments.attitude is None
-    assert {reading.text for reading in view.instruments.readings.values()} == {"–"}
+    assert {reading.text.key for reading in view.instruments.readings.values()} == {
+        "instruments.nothing"
+    }
     assert all(reading.is_stale for reading in view.instruments.readings.values())
-    assert view.mission.plan == "no plan"
+    assert view.mission.plan == say("mission.no_plan")
     assert view.events == ()
 
 

@@ -7,12 +7,13 @@ import re
 import string
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from m100link.station.console.view.catalogue import CATALOGUE, PARTS
-from m100link.station.console.view.units import Language, LengthUnit, Quantity, Units
-from m100link.station.console.view.words import Speaker, say
+from m100link.station.console.view.units import Language, LengthUnit, Quantity, SpeedUnit, Units
+from m100link.station.console.view.words import Speaker, for_browser, say
 
 CONSOLE = Path(__file__).parents[4] / "m100link/station/console"
 KEY = r"[a-z_]+(\.[a-z_]+)+(?<!\.js)"
@@ -74,3 +75,46 @@ def test_a_speaker_fills_in_numbers_quantities_and_other_texts() -> None:
 def test_what_strangers_wrote_is_not_taken_for_braces() -> None:
     taken = say("alarms.lease_taken.taken", name="{0.__class__} {name}")
     assert Speaker()(taken) == "{0.__class__} {name} took control from you"
+
+
+def test_the_page_is_told_its_words_its_units_and_its_decimal_sign() -> None:
+    told: dict[str, Any] = for_browser(
+        Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+    )
+    assert told["speed"] == [3.6, "km/h"]
+    assert told["length"] == [pytest.approx(3.2808, abs=1e-4), "ft"]
+    assert (told["point"], told["words"]["old"]) == (",", "alt")
+
+
+def test_what_the_page_asks_for_is_what_it_is_told() -> None:
+    told: dict[str, Any] = for_browser(Speaker())
+    asked = set()
+    for path in (CONSOLE / "static").glob("*.js"):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if re.search(r"\b(words|go)\(", line) or "? " in line:
+                asked |= set(re.findall(r'"([a-z_]{3,})"', line))
+    assert set(told["words"]) - asked == set()
+    for path in (CONSOLE / "static").glob("*.js"):
+        for key in re.findall(r'\bwords\("(\w+)"', path.read_text(encoding="utf-8")):
+            assert key in told["words"]
+
+
+SAME = (
+    *("actions.stop", "click.radius", "link.firmware", "link.jitter", "link.cause.version"),
+    *("plan.title", "plan.pause", "plan.mission", "plan.actions_hint"),
+    *("plots.csv", "plots.item.position", "plots.item.magnetometer", "plots.field.phase"),
+    *("settings.language.en", "settings.language.de", "instruments.device.app"),
+    *("alarms.event.raised", "checklist.gps"),
+)
+"""What reads the same in both languages: names, and words that German has as well."""
+
+
+def test_what_has_letters_is_another_text_in_german() -> None:
+    same = [key for key, (english, german) in CATALOGUE.items() if english == german]
+    plain = {key: re.sub(r"{.*?}", "", CATALOGUE[key][0]) for key in same}
+    unexpected = {
+        key: text
+        for key, text in plain.items()
+        if re.search("[A-Za-z]{3}", text) and key not in SAME
+    }
+    assert unexpected == {}

@@ -8,20 +8,29 @@ from __future__ import annotations
 from m100link.station.console.view.catalogue import (
     actions,
     alarms,
+    browser,
     checklist,
     click,
     events,
     fleet,
+    instruments,
     link,
+    mission,
+    page,
     plan,
+    plots,
     settings,
+    sim,
     status,
     unit,
 )
 
 __all__ = ["CATALOGUE", "PARTS"]
 
-PARTS = (actions, alarms, checklist, click, events, fleet, link, plan, settings, status, unit)
+PARTS = (
+    *(actions, alarms, browser, checklist, click, events, fleet, instruments, link, mission, page),
+    *(plan, plots, settings, sim, status, unit),
+)
 """The files."""
 
 CATALOGUE: dict[str, tuple[str, str]] = {

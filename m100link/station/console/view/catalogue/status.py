@@ -138,9 +138,6 @@ WORDS: dict[str, tuple[str, str]] = {
     "status.task.take_off": ("take-off", "Start"),
     "status.task.land": ("landing", "Landung"),
     "status.task.go_home": ("going home", "Heimflug"),
-    "status.mission.waypoint": ("waypoint mission", "Wegpunktmission"),
-    "status.mission.hotpoint": ("circle around a point", "Kreis um einen Punkt"),
-    "status.mission.follow": ("following a target", "Verfolgen eines Ziels"),
     "status.to_waypoint": ("{mission}, to waypoint {number}", "{mission}, zu Wegpunkt {number}"),
     "status.program": ("program {name}", "Programm {name}"),
 }
