@@ -1,0 +1,90 @@
+"""A whole mission by keyboard alone; what has the focus is seen."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from tests.browser.conftest import console_in_browser, until
+from tests.browser.test_console import banner, is_still, shows
+
+pytestmark = [pytest.mark.anyio]
+
+# Whether somebody who sees the page sees what has the focus: an outline, or Quasar's own marks.
+IS_SEEN = """() => {
+  const one = document.activeElement, style = getComputedStyle(one);
+  const field = one.closest(".q-field--focused, .q-toggle, .q-checkbox, .q-slider");
+  const label = one.matches(".unseen") && getComputedStyle(one.nextElementSibling).outlineStyle;
+  return one === document.body || style.outlineStyle !== "none" || Boolean(field)
+    || (label && label !== "none") || one.matches("#pad");
+}"""
+
+MOST_STOPS = 120
+
+
+async def go(page: Any, selector: str) -> None:
+    """Go on with Tab until the element has the focus; each stop on the way is seen."""
+    for _ in range(MOST_STOPS):
+        await page.keyboard.press("Tab")
+        assert await page.evaluate(IS_SEEN), await page.evaluate("document.activeElement.outerHTML")
+        if await page.evaluate("(one) => document.activeElement.matches(one)", selector):
+            return
+    raise AssertionError(f"{selector} is not reached by Tab")
+
+
+async def press(page: Any, selector: str, key: str = "Enter") -> None:
+    await page.wait_for_selector(f"{selector}:not([disabled]):visible")
+    await go(page, f"{selector}:not([disabled])")
+    await page.keyboard.press(key)
+
+
+async def hold(page: Any, selector: str, key: str) -> None:
+    await page.wait_for_selector(f"{selector}:not([disabled]):visible")
+    await go(page, selector)
+    await page.keyboard.down(key)
+    await asyncio.sleep(2.0)
+    await page.keyboard.up(key)
+
+
+@pytest.mark.parametrize("key", ["Space", "Enter"])
+async def test_a_whole_mission_by_keyboard_alone(browser: Any, key: str) -> None:
+    async with console_in_browser(browser, "--firmware", "3.1") as console:
+        page, watch = await console.open(), console.watch
+        fly = "section[data-view=fly] "
+        await press(page, f"{fly}[data-act=activate]", key)
+        await shows(page, "#activation", "active")
+        await press(page, f"{fly}[data-act=obtain]", key)
+        await banner(page, "You have control")
+        await press(page, "[data-go=check]", key)
+        await press(page, "#free-said", "Space")
+        await page.wait_for_selector("[data-check=free].right")
+        await press(page, "#bar [data-go=fly]", key)
+        await hold(page, f"{fly}[data-act=take_off]", key)
+        await until(lambda: watch.height > 1.0)
+        await page.wait_for_selector(f"{fly}[data-act=land]:not([disabled])")
+        await go(page, "#pad")
+        await page.keyboard.down("w")
+        await until(lambda: watch.speed[1] > 0.3)
+        await page.keyboard.up("w")
+        await until(lambda: is_still(console))
+        await page.keyboard.press("Escape")
+        await press(page, "[data-go=plan]", key)
+        for number in range(3):
+            await press(page, "[data-plan=add]", key)
+            await page.wait_for_selector(f"[data-point='{number}']")
+        await press(page, "[data-act=mission_upload]", key)
+        await shows(page, "#plan-uploaded", "Uploaded")
+        await hold(page, "[data-act=mission_start]", key)
+        await shows(page, "#mission", "to waypoint")
+        await press(page, "[data-act=mission_stop]", key)
+        await shows(page, "#mission", "no mission")
+        await until(lambda: is_still(console))
+        await press(page, "[data-act=stop]", key)
+        await press(page, "#bar [data-go=fly]", key)
+        await hold(page, f"{fly}[data-act=land]", key)
+        await until(lambda: watch.status == 1)
+        await page.wait_for_function("document.querySelector('#task').textContent === ''")
+        await press(page, f"{fly}[data-act=release]", key)
+        await banner(page, "Nobody has control")
