@@ -482,7 +482,7 @@ async def test_a_mission_from_a_file(browser: Any, tmp_path: Path) -> None:
     async with console_in_browser(browser, "--firmware", "3.1") as console:
         page = await airborne(console)
         await look_at(page, "plan")
-        await page.set_input_files("#plan-file input", path)
+        await page.set_input_files("#plan-file", path)
         await shows(page, "#plan-summary", "3 waypoints")
         await press(page, "mission_upload")
         await shows(page, "#plan", "3 waypoints")

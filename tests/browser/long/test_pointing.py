@@ -92,7 +92,7 @@ async def test_a_click_is_flown_to_and_a_plan_is_drawn_kept_and_flown(
         await until(lambda: is_still(console))
         await page.click("[data-plan=clear]")
         await shows(page, "#plan-summary", "No points yet")
-        await page.set_input_files("#plan-file input", path)
+        await page.set_input_files("#plan-file", path)
         await shows(page, "#plan-summary", "3 waypoints")
 
 

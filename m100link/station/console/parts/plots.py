@@ -63,11 +63,12 @@ class PlotsPart:
                 wording.put(attribute(self._chosen, "label"), "plots.numbers", most=MOST)
                 seconds = ui.select(RANGES, value=self._seconds, on_change=self._set_range)
                 wording.put(attribute(seconds.props("id=plot-range dense"), "label"), "plots.range")
-                self._pause = ui.button(on_click=self._toggle).props(
-                    "id=plot-pause outline aria-pressed=false"
-                )
-                csv = ui.button(on_click=self._download).props("id=plot-csv outline")
-                wording.put(csv.set_text, "plots.csv")
+                with ui.element("button").classes("act plain") as self._pause:
+                    self._pause_text = ui.label()
+                self._pause.props("type=button id=plot-pause").on("click", self._toggle, args=[])
+                with ui.element("button").classes("act plain") as csv:
+                    wording.put(ui.label().set_text, "plots.csv")
+                csv.props("type=button id=plot-csv").on("click", self._download, args=[])
                 wording.put(attribute(csv, "title"), "plots.csv.note")
             self._chart: Any = ui.echart({}).classes("w-full").props("id=plots role=img")
             wording.put(attribute(self._chart), "plots.chart")
@@ -110,12 +111,11 @@ class PlotsPart:
         is_paused = self._until is None
         self._until = self._deck.history.count if is_paused else None
         self._name_pause()
-        self._pause.props(f"aria-pressed={str(is_paused).lower()}")
         self._is_whole_wanted = True
 
     def _name_pause(self) -> None:
         key = "plots.pause" if self._until is None else "plots.go_on"
-        self._pause.set_text(self._deck.wording(Text(key)))
+        self._pause_text.set_text(self._deck.wording(Text(key)))
 
     def _download(self) -> None:
         text = self._deck.history.csv(self._names, last_s=self._seconds, until=self._until)

@@ -53,7 +53,6 @@ def apply_settings(deck: Deck, settings: Settings) -> None:
     deck.dark.set_value({Theme.AUTO: None, Theme.DARK: True}.get(settings.theme, False))
     told = json.dumps(for_browser(settings.speaker))
     ui.run_javascript(
-        f"document.documentElement.lang = {json.dumps(settings.language.value)};"
         f"document.body.classList.toggle('sun', {json.dumps(settings.theme is Theme.SUN)});"
         f'import("/console/said.js").then((said) => said.choose({told}));'
     )

@@ -8,7 +8,7 @@ from m100link.agent.lease import LeaseHeld
 from m100link.errors import M100Error
 from m100link.station.console.parts.wording import Wording
 from m100link.station.console.tab import Tab
-from m100link.station.console.view.words import say
+from m100link.station.console.view.words import Text, say
 
 __all__ = ["TakeOverDialog"]
 
@@ -54,8 +54,11 @@ class TakeOverDialog:
                     dialog.close()
                     await self._tab.attempt(lambda: self._tab.confirm_take_over(wanted))
 
-                take = self._wording(say("page.take_over.confirm"))
-                ui.button(take, on_click=confirm).props("color=red-9 id=confirm")
-                leave = self._wording(say("page.take_over.leave"))
-                ui.button(leave, on_click=dialog.close).props("flat")
+                for name, work, kind in (
+                    ("confirm", confirm, "danger"),
+                    ("leave", dialog.close, "plain"),
+                ):
+                    with ui.element("button").classes(f"act {kind}") as button:
+                        ui.label(self._wording(Text(f"page.take_over.{name}")))
+                    button.props(f"type=button id={name}").on("click", work, args=[])
         dialog.open()

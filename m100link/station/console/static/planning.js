@@ -5,6 +5,8 @@ import {m100} from "./shell.js";
 let group = null;
 let drawn = null;
 
+const MOST_BYTES = 500000;  // of a file; a plan of 99 points has a tenth of that
+
 const emit = (name, value) => window.emitEvent(name, value);
 const isPlanning = () => document.body.dataset.view === "plan";
 
@@ -51,3 +53,11 @@ export function fit() {
   m100.map.setFollow(false);
   m100.map.leaflet.fitBounds(places, {padding: [60, 60], maxZoom: 19, animate: false});
 }
+
+document.addEventListener("change", async ({target}) => {
+  if (target.id !== "plan-file" || !target.files.length) return;
+  const [file] = target.files;
+  const text = file.size > MOST_BYTES ? null : await file.text();
+  target.value = "";  // the same file once more is news, too
+  emit("plan_opened", {text});
+});

@@ -1,12 +1,20 @@
 // What the page says by itself, in the language and the units that were chosen.
 
-const told = {words: {}, length: [1, "m"], speed: [1, "m/s"], point: "."};
+const told = {language: "en", words: {}, length: [1, "m"], speed: [1, "m/s"], point: "."};
 const listeners = [];
 
-// {words: text by key, length: [factor, sign], speed: [factor, sign], point: "." or ","}
+// {language: its tag, words: text by key, length: [factor, sign], speed: [factor, sign], point: "." or ","}
 export function choose(chosen) {
   Object.assign(told, chosen);
+  document.documentElement.lang = told.language;
+  sayQuasars();
   for (const listener of listeners) listener();
+}
+
+// What Quasar says by itself, to screen readers only.
+function sayQuasars() {
+  const props = window.Quasar?.lang?.props;
+  if (props) props.label = {...props.label, clear: words("clear"), remove: words("remove")};
 }
 
 // What was drawn or written once is drawn again when something else is chosen.

@@ -84,5 +84,6 @@ def for_browser(speaker: Speaker) -> dict[str, object]:
         },
         "length": [units.convert(1.0, Kind.LENGTH), units.unit(Kind.LENGTH)],
         "speed": [units.convert(1.0, Kind.SPEED), units.unit(Kind.SPEED)],
+        "language": speaker.language.value,
         "point": number(0.0, 1, speaker.language)[1],
     }

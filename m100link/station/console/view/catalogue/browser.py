@@ -29,5 +29,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "browser.no_attitude": ("no attitude", "keine Lage"),
     "browser.old": ("old", "alt"),
     "browser.compass_east": ("E", "O"),
+    "browser.clear": ("Clear", "Leeren"),
+    "browser.remove": ("Remove", "Entfernen"),
     "browser.age": ("{seconds} s ago", "vor {seconds} s"),
 }

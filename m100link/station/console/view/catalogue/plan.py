@@ -16,6 +16,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "plan.add": ("Add a point", "Punkt anfügen"),
     "plan.fit": ("Show all", "Alles zeigen"),
     "plan.file": ("Open: JSON or QGroundControl .plan", "Öffnen: JSON oder QGroundControl .plan"),
+    "plan.open": ("Choose a file", "Datei wählen"),
     "plan.export_plan": ("Save .plan", ".plan sichern"),
     "plan.export_json": ("Save JSON", "JSON sichern"),
     "plan.upload": ("Upload", "Hochladen"),
