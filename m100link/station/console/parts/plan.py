@@ -108,6 +108,11 @@ class PlanPart:
             # A label that looks like a button: a screen reader makes nothing of what Quasar has.
             chosen = ui.element("input").classes("unseen")
             chosen.props('type=file accept=".json,.plan" id=plan-file')
+            chosen.on(
+                "change",
+                js_handler='(event) => import("/console/planning.js")'
+                ".then((map) => map.open(event.target))",
+            )
             with ui.element("label").classes("act plain").props("for=plan-file"):
                 self._deck.wording.put(ui.label().set_text, "plan.open")
             ui.on("plan_opened", self._opened)

@@ -54,10 +54,11 @@ export function fit() {
   m100.map.leaflet.fitBounds(places, {padding: [60, 60], maxZoom: 19, animate: false});
 }
 
-document.addEventListener("change", async ({target}) => {
-  if (target.id !== "plan-file" || !target.files.length) return;
-  const [file] = target.files;
+// Read the file that was chosen in an input.
+export async function open(input) {
+  const [file] = input.files;
+  if (!file) return;
   const text = file.size > MOST_BYTES ? null : await file.text();
-  target.value = "";  // the same file once more is news, too
+  input.value = "";  // the same file once more is news, too
   emit("plan_opened", {text});
-});
+}
