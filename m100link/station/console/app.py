@@ -37,6 +37,11 @@ _VIEWPORT = (
     "width=device-width, initial-scale=1, viewport-fit=cover, interactive-widget=resizes-content"
 )
 
+# A page whose texts could not come for so long is thrown away and loaded again, and with it what
+# its operator was about; a busy computer is late by 3 s at times. Steering and the lease do not
+# wait for it: they have a socket of their own, and after 2 s the page says that its texts are old.
+_RECONNECT_S = 10.0
+
 
 def console_app(
     agents: Mapping[str, AgentClient], settings: Settings, orders: Mapping[str, Orders]
@@ -77,7 +82,13 @@ def console_app(
         ).build(key)
 
     ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
-    ui.run_with(app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=3.0)
+    ui.run_with(
+        app,
+        title="m100link",
+        dark=None,
+        show_welcome_message=False,
+        reconnect_timeout=_RECONNECT_S,
+    )
     return Gate(
         Turnstile(app, "/"),
         hosts=settings.host_names(),
