@@ -161,7 +161,7 @@ async def test_buttons_stay_where_the_finger_is_or_say_that_they_moved(console: 
     await page.wait_for_selector("[data-act=take_off]:not([disabled])")
     await page.wait_for_selector("#why-not", state="hidden")
     assert await page.evaluate(places) == before
-    await page.locator("[data-act=take_off]").hover()
+    await page.locator("[data-act=take_off]").first.hover()
     await page.evaluate("document.querySelector('#header').style.paddingBottom = '44px'")
     await page.wait_for_function("document.querySelector('#header').offsetHeight > 90")
     await hold(page, "take_off", 1.6)

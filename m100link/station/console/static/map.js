@@ -224,7 +224,7 @@ export class FlightMap {
 // What of the map is not covered: each thing over it takes the side where it costs least.
 function freeOf(view) {
   const free = {left: view.left, top: view.top, right: view.right, bottom: view.bottom};
-  for (const element of document.querySelectorAll(".place.steering, .place.hud > *, .place.orders > *")) {
+  for (const element of document.querySelectorAll(".place.steering, .place.hud > *, .place.orders > *, .place.clicked > .card")) {
     const box = element.getBoundingClientRect();
     if (!box.width || !box.height) continue;
     const wide = free.right - free.left, high = free.bottom - free.top;
