@@ -163,6 +163,16 @@ async def test_a_loss_that_no_call_told_is_told_by_the_release() -> None:
         await control.release()
 
 
+async def test_a_loss_that_a_block_told_is_not_told_again_by_a_release() -> None:
+    async with rig() as flown:
+        control = flown.aircraft.control()
+        with pytest.raises(AuthorityLost):
+            async with control:
+                flown.virtual.leave_f()
+                await asyncio.sleep(1.0)
+        await control.release()
+
+
 async def test_a_closed_loop_ends_with_the_line() -> None:
     async with rig() as flown:
         control = await flying(flown)

@@ -341,6 +341,17 @@ def test_a_protocol_that_pauses_in_a_read_gets_no_more(bench: Bench) -> None:
     assert bench.protocol.received == [b"a", b"b"]
 
 
+def test_what_a_cut_off_turn_left_comes_when_reading_goes_on(bench: Bench) -> None:
+    """Ctrl-C came between the read and the delivery, and the protocol paused before the next."""
+    bench.transport._arrived.append(b"left")
+    bench.transport.pause_reading()
+    bench.loop.run()
+    assert bench.protocol.received == []
+    bench.transport.resume_reading()
+    bench.loop.run()
+    assert bench.protocol.received == [b"left"]
+
+
 def test_an_error_of_the_protocol_is_the_loops_and_the_bytes_are_gone(bench: Bench) -> None:
     def fail(data: bytes) -> None:
         bench.protocol.received.append(data)
