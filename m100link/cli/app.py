@@ -8,7 +8,7 @@ import signal
 import sys
 from typing import TextIO
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, CycloptsPanel, UnusedCliTokensError
 
 import m100link
 from m100link.cli import end_at_once
@@ -196,14 +196,23 @@ def _renamed(words: list[str]) -> list[str]:
 
 
 def _status_of(words: list[str]) -> int:
+    asked = app if VERBS.keys() & set(words) else application(overview=True)
     try:
         _show_warnings()
-        asked = app if VERBS.keys() & set(words) else application(overview=True)
-        verb, bound, _ = asked.parse_args(_renamed(words), exit_on_error=False, print_error=True)
+        verb, bound, _ = asked.parse_args(_renamed(words), exit_on_error=False, print_error=False)
         if signal.getsignal(signal.SIGINT) is end_at_once:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         status = verb(*bound.args, **bound.kwargs)
-    except CycloptsError:
+    except UnusedCliTokensError as error:
+        called = " ".join(("m100link", *(error.command_chain or ())))
+        return complain(
+            UsageError(
+                f"{called} has no use for {' '.join(error.unused_tokens or ())}",
+                remedy=f"leave it out; {called} --help says what is taken",
+            )
+        )
+    except CycloptsError as error:
+        (error.console or asked.error_console).print(CycloptsPanel(error))
         return ExitCode.USAGE
     except M100Error as error:
         return complain(error)

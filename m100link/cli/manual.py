@@ -27,7 +27,7 @@ from rich.table import Table
 from rich.text import Text
 
 import m100link
-from m100link.cli.common import out
+from m100link.cli.common import err, out
 from m100link.cli.options import offered
 from m100link.cli.outcome import ExitCode
 from m100link.errors import UsageError
@@ -162,6 +162,8 @@ def _find(pages: list[_Page], topic: str | None, word: str) -> int:
             if word.lower() in line.lower():
                 found = True
                 out.print(f"{page.topic}: {line.strip()}", markup=False, soft_wrap=True)
+    if not found:
+        err.print(f"no line {'of it' if topic else 'of the manual'} has {word!r}", markup=False)
     return ExitCode.OK if found else ExitCode.FAILED
 
 

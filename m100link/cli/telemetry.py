@@ -7,6 +7,7 @@ import contextlib
 import csv
 import math
 import sys
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -270,15 +271,22 @@ def plot(
     for field in fields or ("position.height_m",):
         column = column_named(field)
         if column is None:
-            known = ", ".join(columns_of(BY_RECORD))
-            return complain(
-                UsageError(f"no column is called {field!r}", remedy=f"columns: {known}")
-            )
+            return complain(_unknown_column(field))
         wanted.append(column)
     if source is not None and source.endswith(".csv"):
         return _plot_file(Path(source), tuple(wanted))
     link = link or LinkOptions()
     return run_async(_plot_live(link.place(source), tuple(wanted), duration))
+
+
+def _unknown_column(field: str) -> UsageError:
+    known = columns_of(BY_RECORD)
+    by_end = {name.rpartition(".")[2]: name for name in known} | {name: name for name in known}
+    near = [by_end[end] for end in get_close_matches(field.lower(), by_end, n=2, cutoff=0.7)]
+    meant = f"did you mean {' or '.join(dict.fromkeys(near))}? " if near else ""
+    return UsageError(
+        f"no column is called {field!r}", remedy=f"{meant}columns: {', '.join(known)}"
+    )
 
 
 def _plot_file(path: Path, fields: tuple[str, ...]) -> int:

@@ -57,6 +57,17 @@ def test_what_is_asked_wrongly_is_a_usage_error_without_a_traceback(
     assert outcome.err + outcome.out
 
 
+def test_a_word_too_many_is_named_with_its_verb(cli: CommandLine) -> None:
+    outcome = cli("hz", "sim://", "attitude")
+    assert outcome.status == ExitCode.USAGE
+    assert "m100link hz has no use for attitude" in outcome.err
+    assert "m100link hz --help" in outcome.err
+
+
+def test_a_column_that_is_almost_one_is_named(cli: CommandLine) -> None:
+    assert "did you mean position.height_m?" in cli("plot", "sim://", "heigt").err
+
+
 def test_help_and_version(cli: CommandLine) -> None:
     version = cli("--version")
     assert (version.status, version.out) == (0, f"{m100link.__version__}\n")

@@ -79,7 +79,9 @@ def test_words_are_found_with_their_topics(cli: CommandLine) -> None:
     outcome = cli("docs", "--find", "PROPELLERS")
     assert outcome.status == ExitCode.OK
     assert any(line.startswith("safety: ") for line in outcome.out.splitlines())
-    assert cli("docs", "wire", "--find", "propellers").status == ExitCode.FAILED
+    outcome = cli("docs", "wire", "--find", "propellers")
+    assert outcome.status == ExitCode.FAILED
+    assert outcome.err == "no line of it has 'propellers'\n"
 
 
 def test_pages_that_the_builder_made_are_shown_as_they_are(
