@@ -22,7 +22,7 @@ from m100link.cli.outcome import ExitCode, finite, print_json
 from m100link.doctor import Finding, Machine, Report, Stage, Verdict, diagnose
 from m100link.doctor.diagnosis import ignore
 from m100link.doctor.udev import RULES_FILE, rule
-from m100link.errors import AckTimeout, LinkError, UsageError
+from m100link.errors import AckTimeout, LinkError, PortNotFound, UsageError
 from m100link.link.transport import serial_ports
 
 __all__ = ["doctor", "exit_status", "ports", "udev"]
@@ -277,6 +277,13 @@ def udev(
     """
     machine = Machine()
     device = port or _only_adapter(machine)
+    if port is not None and not Path(port).exists():
+        known = ", ".join(serial_ports()) or "none"
+        raise PortNotFound(
+            f"there is no device {device}",
+            cause="the adapter is not plugged in, or has another name",
+            remedy=f"ports on this machine: {known}",
+        )
     text = rule(machine.adapter(device), name, group=group, by_serial=by_serial)
     if not install:
         sys.stdout.write(text)

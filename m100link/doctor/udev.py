@@ -36,7 +36,7 @@ def rule(adapter: Adapter, name: str, *, group: str = "dialout", by_serial: bool
         )
     if not adapter.is_usb:
         raise UsageError(
-            f"an adapter that does not hang on USB ({adapter.driver or 'unknown'}) has no rule",
+            f"a port that is not on USB ({adapter.driver or 'unknown'}) has no rule",
             cause="a rule knows an adapter by its USB vendor and product",
             remedy="m100link ports shows what there is",
         )

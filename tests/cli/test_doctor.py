@@ -79,6 +79,16 @@ def test_a_rule_is_printed_and_installed(
     assert "sudo tee" in refused.err
 
 
+def test_a_port_that_is_not_there_is_said_to_be_missing(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/ttyUSB7"])
+    outcome = cli("udev", "/dev/m100-none")
+    assert outcome.status == 3
+    assert "there is no device /dev/m100-none" in outcome.err
+    assert "ports on this machine: /dev/ttyUSB7" in outcome.err
+
+
 @pytest.mark.parametrize(
     ("ports", "seen"),
     [

@@ -39,7 +39,7 @@ def test_only_ftdi_adapters_have_a_timer_and_only_this_one_its_number() -> None:
         (FTDI, 'm100", RUN+="rm', False, "cannot be the name"),
         (FTDI, "", False, "cannot be the name"),
         (FTDI, "../m100", False, "cannot be the name"),
-        (Adapter("port"), "m100", False, "does not hang on USB"),
+        (Adapter("port"), "m100", False, "not on USB"),
         (CP2102, "m100", True, "tells no serial number"),
     ],
 )
