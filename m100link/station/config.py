@@ -293,7 +293,11 @@ def _is_shadowed(name: str, values: Mapping[str, Any]) -> bool:
 def _read_toml(path: Path) -> Mapping[str, Any]:
     try:
         table = tomllib.loads(path.expanduser().read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise UsageError(
+            f"{path} cannot be read: {error.strerror}", remedy="check the path, and who may read it"
+        ) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise UsageError(f"{path} cannot be read: {error}") from error
     table = table.get("station", table)
     for name in table:
@@ -303,6 +307,9 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
     if not isinstance(table, dict):
         raise UsageError(f"{path}: station is a table")
     return table
+
+
+_WANTED = {"int": "a whole number", "float": "a number", "bool": "true or false", "tuple": "a list"}
 
 
 def _convert(name: str, value: Any, source: str) -> Any:
@@ -328,4 +335,7 @@ def _convert(name: str, value: Any, source: str) -> Any:
         return Path(value) if kind.startswith("Path") else str(value)
     except (TypeError, ValueError):
         shown = "what is there" if name in ("key", "token") else repr(value)
-        raise UsageError(f"{source}: {name} cannot be {shown}") from None
+        # Nobody finds the setting `app_id` in an environment that has M100LINK_APP_ID.
+        called = ENVIRONMENT[name] if source == "environment" else f"{source}: {name}"
+        wanted = next((words for start, words in _WANTED.items() if kind.startswith(start)), "text")
+        raise UsageError(f"{called} cannot be {shown}", remedy=f"{wanted} is needed") from None

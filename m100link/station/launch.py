@@ -38,7 +38,10 @@ def read_launch(path: Path) -> tuple[dict[str, str | int], list[str]]:
     try:
         text = path.expanduser().read_bytes()
     except OSError as error:
-        raise UsageError(f"the launch file cannot be read: {error}") from error
+        raise UsageError(
+            f"the launch file cannot be read: {path}: {error.strerror}",
+            remedy="check the path, and who may read it",
+        ) from error
     if len(text) > _MAX_SIZE:
         raise UsageError(f"{path} has {len(text)} bytes: that is not a launch file")
     found = _parameters(text, path)

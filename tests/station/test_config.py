@@ -94,6 +94,12 @@ def test_a_virtual_aircraft_is_asked_for_louder_than_a_port_in_a_file(launch: Pa
         resolve({"sim": True, "url": "tcp://a:1"}, {})
 
 
+def test_a_mistake_in_the_environment_names_its_variable() -> None:
+    with pytest.raises(UsageError, match=r"^M100LINK_BAUD_RATE cannot be 'fast'") as caught:
+        resolve({}, {"M100LINK_BAUD_RATE": "fast"})
+    assert caught.value.remedy == "a whole number is needed"
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -321,7 +321,12 @@ class Server(uvicorn.Server):
         try:
             config.load()
         except (OSError, ssl.SSLError) as error:
-            raise UsageError(f"the TLS files cannot be used: {error}") from error
+            key = settings.tls_key or "in the same file"
+            raise UsageError(
+                f"the TLS files cannot be used: {getattr(error, 'strerror', None) or error}",
+                remedy=f"the certificate is {settings.tls_cert}, its key {key}: check both paths, "
+                "who may read them, and that both are PEM",
+            ) from error
         return cls(config)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
