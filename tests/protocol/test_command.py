@@ -406,3 +406,18 @@ def test_the_answer_of_a_request_is_found_beside_other_generic_bases() -> None:
 
 def test_the_fields_of_an_ack_are_its_code_in_words() -> None:
     assert RequestAuthority.ack_fields(AuthorityCode(2)) == {"ack": plain(AuthorityCode(2))}
+
+
+def test_set_0_and_a_release_are_alike_in_every_firmware_and_the_rest_needs_a_known_one() -> None:
+    assert not GetVersion().needs_known_firmware
+    assert not RequestAuthority(obtain=False).needs_known_firmware
+    assert RequestAuthority(obtain=True).needs_known_firmware
+    assert QueryTask(7).needs_known_firmware
+
+
+def test_a_command_of_the_document_shows_its_fields_and_knows_no_others() -> None:
+    command = QueryTask(7)
+    assert command.value(profile("1.0")) == b"\x07"
+    assert command.fields() == {"task_sequence": 7}
+    assert command.raw() == {}
+    assert QueryTask.ack_problems(QueryTask.UNREADABLE) == []

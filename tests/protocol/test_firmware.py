@@ -15,7 +15,7 @@ from m100link.protocol import (
     encode_telemetry,
     profile,
 )
-from m100link.protocol.firmware import FlagBit0, reads_unknown, recognised
+from m100link.protocol.firmware import FlagBit0, names_hardware, reads_unknown, recognised
 from m100link.protocol.items import ItemLayout
 from m100link.protocol.packet import telemetry_size
 
@@ -145,3 +145,11 @@ def test_a_profile_with_items_that_do_not_exist_is_refused(
 ) -> None:
     with pytest.raises(UsageError, match=seen):
         replace(profile("3.1"), items=items)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("SDK-v1.0 BETA M100-01.00.00.00", True), ("SDK-v1.0 BETA", False), ("", False)],
+)
+def test_a_version_text_says_which_aircraft_it_is_or_not(text: str, says: bool) -> None:
+    assert names_hardware(text) is says

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from typing import Any, get_args, get_type_hints
@@ -131,3 +132,27 @@ def test_a_row_whose_parts_do_not_fit_is_refused(wrong: dict[str, Any], seen: st
 def test_the_items_stand_in_the_order_of_their_bits_without_a_gap() -> None:
     """What finds an item by its bit takes it from its place."""
     assert [item.bit for item in ITEMS] == list(range(len(ITEMS)))
+
+
+def test_an_item_is_found_by_its_record_and_nothing_else() -> None:
+    assert all(m100link.protocol.items.item_of(item.record) is item for item in ITEMS)
+    with pytest.raises(UsageError, match="is not a telemetry record"):
+        m100link.protocol.items.item_of(dict)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "altitude", "is_possible"),
+    [
+        (0.9, 0.1, 12.0, True),
+        (-1.55, -3.1, 0.0, True),
+        (1.56, 0.0, 0.0, False),
+        (0.9, 6.3, 0.0, False),
+        (math.nan, 0.1, 0.0, False),
+        (0.9, math.inf, 0.0, False),
+        (0.9, 0.1, -math.inf, False),
+    ],
+)
+def test_a_place_is_possible_when_it_is_finite_and_not_at_a_pole(
+    latitude: float, longitude: float, altitude: float, is_possible: bool
+) -> None:
+    assert records.Position(latitude, longitude, altitude, 0.0, 5).is_possible is is_possible

@@ -266,6 +266,15 @@ def test_without_a_key_an_encrypted_frame_is_counted_and_passed_over_whole() -> 
     assert decoder.discarded_bytes == len(outer)
 
 
+def test_a_stream_of_encrypted_frames_without_a_key_is_counted_frame_by_frame() -> None:
+    """The second of a kind takes the short way through the decoder."""
+    decoder = FrameDecoder()
+    wire = encrypted_frame(b"abc")
+    assert [decoder.feed(wire) for _ in range(3)] == [[], [], []]
+    assert faults(decoder) == {"no_key": 3}
+    assert decoder.discarded_bytes == 3 * len(wire)
+
+
 def test_a_key_applies_to_frames_completed_after_it_is_set() -> None:
     wire = encrypted_frame(b"abc")
     decoder = FrameDecoder()

@@ -6,6 +6,7 @@ are: no waypoint has index 0xFF.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar, Generic, Self, TypeVar, cast, get_args
 
 from m100link.errors import BadAck
@@ -74,7 +75,7 @@ class Answer(Record):
         return self.LAYOUT.raw(self)
 
 
-class DownloadAnswer(Answer, Generic[R]):
+class DownloadAnswer(Answer, ABC, Generic[R]):
     """A code and what was uploaded, as the aircraft has it; zeros when it has none.
 
     ``class X(DownloadAnswer[Y])`` is a dataclass of a code and a Y.
@@ -100,9 +101,9 @@ class DownloadAnswer(Answer, Generic[R]):
         return cls(code, cls.RECORD.from_wire(tail))  # type: ignore[call-arg]  # a dataclass
 
     @property
+    @abstractmethod
     def record(self) -> R:
         """What was uploaded."""
-        raise NotImplementedError
 
     def tail(self) -> bytes:
         """What the aircraft has is sent as it is."""

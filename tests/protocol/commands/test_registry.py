@@ -123,3 +123,29 @@ def test_the_point_of_the_documents_is_read_as_that_of_the_wire() -> None:
         assert read.actions == (*wanted.actions[:15], 0)
         assert read.parameters == (*wanted.parameters[:15], 0)
         assert replace(read, actions=wanted.actions, parameters=wanted.parameters) == wanted
+
+
+ALWAYS_MOVING = {
+    *("follow_start", "hotpoint_start", "hotpoint_auto_radius", "waypoint_set_idle_speed")
+}
+
+
+def test_what_makes_the_aircraft_fly_a_mission_is_known_of_every_command() -> None:
+    """A control block asks for each of these, and sends the others without authority."""
+    seen = set()
+    for row in SENT:
+        command = command_of(row)
+        name, first = row["name"], row["value"][:2]
+        moves = name in ALWAYS_MOVING
+        if name.endswith("_pause_resume"):
+            moves = first != "00"
+        elif name == "waypoint_start_stop":
+            moves = first != "01"
+        assert command.sets_in_motion is moves, row
+        seen.add((name, moves))
+    moving = {name for name, moves in seen if moves}
+    assert moving == ALWAYS_MOVING | {
+        *("follow_pause_resume", "hotpoint_pause_resume"),
+        *("waypoint_pause_resume", "waypoint_start_stop"),
+    }
+    assert {(name, False) for name in moving - ALWAYS_MOVING} <= seen
