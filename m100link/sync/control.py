@@ -212,7 +212,8 @@ class Control:
     ) -> Hold:
         """A task keeps sending a setpoint while the block runs and renews it by :meth:`Hold.set`.
 
-        On the way out the mode's neutral is sent.
+        A block that only waits does not hold it: what is not renewed for ``lifetime`` seconds is
+        followed by the mode's neutral, and the aircraft hovers. The neutral is sent on the way out.
 
         Args:
             setpoint: The first setpoint.
