@@ -200,6 +200,13 @@ def test_two_consumers(run: Run) -> None:
     assert lost == "0"
 
 
+def test_line_quality(run: Run) -> None:
+    out = run("line_quality")
+    assert "damaged, frame_crc: " in out
+    assert "41 answers after " in out
+    assert "questions were asked again" in out
+
+
 def test_watch_telemetry(run: Run) -> None:
     out = run("watch_telemetry", "sim://")
     assert out.splitlines()[0] == "firmware 1.0"
