@@ -44,7 +44,7 @@ _FromSettings: Any = options_of(
     Settings,
     [one.name for one in fields(Settings) if one.name not in _ELSEWHERE],
     environment=ENVIRONMENT,
-    called={"also_ports": "--also-port", "baud_rate": "--baud"},
+    called={"also_ports": "--also-port", "baud_rate": "--baud", "metrics_port": "--metrics"},
     is_layer=True,
 )
 
@@ -314,6 +314,8 @@ class _Station(Protocol):
     def ports(self) -> list[int]: ...
     @property
     def console_port(self) -> int | None: ...
+    @property
+    def metrics_port(self) -> int | None: ...
     def console_path(self) -> str: ...
 
 
@@ -328,13 +330,20 @@ def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool
     scheme = "ws" if settings.tls_cert is None else "wss"
     addresses = [f"{scheme}://{settings.authority(port)}" for port in running.ports]
     console_url = None if running.console_port is None else _console_url(settings, running)
+    metrics_url = None
+    if running.metrics_port is not None:
+        http = "http" if settings.tls_cert is None else "https"
+        metrics_url = f"{http}://{settings.authority(running.metrics_port)}/metrics"
     if as_json:
         told = {"rosbridge": addresses, "console": console_url, "sim": settings.sim}
+        told |= {} if metrics_url is None else {"metrics": metrics_url}
         print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
     else:
         out.print(f"rosbridge: {', '.join(addresses)}", markup=False, soft_wrap=True)
         if console_url is not None:
             out.print(f"console:   {console_url}", markup=False, soft_wrap=True)
+        if metrics_url is not None:
+            out.print(f"metrics:   {metrics_url}", markup=False, soft_wrap=True)
 
 
 def _tell_unused(settings: Settings) -> None:

@@ -58,6 +58,11 @@ class RunningApart:
         """Port of the console, None without it."""
         return self.sockets.console_port
 
+    @property
+    def metrics_port(self) -> int | None:
+        """Port of the numbers for Prometheus, None without them."""
+        return self.sockets.metrics_port
+
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
         return str(self.front.answer["console_path"])
@@ -107,15 +112,17 @@ def front_process(
         UsageError: Something in the settings cannot be.
     """
     console = None if sockets.console is None else sockets.console.fileno()
+    metrics = None if sockets.metrics is None else sockets.metrics.fileno()
     numbers = [one.fileno() for one in sockets.rosbridge]
     request = {
         "settings": front_settings(settings),
         "rosbridge": numbers,
         "console": console,
+        "metrics": metrics,
         "agents": as_json(dict(agents)),
         "orders": as_json(dict(orders)),
     }
-    inherited = [*numbers, *([] if console is None else [console])]
+    inherited = [*numbers, *(one for one in (console, metrics) if one is not None)]
     return Child("m100link.station.front", "the fronts", request, note, inherited=inherited)
 
 

@@ -42,10 +42,11 @@ async def _serve(request: dict[str, Any]) -> None:
         loop.add_signal_handler(number, ended.set)
     settings = resolve(request["settings"], {})
     os.nice(settings.niceness())
-    console = request["console"]
+    console, metrics = request["console"], request["metrics"]
     sockets = Sockets(
         [socket.socket(fileno=number) for number in request["rosbridge"]],
         None if console is None else socket.socket(fileno=console),
+        None if metrics is None else socket.socket(fileno=metrics),
     )
     reach = {name: partial(connect_unix, Path(path)) for name, path in request["agents"].items()}
     orders = {name: await orders_by_socket(Path(path)) for name, path in request["orders"].items()}

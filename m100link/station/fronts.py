@@ -32,10 +32,12 @@ class Sockets:
     Attributes:
         rosbridge: Those of rosbridge, in the order of the settings.
         console: That of the console, None without it.
+        metrics: That of the numbers for Prometheus, None without them.
     """
 
     rosbridge: list[socket.socket]
     console: socket.socket | None
+    metrics: socket.socket | None = None
 
     @property
     def ports(self) -> list[int]:
@@ -46,6 +48,11 @@ class Sockets:
     def console_port(self) -> int | None:
         """Port of the console, None without it."""
         return None if self.console is None else self.console.getsockname()[1]
+
+    @property
+    def metrics_port(self) -> int | None:
+        """Port of the numbers for Prometheus, None without them."""
+        return None if self.metrics is None else self.metrics.getsockname()[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +96,7 @@ def open_sockets(stack: AsyncExitStack, settings: Settings, *, with_console: boo
     return Sockets(
         [opened(port) for port in (settings.port, *settings.also_ports)],
         opened(settings.console_port) if with_console else None,
+        None if settings.metrics_port is None else opened(settings.metrics_port),
     )
 
 
@@ -123,6 +131,9 @@ async def serving_fronts(
             server, access = _console(console, settings, orders)
             await stack.enter_async_context(_serving(server, [sockets.console]))
             servers.append(server)
+        if sockets.metrics is not None:
+            servers.append(_metrics(bridge, settings))
+            await stack.enter_async_context(_serving(servers[-1], [sockets.metrics]))
         yield Fronts(agents, bridge, servers, access)
 
 
@@ -138,6 +149,17 @@ def _console(
         ) from None
     app = console_app(agents, settings, orders)
     return Server.make(app, settings, lifespan="on"), app.access
+
+
+def _metrics(bridge: Bridge, settings: Settings) -> Server:
+    try:
+        from m100link.station.web.metrics import metrics_app
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"the metrics need {error.name}, which is not installed",
+            remedy="pip install 'm100link[station]'",
+        ) from None
+    return Server.make(metrics_app(bridge, settings), settings)
 
 
 @asynccontextmanager

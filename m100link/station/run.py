@@ -88,6 +88,11 @@ class Running:
         """Port of the console, None without it."""
         return self.sockets.console_port
 
+    @property
+    def metrics_port(self) -> int | None:
+        """Port of the numbers for Prometheus, None without them."""
+        return self.sockets.metrics_port
+
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
         return self.fronts.console_path()

@@ -120,6 +120,46 @@ def test_a_mistake_ends_the_process() -> None:
     assert "Traceback" not in done.stderr
 
 
+async def test_the_process_of_the_fronts_serves_the_numbers() -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "serve", "--sim", "--port", "0", "--metrics", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    try:
+        url = json.loads(await process.stdout.readline())["metrics"]
+        assert url.startswith("http://127.0.0.1:")
+
+        def scrape() -> str:
+            with urllib.request.urlopen(url, timeout=20) as answer:
+                return str(answer.read(), "utf-8")
+
+        async with asyncio.timeout(PATIENCE):
+            while "m100_link_frames_total{" not in await asyncio.to_thread(scrape):  # noqa: ASYNC110 - a page has no event
+                await asyncio.sleep(0.1)
+    finally:
+        process.terminate()
+        await process.communicate()
+
+
+def test_without_the_package_it_says_what_to_install() -> None:
+    blocked = "import sys; sys.modules['prometheus_client'] = None; "
+    done = subprocess.run(
+        [
+            *(sys.executable, "-c", blocked + "from m100link.cli import main; main()"),
+            *("serve", "--sim", "--port", "0", "--metrics", "0", "--single-process"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "the metrics need prometheus_client" in done.stderr
+    assert "pip install 'm100link[station]'" in done.stderr
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) -> None:
     process = await asyncio.create_subprocess_exec(
