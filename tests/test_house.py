@@ -186,7 +186,6 @@ TESTED_ELSEWHERE = {
     "agent/answers.py": ("agent/test_client.py", "a part that only the client has"),
     "agent/codec.py": ("agent/test_message_bytes.py", "what is said, and how it is written down"),
     "agent/connect.py": ("agent/test_agent.py", "three lines that each open a connection"),
-    "agent/connection.py": ("agent/test_agent.py", "a part that only the agent has"),
     "agent/front.py": ("agent/test_service.py", "a front is what the service is asked by"),
     "agent/guided.py": ("agent/test_guiding.py", "wishes, and what flies of them"),
     "agent/messages.py": ("agent/test_message_bytes.py", "each comes out as it went in"),

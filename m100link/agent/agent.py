@@ -116,7 +116,6 @@ class Agent:
 
     async def __aenter__(self) -> Self:
         self.background.spawn(self.connection.keep(), "connection")
-        self.background.spawn(self.connection.measure(), "round trip")
         self.background.spawn(self._watch_lease(), "lease")
         return self
 
@@ -128,8 +127,6 @@ class Agent:
     ) -> None:
         await self._give_back()
         await self.background.end()
-        if self.connection.aircraft is not None:
-            await self.connection.aircraft.aclose()
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
         version = self.connection.version

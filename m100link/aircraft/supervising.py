@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 from m100link.aircraft.aircraft import Aircraft
 from m100link.aircraft.connecting import connect
@@ -84,6 +84,8 @@ class Supervised:
         version: What the aircraft answered last, None before the first time.
         error: Why it is not connected; None while it is.
         attempts: Attempts since it was last connected.
+        round_trip: Seconds that the newest question and its answer took, one every
+            two seconds; None when it was not answered, or there was none yet.
     """
 
     def __init__(
@@ -108,6 +110,7 @@ class Supervised:
         self.version: Version | None = None
         self.error: M100Error | None = None
         self.attempts = 0
+        self.round_trip: float | None = None
 
     def __repr__(self) -> str:
         why = f": {self.error.seen}" if self.error is not None else ""
@@ -220,31 +223,33 @@ class Supervised:
         """Connect, watch, wait, and again, until that cannot succeed."""
         try:
             while self._state not in ENDED:
-                try:
-                    await self._hold()
-                except M100Error as error:
-                    pause = self._fail(error)
-                    if self._state is _S.WAITING:
-                        await asyncio.sleep(pause)
-                        self._feed(_I.DUE)
+                pause = await self._hold()
+                if self._state is _S.WAITING:
+                    await asyncio.sleep(pause)
+                    self._feed(_I.DUE)
         finally:
             if self._state is not _S.REFUSED:
                 self._feed(_I.CLOSE)  # whatever ended it, nobody may wait for it for ever
 
-    async def _hold(self) -> None:
-        """Connect once, and stay until it is lost; always raises why."""
+    async def _hold(self) -> float:
+        """Connect once, and stay until it is lost; returns how long to wait then."""
         self.attempts += 1
-        aircraft = await self._open()
+        aircraft: Aircraft | None = None
         try:
+            aircraft = await self._open()
             self._identify(await aircraft.version())
             self._feed(_I.ANSWERED)
             await self._activate(aircraft)
             self.aircraft, self.error, self.attempts = aircraft, None, 0
             self._feed(_I.ACTIVATED)
             await self._watch(aircraft)
+        except M100Error as error:
+            self.aircraft = self.round_trip = None
+            return self._fail(error)  # told first: to close a dead line may take a second
         finally:
-            self.aircraft = None
-            await aircraft.aclose()
+            self.aircraft = self.round_trip = None
+            if aircraft is not None:
+                await aircraft.aclose()
 
     def _fail(self, error: M100Error) -> float:
         """An attempt or a connection ended; returns how long to wait."""
@@ -279,7 +284,7 @@ class Supervised:
         if self._credentials is not None:
             await aircraft.activate(self._credentials)
 
-    async def _watch(self, aircraft: Aircraft) -> None:
+    async def _watch(self, aircraft: Aircraft) -> NoReturn:
         """Ask now and then whether it is there and activated; raises when it is not there.
 
         A line may stay open while the aircraft behind it is switched off.
@@ -293,9 +298,11 @@ class Supervised:
                 raise error or LinkLost("the line went away")
             except TimeoutError:
                 pass
+            asked_at = clock()
             try:
                 version = await aircraft.version()
             except AckTimeout as error:
+                self.round_trip = None
                 heard_at = max(heard_at, aircraft.link.last_received_at or heard_at)
                 if clock() - heard_at > SILENCE:
                     raise LinkLost(
@@ -305,6 +312,7 @@ class Supervised:
                     ) from error
                 continue
             heard_at = clock()
+            self.round_trip = heard_at - asked_at
             self._identify(version)
             if self._credentials is not None and not version.is_activated:
                 await self._activate_again(aircraft)
