@@ -101,7 +101,7 @@ function holdToPress() {
         button.dispatchEvent(new CustomEvent(isLate ? "unsure" : "held", {detail: {shown}}));
     }, HOLD_MS);
     const shown = button.dataset.shown;
-    held = {button, timer, at: performance.now(), pointer: event.pointerId};
+    held = {button, timer, at: performance.now(), down: event.timeStamp, pointer: event.pointerId};
   };
   const end = () => {
     if (!held) return;
@@ -116,7 +116,13 @@ function holdToPress() {
     else if (button) begin(event, button);
   });
   for (const name of ["pointerup", "pointercancel"])
-    document.addEventListener(name, (event) => held && event.pointerId === held.pointer && end());
+    document.addEventListener(name, (event) => {
+      if (!held || event.pointerId !== held.pointer) return;
+      // Both stood in the queue of a page that was busy: the finger was there long enough.
+      const {button, down} = held, wasHeld = event.timeStamp - down > HOLD_MS;
+      end();
+      if (wasHeld && name === "pointerup") button.dispatchEvent(new CustomEvent("unsure", {detail: {}}));
+    });
   document.addEventListener("pointermove", (event) => {
     if (!held || event.pointerId !== held.pointer) return;
     const box = held.button.getBoundingClientRect();
