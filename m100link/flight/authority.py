@@ -15,7 +15,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from m100link.errors import LossReason
-from m100link.protocol.packet import field_span
+from m100link.protocol.packet import field_span, remember
 from m100link.protocol.records import ControlDevice, Device, RcMode, RemoteControl
 
 if TYPE_CHECKING:
@@ -289,9 +289,9 @@ class Authority:
         spans = [field_span(record, name, flags, firmware) for record, name in _WATCHED]
         # Byte by byte: small numbers exist already, slices would be made.
         places: list[int | slice] = [at for span in spans if span for at in _places(span)]
-        take = itemgetter(*(places or [slice(0, 0)]))
-        self._takers[flags] = take
-        return take
+        take: Callable[[bytes], object] = itemgetter(*(places or [slice(0, 0)]))
+        self._forget()  # with more words than are remembered, the same would be kept of each
+        return remember(self._takers, flags, take)
 
     def _forget(self) -> None:
         """Something changed by which an observation can differ from the last of the same bytes."""

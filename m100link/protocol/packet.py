@@ -24,15 +24,18 @@ __all__ = [
     "fitting_profiles",
     "mismatch",
     "plan_of",
+    "remember",
     "telemetry_size",
 ]
 
 
 R = TypeVar("R", bound=tuple[Any, ...])
+V = TypeVar("V")
 _Values = tuple[Any, ...]
 _Reader = Callable[[bytes, int], list[Any]]
 
 _FLAGS_SIZE = 2
+_MOST_FLAG_WORDS = 256  # an aircraft sends some dozens, a hostile line all 4096
 
 
 def _reader(items: Sequence[Item], profile: FirmwareProfile) -> _Reader:
@@ -109,11 +112,19 @@ class _Plan:
         return self.read
 
 
+def remember(memory: dict[int, V], flags: int, value: V) -> V:
+    """Keep what was worked out for a flag word; of more of them than aircraft send, the newest."""
+    if len(memory) >= _MOST_FLAG_WORDS:
+        memory.clear()
+    memory[flags] = value
+    return value
+
+
 def _plan(flags: int, profile: FirmwareProfile) -> _Plan:
     """The plan for flags that are all among ``profile.item_flags``, remembered by the profile."""
     plan: _Plan | None = profile.plans.get(flags)
     if plan is None:
-        plan = profile.plans[flags] = _Plan(flags, profile)
+        plan = remember(profile.plans, flags, _Plan(flags, profile))
     return plan
 
 

@@ -17,6 +17,7 @@ from struct import Struct
 from m100link.protocol.commands.monitor import PushTelemetry
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.items import ITEMS
+from m100link.protocol.packet import remember
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
 from m100link.sim.vehicle.sensors import Sensors
 from m100link.wire.crc import frame_crc32, header_crc16_of_word, sequence_crc16
@@ -97,7 +98,7 @@ class TelemetryPusher:
             return None
         plan = self._plans.get(flags)
         if plan is None:
-            plan = self._plans[flags] = _Plan(flags, self._profile, self._sensors)
+            plan = remember(self._plans, flags, _Plan(flags, self._profile, self._sensors))
         return plan
 
     def frame(self, sequence: int) -> bytes | None:

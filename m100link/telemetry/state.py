@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
+from m100link.protocol.packet import remember
 from m100link.telemetry.sample import Sample
 
 __all__ = ["AircraftState", "ItemStatistics"]
@@ -144,8 +145,7 @@ class AircraftState(RecordViews):
                 self._cells.update((i.record, other) for i in ITEMS if apart >> i.bit & 1)
                 self._cells_of.clear()
         cells = tuple({cell for cell in self._cells.values() if cell.items & flags})
-        self._cells_of[flags] = cells
-        return cells
+        return remember(self._cells_of, flags, cells)
 
     def get(self, record: type[R]) -> R | None:
         """The newest record of that class, None when it never arrived."""

@@ -12,7 +12,7 @@ from typing import Any
 from m100link.errors import LayoutMismatch, LinkError, TelemetryStalled, UsageError
 from m100link.protocol.firmware import FIRMWARE_1_0, FirmwareProfile
 from m100link.protocol.items import item_of
-from m100link.protocol.packet import field_span
+from m100link.protocol.packet import field_span, remember
 from m100link.protocol.records import Time
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
@@ -96,7 +96,7 @@ class TelemetryStream:
         try:
             place = self._ticks[flags]
         except KeyError:
-            place = self._ticks[flags] = _tick_place(flags, firmware)
+            place = remember(self._ticks, flags, _tick_place(flags, firmware))
         if place is not None:
             # Of its record, which costs ten times as much, the clock wants nothing else.
             at, unpack = place

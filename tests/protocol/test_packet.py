@@ -439,3 +439,14 @@ def test_flags_that_do_not_fit_are_not_remembered() -> None:
         with pytest.raises(LayoutMismatch):
             TelemetryPacket(flags.to_bytes(2, "little") + bytes(200), firmware)
     assert all(flags & ~firmware.item_flags == 0 for flags in firmware.plans)
+
+
+def test_a_line_that_sends_every_flag_word_is_not_remembered_whole() -> None:
+    """With readers for all of them a profile took 26 MB."""
+    firmware = replace(profile("1.0"), name="mine")
+    for flags in range(1, firmware.item_flags + 1):
+        value = flags.to_bytes(2, "little") + bytes(telemetry_size(flags, firmware) - 2)
+        assert len(TelemetryPacket(value, firmware).row()) > 0
+    assert len(firmware.plans) <= 256
+    value = encode_telemetry({"battery": [80]}, firmware)
+    assert TelemetryPacket(value, firmware).records() == [Battery(80)]

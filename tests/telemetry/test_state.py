@@ -9,6 +9,7 @@ import pytest
 
 from m100link.protocol import Attitude, Battery, Position, encode_telemetry, profile
 from m100link.protocol.items import ITEMS
+from m100link.protocol.packet import telemetry_size
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
@@ -110,6 +111,15 @@ def test_items_that_came_together_and_part_each_keep_their_own(seed: int, clock:
             len(arrivals[item.name]),
             max(gaps, default=0.0),
         )
+
+
+def test_a_line_that_sends_every_flag_word_is_not_remembered_whole(state: AircraftState) -> None:
+    for flags in range(1, FIRMWARE.item_flags + 1):
+        value = flags.to_bytes(2, "little") + bytes(telemetry_size(flags, FIRMWARE) - 2)
+        state.update(Sample(value, FIRMWARE, 100.0 + flags / 100))
+    assert len(state._cells_of) <= 256
+    assert state.battery == Battery(0)
+    assert state.received_at(Battery) == 100.0 + FIRMWARE.item_flags / 100
 
 
 def test_it_shows_itself_at_a_prompt(clock: Clock) -> None:
