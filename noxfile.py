@@ -431,6 +431,20 @@ def mutation(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def faults(session: nox.Session) -> None:
+    """What bad lines make of reliable commands, as a table; an hour. `-- --commands 1000` less."""
+    install(session, PACKAGE, *group("test"))
+    session.run("python", "-m", "tests.faults.matrix", *session.posargs)
+
+
+@nox.session(default=False)
+def fuzz(session: nox.Session) -> None:
+    """Mutated inputs for whatever reads bytes of others; half an hour. `-- --executions 100000`."""
+    install(session, PACKAGE, *group("test"))
+    session.run("python", "-m", "tests.fuzz.run", *session.posargs)
+
+
+@nox.session(default=False)
 def uvloop(session: nox.Session) -> None:
     """The tests of the link on real ports and sockets, on uvloop's event loop."""
     session.install(PACKAGE, *group("test", "uvloop"))

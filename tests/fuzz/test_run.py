@@ -1,0 +1,48 @@
+"""The short form of the fuzzing; `nox -s fuzz` is the long one."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+
+from tests.fuzz.mutation import MOST, changed
+from tests.fuzz.run import Finding, execute
+from tests.fuzz.targets import TARGETS, Target
+
+SEED = 20151121
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_no_input_raises_what_is_not_promised(name: str) -> None:
+    target = TARGETS[name]
+    told = execute(name, target, 150, SEED)
+    assert told.refused < 150, "every input was refused: the seeds are not inputs"
+
+
+def test_an_error_that_is_not_promised_is_found_with_its_input() -> None:
+    def read(data: bytes) -> None:
+        if data.count(b"a") > 3:
+            raise KeyError("unlucky")
+
+    with pytest.raises(Finding, match=r"unlucky.* for b'"):
+        execute("unlucky", Target(read, lambda: [b"a letter"]), 1000, SEED)
+
+
+def test_what_stays_in_memory_is_found() -> None:
+    kept: list[bytes] = []
+
+    def read(data: bytes) -> None:
+        kept.extend(data[at : at + 8] for at in range(200))
+
+    with pytest.raises(Finding, match="stayed"):
+        execute("keeper", Target(read, lambda: [bytes(range(256)) * 2]), 1000, SEED)
+
+
+def test_changes_follow_from_the_seed_and_have_a_limit() -> None:
+    first, second = Random(SEED), Random(SEED)
+    seeds = [b"one", b"two" * 1000]
+    inputs = [changed(first, seeds) for _ in range(300)]
+    assert inputs == [changed(second, seeds) for _ in range(300)]
+    assert max(map(len, inputs)) <= MOST
+    assert len(set(inputs)) > 200
