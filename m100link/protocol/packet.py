@@ -123,9 +123,7 @@ def remember(memory: dict[int, V], flags: int, value: V) -> V:
 def _plan(flags: int, profile: FirmwareProfile) -> _Plan:
     """The plan for flags that are all among ``profile.item_flags``, remembered by the profile."""
     plan: _Plan | None = profile.plans.get(flags)
-    if plan is None:
-        plan = remember(profile.plans, flags, _Plan(flags, profile))
-    return plan
+    return plan or remember(profile.plans, flags, _Plan(flags, profile))
 
 
 def telemetry_size(flags: int, profile: FirmwareProfile) -> int:
