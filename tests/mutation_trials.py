@@ -32,7 +32,7 @@ ENOUGH_S = 12.0
 recorded (a third without): lines that every flight runs would take the whole suite otherwise."""
 
 PARTNERS = {
-    "block": ("by_hand", "signals"),
+    "block": ("by_hand", "handover", "signals", "stop_path"),
     "lifecycle": ("block", "stop_path", "signals"),
     "stop_path": ("block",),
     "steering": ("control", "guards"),
