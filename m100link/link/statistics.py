@@ -17,8 +17,8 @@ class RoundTrips:
     """How long answered requests took, from the call to the answer, repeats included.
 
     Attributes:
-        counts: Requests in each class: up to each of :data:`ROUND_TRIP_BOUNDS_S` (itself included)
-            and beyond the one before; the last class has those beyond the last bound.
+        counts: Requests in each class: up to 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000 and 2000 ms
+            (the bound included) and beyond the one before; the last class has those beyond them.
         total_s: All of them together, s.
     """
 
