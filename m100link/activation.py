@@ -16,7 +16,7 @@ from m100link.wire.cipher import Cipher
 
 __all__ = ["ActivationProgress", "activate"]
 
-_logger = logging.getLogger("m100link.aircraft")
+_logger = logging.getLogger(__name__)
 
 _TIMEOUT, _TRIES = 1.0, 3
 _PAUSE = 2.0
@@ -70,12 +70,11 @@ async def activate(
             link.cipher = Cipher(credentials.key, random_padding=True)
             # Firmware without a level in the request asks DJI's server for it.
             requests.level = credentials.level if requests.firmware.has_level else None
-            _logger.info("activated for app %d", credentials.app_id)
+            _logger.info("activated")
             return version
         if pause is None:
             raise ActivationRefused(
-                f"activation of app {credentials.app_id} failed: {code.meaning} "
-                f"(code {int(code)}, attempt {attempt})",
+                f"activation failed: {code.meaning} (code {int(code)}, attempt {attempt})",
                 command=request.NAME,
                 code=int(code),
                 cause=code.cause,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Notifications"]
 
-_logger = logging.getLogger("m100link.notifications")
+_logger = logging.getLogger(__name__)
 
 _TELEMETRY = bytes(PushTelemetry.ADDRESS)
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Requests"]
 
-_logger = logging.getLogger("m100link.requests")
+_logger = logging.getLogger(__name__)
 
 _PROBE_TIMEOUT = 0.3
 _VERSION_TIMEOUT, _VERSION_TRIES = 0.2, 3

@@ -51,7 +51,7 @@ class Activation:
                 "this station has no app id and key",
                 remedy="start it with --app-id and --key-file",
             )
-        self._journal.note(f"activating for app {self._credentials.app_id}")
+        self._journal.note("activating")
         try:
             version = await aircraft.activate(self._credentials, progress=self._progress)
         except M100Error as error:

@@ -11,7 +11,7 @@ from m100link.errors import M100Error
 
 __all__ = ["BackgroundTasks"]
 
-_logger = logging.getLogger("m100link.agent")
+_logger = logging.getLogger(__name__)
 
 
 class BackgroundTasks:

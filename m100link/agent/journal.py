@@ -10,7 +10,7 @@ from m100link.agent.messages import Event, Topic
 
 __all__ = ["JOURNAL_LOG", "Journal"]
 
-JOURNAL_LOG = "m100link.agent.journal"
+JOURNAL_LOG = __name__
 """Name of the log that has every event, for whoever shows events in another way."""
 
 _logger = logging.getLogger(JOURNAL_LOG)

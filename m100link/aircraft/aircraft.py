@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Aircraft"]
 
-_logger = logging.getLogger("m100link.aircraft")
+_logger = logging.getLogger(__name__)
 
 A = TypeVar("A")
 

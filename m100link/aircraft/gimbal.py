@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["AircraftGimbal", "GimbalRates"]
 
-_logger = logging.getLogger("m100link.aircraft")
+_logger = logging.getLogger(__name__)
 
 _REPEAT_S = 0.1  # a rate holds for 0.5 s; DJI's sample repeats it at 10 Hz (facts G2)
 _FIRST_VALUE_S = 1.5  # an item that is sent at all, at 1 Hz or more, has come by then

@@ -56,7 +56,7 @@ __all__ = [
     "supervise",
 ]
 
-_logger = logging.getLogger("m100link.aircraft")
+_logger = logging.getLogger(__name__)
 
 CHECK_INTERVAL = 2.0
 """Seconds between two questions whether the aircraft is still there and still activated."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TRANSITIONS", "Authority", "AuthorityInput", "AuthorityState"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 
 class AuthorityState(Enum):

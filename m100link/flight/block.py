@@ -31,7 +31,7 @@ from m100link.flight.watchdog import TelemetryWatchdog
 
 __all__ = ["ControlBlock", "PauseAction"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 PauseAction = Literal["raise", "wait"]
 """What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""

@@ -11,7 +11,7 @@ import anyio
 
 __all__ = ["Errand", "ProgramTask", "undisturbed"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 3
 

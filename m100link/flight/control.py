@@ -35,7 +35,7 @@ from m100link.telemetry.state import AircraftState
 
 __all__ = ["Control", "Hold", "PauseAction"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 """Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""

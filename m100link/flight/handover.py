@@ -33,7 +33,7 @@ __all__ = [
     "release_authority",
 ]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 _PAUSE_S = 0.05  # between requests; DJI's C library waits as long
 _MAX_REQUESTS = 10

@@ -13,7 +13,7 @@ from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["NEUTRAL_TIME", "SETPOINT_LIFETIME", "Hold", "SetpointLoop", "check_lifetime"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 SETPOINT_LIFETIME = 0.2
 """Seconds that a setpoint is repeated when the program does not renew it."""

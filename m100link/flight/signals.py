@@ -15,7 +15,7 @@ from typing import Any
 
 __all__ = ["SIGNALS", "OtherWatch", "SignalWatch"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 _NUMBERS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)

@@ -20,7 +20,7 @@ from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["Steering"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 
 class Steering:

@@ -22,7 +22,7 @@ from m100link.protocol.records import FlightPhase, FlightStatus
 
 __all__ = ["StopAction", "StopPath"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 StopAction = Literal["hover", "land"]
 """What the stop path does after the neutral setpoint."""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Commander", "TaskListener", "TaskProgress", "run_task"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 _POLL_S = 0.25
 _QUERY_INTERVAL_S = 1.0

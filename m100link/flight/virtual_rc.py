@@ -40,7 +40,7 @@ from m100link.protocol.records import ControlDevice, RcMode, RemoteControl
 
 __all__ = ["VirtualRc"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 DEAD_MAN_S = 0.5
 """Seconds that sticks stay where they were put; then they go back to the centre."""

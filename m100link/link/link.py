@@ -22,7 +22,7 @@ from m100link.wire.frame import Frame
 
 __all__ = ["Link"]
 
-_logger = logging.getLogger("m100link.link")
+_logger = logging.getLogger(__name__)
 
 CLOSE_TIMEOUT = 1.0
 """Seconds that closing waits for written bytes to leave."""
@@ -35,6 +35,9 @@ of authority must not be taken for one that was told before.
 """
 
 _LOGGED_BYTES = 64
+_HEADER = 12
+# Set and id of the activation, which has the app id in it and is never encrypted.
+_ACTIVATION = b"\x00\x01"
 _LEVEL_S = 0.1  # between two looks at the level of the log
 
 
@@ -404,7 +407,7 @@ class Link(asyncio.Protocol):
                 self._dropped_writes += 1
                 continue
             if debug:
-                _logger.debug("> %s", _excerpt(wire))
+                _logger.debug("> %s", _excerpt(wire, data_at=_HEADER))
             self._bytes_sent += len(wire)
             self._frames_sent += 1
             transport.write(wire)
@@ -490,6 +493,9 @@ class Link(asyncio.Protocol):
             raise
 
 
-def _excerpt(data: bytes) -> str:
+def _excerpt(data: bytes, *, data_at: int = 0) -> str:
+    """What the log shows of a frame, or of its data."""
+    if data.startswith(_ACTIVATION, data_at):
+        return f"{data[: data_at + len(_ACTIVATION)].hex()}… (activation)"
     more = "…" if len(data) > _LOGGED_BYTES else ""
     return data[:_LOGGED_BYTES].hex() + more

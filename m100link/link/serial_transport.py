@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 __all__ = ["HIGH_WATER", "PORT_GONE", "PortState", "SerialPort", "SerialTransport"]
 
-_logger = logging.getLogger("m100link.link")
+_logger = logging.getLogger(__name__)
 
 HIGH_WATER = 2048  # 200 ms of a line at 115200 baud: more would only make setpoints old
 _LOW_WATER = 512

@@ -32,7 +32,7 @@ from m100link.link.url import EXAMPLES, ConnectionString
 
 __all__ = ["Opener", "open_transport", "port_owners", "serial_ports"]
 
-_logger = logging.getLogger("m100link.link")
+_logger = logging.getLogger(__name__)
 
 Opener = Callable[[ConnectionString, asyncio.Protocol], Awaitable[asyncio.Transport]]
 """What a plug-in transport provides, by an entry point in the group ``m100link.transports``."""

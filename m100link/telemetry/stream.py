@@ -21,7 +21,7 @@ from m100link.telemetry.subscription import ANY, Hub, Latest, Policy, Subscripti
 
 __all__ = ["TelemetryStream"]
 
-_logger = logging.getLogger("m100link.aircraft")
+_logger = logging.getLogger(__name__)
 
 _PACKAGE = 1 << 16  # what a package with no item is, for those who want every package
 

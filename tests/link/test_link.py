@@ -19,6 +19,8 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.link import Link, connect_in_memory
+from m100link.protocol.commands.activation import Activate
+from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.session import SessionMode
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 from tests.link.peer import Peer, connected, echo, settle, silent
@@ -386,6 +388,22 @@ async def test_the_log_shows_frames_in_both_directions_cut_short_and_no_key(
     assert caplog.records
     assert "…" not in caplog.text, "what fits is shown whole"
     assert "5a5a" not in repr(vars(link)).lower()
+    await link.close()
+
+
+async def test_the_log_shows_nothing_of_an_activation_but_that_there_is_one(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Whichever end it is seen from; the app id is the first thing in it."""
+    caplog.set_level(logging.DEBUG, "m100link")
+    request = Activate(app_id=0x5A5B5C5D, level=2, version=1, bundle_id="my.own.app")
+    data = bytes(Activate.ADDRESS) + request.value(FIRMWARE_1_0)
+    link, _, _ = await connected()
+    link.push(data)
+    await settle()
+    assert "5d5c5b5a" not in caplog.text
+    assert b"my.own".hex() not in caplog.text
+    assert sum("0001… (activation)" in record.getMessage() for record in caplog.records) == 2
     await link.close()
 
 

@@ -14,7 +14,7 @@ from m100link.agent.messages import Message
 
 __all__ = ["MemoryChannel", "memory_channels"]
 
-_logger = logging.getLogger("m100link.agent")
+_logger = logging.getLogger(__name__)
 
 _MAX_WAITING = 1000
 

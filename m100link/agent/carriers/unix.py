@@ -23,7 +23,7 @@ from m100link.errors import PortFailed, PortNotFound
 
 __all__ = ["UnixChannel", "connect_unix", "private_directory", "serve_unix"]
 
-_logger = logging.getLogger("m100link.agent")
+_logger = logging.getLogger(__name__)
 
 DROP_ABOVE = 256 * 1024
 """Bytes that wait to be written above which telemetry is dropped."""

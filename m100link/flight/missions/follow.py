@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FollowFlight", "FollowTrack", "Target", "TargetSource"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 _INTERVAL_S = 0.1  # targets are sent at 10 Hz at most (facts F3)
 _LOWEST_M = 5.0  # what the aircraft refuses to follow below (facts F2, inferred number)

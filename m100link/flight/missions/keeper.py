@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MissionKeeper"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 _LANDING = (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
 _TOLD_WITHIN_S = 0.5  # two or three pushes are lost, hardly five

@@ -48,7 +48,7 @@ from m100link.protocol.commands.missions import MissionStatus, Uploaded, Waypoin
 
 __all__ = ["AUTHORITY_CODES", "MissionRun"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 _START_S = 0.5  # for the ack of one transmission of a start
 _LOOK_S = 0.2  # between two looks at guards, pushes and telemetry

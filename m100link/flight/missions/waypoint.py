@@ -27,7 +27,7 @@ from m100link.protocol.commands.waypoint import (
 
 __all__ = ["UploadListener", "WaypointFlight"]
 
-_logger = logging.getLogger("m100link.flight")
+_logger = logging.getLogger(__name__)
 
 UploadListener = Callable[[Uploading], None]
 """Told of each waypoint that the aircraft has taken."""

@@ -13,6 +13,7 @@ Everything that chance decides comes from the one :class:`random.Random` that is
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     from m100link.protocol.commands.activation import Activate
     from m100link.protocol.commands.virtual_rc import VirtualRcSettings
     from m100link.protocol.firmware import FirmwareProfile
+
+_logger = logging.getLogger(__name__)
 
 __all__ = ["LogEntry", "Vehicle"]
 
@@ -226,7 +229,7 @@ class Vehicle:
     def activate(self, request: Activate) -> ActivationCode:
         """Carry an activation request out; on success its app is ``activation.active``."""
         code = self.activation.request(request, self.time)
-        self.log(f"activation of app {request.app_id}: {code.meaning}")
+        self.log(f"activation: {code.meaning}")
         return code
 
     def request_authority(self, obtain: bool) -> AuthorityCode:
@@ -302,6 +305,7 @@ class Vehicle:
     def log(self, text: str) -> None:
         """Note something that happened."""
         self.events.append(LogEntry(self.time, text))
+        _logger.info("virtual aircraft at %.2f s: %s", self.time, text)
 
 
 def _remote_in_f() -> PilotRemote:

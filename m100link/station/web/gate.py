@@ -83,7 +83,7 @@ class Gate:
         self._origins = {origin.rstrip("/").lower() for origin in origins}
         self.access = access
         self.refused = 0
-        self._log = SparingLogger(logging.getLogger("m100link.station"))
+        self._log = SparingLogger(logging.getLogger(__name__))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request, then pass it on."""

@@ -64,7 +64,7 @@ class Config(uvicorn.Config):
         own: dict[str, Any] = {"http": HttpConnection, "ws": WebSocketConnection}
         super().__init__(app, **keywords, **own, headers=list(HEADERS), proxy_headers=False)
         self.door = Door()
-        self.log = SparingLogger(logging.getLogger("m100link.station"))
+        self.log = SparingLogger(logging.getLogger(__name__))
 
 
 @lru_cache(maxsize=_FRAMED)

@@ -83,7 +83,7 @@ class Bridge:
         self.agents = agents
         self._limits = limits or Limits()
         self._max_clients = max_clients
-        self._log = SparingLogger(logging.getLogger("m100link.station"))
+        self._log = SparingLogger(logging.getLogger(__name__))
         self.graph = Graph()
         self.clients: dict[str, Clients] = {}
         for name, agent in agents.items():
