@@ -216,7 +216,8 @@ def test_the_list_of_verbs_loads_none_of_them() -> None:
     loaded_of_it = {name for name in loaded if name.startswith("m100link")}
     assert {name for name in loaded_of_it if not name.startswith("m100link.errors.")} == {
         *("m100link", "m100link.errors"),
-        *("m100link.cli", "m100link.cli.app", "m100link.cli.outcome", "m100link.cli.terminal"),
+        *("m100link.cli", "m100link.cli.app", "m100link.cli.logs", "m100link.cli.outcome"),
+        "m100link.cli.terminal",
     }
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import logging
-import os
 import signal
 import sys
-from typing import TextIO
 
 from cyclopts import App, CycloptsError, CycloptsPanel, UnusedCliTokensError
 
 import m100link
 from m100link.cli import end_at_once
+from m100link.cli.logs import logging_as_asked, show_warnings
 from m100link.cli.outcome import ExitCode, complain
 from m100link.cli.terminal import ReaderGone, speak_to_anybody
 from m100link.errors import M100Error, UsageError
@@ -152,28 +150,6 @@ def application(*, overview: bool = False) -> App:
 app = application()
 
 
-class _ToStandardError(logging.StreamHandler[TextIO]):
-    """To what standard error is now: a live display takes it over, and writes above itself."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.setStream(sys.stderr)
-        super().emit(record)
-
-
-def _show_warnings() -> None:
-    """Warnings of the library go to standard error, like everything that is not data."""
-    handler = _ToStandardError()
-    handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
-    logger = logging.getLogger("m100link")
-    logger.addHandler(handler)
-    level = os.environ.get("M100LINK_LOG", "WARNING").upper()
-    if level not in logging.getLevelNamesMapping():
-        raise UsageError(
-            f"M100LINK_LOG is {level!r}", remedy="set it to DEBUG, INFO, WARNING or ERROR"
-        )
-    logger.setLevel(level)
-
-
 def run() -> None:
     """Parse the command line, run the command, exit with its status."""
     try:
@@ -198,11 +174,12 @@ def _renamed(words: list[str]) -> list[str]:
 def _status_of(words: list[str]) -> int:
     asked = app if VERBS.keys() & set(words) else application(overview=True)
     try:
-        _show_warnings()
+        show_warnings()
         verb, bound, _ = asked.parse_args(_renamed(words), exit_on_error=False, print_error=False)
         if signal.getsignal(signal.SIGINT) is end_at_once:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        status = verb(*bound.args, **bound.kwargs)
+        with logging_as_asked(bound.arguments.values()):
+            status = verb(*bound.args, **bound.kwargs)
     except UnusedCliTokensError as error:
         called = " ".join(("m100link", *(error.command_chain or ())))
         return complain(

@@ -13,12 +13,15 @@ from rich.console import Console
 
 from m100link import errors
 from m100link.cli.configuration import read_configuration
+from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import Above0, Counted, offered, options_of
 from m100link.cli.outcome import ExitCode, complain
 from m100link.errors import UsageError
+from m100link.link.url import parse_url
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import PROFILES
 from m100link.station.config import ENVIRONMENT, Settings, resolve
+from m100link.station.log_output import log_of
 
 __all__ = ["AppOptions", "LinkOptions", "Place", "Url", "err", "out", "places", "run_async"]
 
@@ -121,12 +124,14 @@ class LinkOptions:
             (M100LINK_PROFILE).
         baud: Baud rate when the URL has none (M100LINK_BAUD_RATE).
         timeout: Seconds until an aircraft has to answer; 3 by default.
+        log: What is logged meanwhile.
     """
 
     url: Annotated[str | None, offered(places)] = None
     firmware: Annotated[str | None, offered(PROFILES)] = None
     baud: Annotated[int | None, Counted] = None
     timeout: Annotated[float | None, Above0] = None
+    log: LogOptions = AS_IT_IS
 
     def place(self, argument: str | None, app: AppOptions | None = None) -> Place:
         """Where the aircraft is, and what holds for it.
@@ -143,6 +148,7 @@ class LinkOptions:
             )
         given = asdict(self) | asdict(app or AppOptions())
         given |= {"url": argument or self.url, "baud_rate": given.pop("baud")}
+        del given["log"]
         configuration = read_configuration()
         settings = resolve(given, os.environ, of_aircraft=configuration.sources)
         if settings.url is None:
@@ -151,6 +157,7 @@ class LinkOptions:
                 remedy="give it as argument (after PLAN in `mission fly`) or with --url, set "
                 "M100LINK_URL, or name an aircraft in the file that `m100link config` names",
             )
+        log_of(_shown(given["url"] or settings.url))
         return Place(settings.url, settings)
 
     def place_among(
@@ -170,6 +177,14 @@ class LinkOptions:
         if not first or is_other(first):
             return self.place(None, app), tuple(filter(None, words))
         return self.place(first, app), tuple(rest)
+
+
+def _shown(url: str) -> str:
+    """A name of the configuration file as it is, a URL without what it may keep secret."""
+    try:
+        return url if url in read_configuration().aircraft else str(parse_url(url))
+    except UsageError:
+        return ""  # who connects says what is wrong with it
 
 
 def run_async(work: Coroutine[Any, Any, int | None]) -> int:

@@ -27,6 +27,7 @@ from m100link.activation import ActivationProgress
 from m100link.aircraft import Aircraft, connect
 from m100link.cli.canvas import line_plot, track_plot
 from m100link.cli.common import err, out
+from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import M100Error, NotObserved
 from m100link.flight.control import Control
@@ -113,6 +114,7 @@ def demo(
     firmware: str = "1.0",
     seed: int = 1,
     json: bool = False,
+    log: LogOptions = AS_IT_IS,
 ) -> int:
     """Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.
 
@@ -125,6 +127,7 @@ def demo(
         firmware: Firmware of the virtual aircraft: 1.0, 2.3 or 3.1.
         seed: Of everything random.
         json: One summary object instead of pictures.
+        log: What is logged meanwhile.
     """
     flight = _Flight()
     began_at = time.monotonic()

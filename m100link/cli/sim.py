@@ -19,6 +19,7 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from m100link.cli.common import out
+from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import Above0, Firmware, options_of
 from m100link.cli.outcome import print_json
 from m100link.cli.sim_live import LiveView, read_keys
@@ -160,6 +161,7 @@ def run(
     faults: FaultOptions = FaultOptions(),
     site: SiteOptions = SiteOptions(),
     missions: MissionOptions = MissionOptions(),
+    log: LogOptions = AS_IT_IS,
 ) -> int:
     """Run a virtual aircraft behind a serial port that programs can open.
 
@@ -187,6 +189,7 @@ def run(
         faults: Line faults.
         site: Site and sensors.
         missions: Missions.
+        log: What is logged: what happens to the aircraft (info).
     """
     if seed is None:
         seed = secrets.randbits(32)

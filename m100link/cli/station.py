@@ -21,10 +21,12 @@ from cyclopts import Parameter
 
 from m100link.cli.common import err, out, places, run_async
 from m100link.cli.configuration import read_configuration
+from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import offered, options_of
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
 from m100link.station.config import ENVIRONMENT, ONLY_NAME, Settings, namespace_of, resolve
+from m100link.station.log_output import log_of, tell_elsewhere
 
 if TYPE_CHECKING:
     from m100link.agent.messages import Event
@@ -64,6 +66,7 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
         json_output: Print one line of JSON when it runs.
         show_config: Print the settings and where each came from, and end.
         single_process: Let one process fly and talk to clients: to look into it, not to fly.
+        log: What is logged; as JSON it has the events, too, which are told as text otherwise.
     """
 
     config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
@@ -71,6 +74,7 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
     json_output: Annotated[bool, Parameter(name="--json")] = False
     show_config: bool = False
     single_process: bool = False
+    log: LogOptions = AS_IT_IS
 
     def settings(self, **more: Any) -> Settings:
         """The settings from all sources."""
@@ -224,12 +228,16 @@ async def _serve(
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    # Events are told here: logging, which nobody has set up, would print the warnings once more.
-    logging.getLogger(JOURNAL_LOG).addHandler(logging.NullHandler())
-    logging.getLogger(JOURNAL_LOG).propagate = False
+    tell_elsewhere(JOURNAL_LOG)
+    events = logging.getLogger(__name__)
+    log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
     with _Teller() as teller:
 
         def tell(name: str, event: Event) -> None:
+            if options.log.log_json:
+                level = logging.getLevelNamesMapping()[event.level.upper()]
+                events.log(level, "%s", event.text, extra={"aircraft": name})
+                return
             style = {"warning": "yellow", "error": "red"}.get(event.level)
             text = f"{name}: {event.text}" if len(aircraft) > 1 else event.text
             teller.do(lambda: err.print(text, style=style, markup=False))

@@ -36,8 +36,7 @@ of authority must not be taken for one that was told before.
 
 _LOGGED_BYTES = 64
 _HEADER = 12
-# Set and id of the activation, which has the app id in it and is never encrypted.
-_ACTIVATION = b"\x00\x01"
+_ACTIVATION = b"\x00\x01"  # set and id; it has the app id in it and is never encrypted
 _LEVEL_S = 0.1  # between two looks at the level of the log
 
 
@@ -495,7 +494,7 @@ class Link(asyncio.Protocol):
 
 def _excerpt(data: bytes, *, data_at: int = 0) -> str:
     """What the log shows of a frame, or of its data."""
+    shown = data[:_LOGGED_BYTES]
     if data.startswith(_ACTIVATION, data_at):
-        return f"{data[: data_at + len(_ACTIVATION)].hex()}… (activation)"
-    more = "…" if len(data) > _LOGGED_BYTES else ""
-    return data[:_LOGGED_BYTES].hex() + more
+        shown = data[: data_at + len(_ACTIVATION)]
+    return shown.hex() + ("…" if len(data) > len(shown) else "")

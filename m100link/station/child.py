@@ -13,13 +13,23 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
+from dataclasses import asdict
 from typing import Any
 
 from m100link.agent.fault import Fault
 from m100link.errors import M100Error
+from m100link.station.log_output import LogOutput, in_force, writing_log
 
-__all__ = ["END_TIMEOUT", "RESTART_PAUSES", "START_TIMEOUT", "Child", "answer", "end_with_parent"]
+__all__ = [
+    "END_TIMEOUT",
+    "RESTART_PAUSES",
+    "START_TIMEOUT",
+    "Child",
+    "answer",
+    "end_with_parent",
+    "logging_as_told",
+]
 
 START_TIMEOUT = 60.0
 """Seconds in which a child has to run: a small computer imports slowly."""
@@ -37,7 +47,8 @@ class Child:
     Args:
         module: What it runs, as ``python -m`` takes it.
         called: Who it is, for people.
-        request: What it is told; ``starts``, how often it was started before, comes to it.
+        request: What it is told; ``starts``, how often it was started before, and ``log``, how it
+            logs, come to it.
         note: Takes a text and a level: what happens to it.
         inherited: File descriptors that it gets.
 
@@ -101,7 +112,11 @@ class Child:
     async def _ask(self, process: asyncio.subprocess.Process) -> bytes:
         assert process.stdin is not None
         assert process.stdout is not None
-        request = self._request | {"starts": self._starts}
+        log = in_force()
+        request = self._request | {
+            "starts": self._starts,
+            "log": None if log is None else asdict(log),
+        }
         self._starts += 1
         process.stdin.write(json.dumps(request).encode() + b"\n")
         with suppress(ConnectionError):  # it has ended: its answer says why, if there is one
@@ -164,6 +179,12 @@ def answer(**values: Any) -> None:
     """Tell whoever started this process that it runs, or what kept it from it."""
     sys.stdout.write(json.dumps(values) + "\n")
     sys.stdout.flush()
+
+
+def logging_as_told(request: dict[str, Any]) -> AbstractContextManager[None]:
+    """Log while the block runs, as the parent does."""
+    log = request["log"]
+    return writing_log(None if log is None else LogOutput(**log))
 
 
 def end_with_parent(ended: asyncio.Event) -> None:

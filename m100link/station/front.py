@@ -22,7 +22,7 @@ from typing import Any
 from m100link.agent.carriers.unix import connect_unix
 from m100link.agent.fault import Fault
 from m100link.errors import M100Error
-from m100link.station.child import answer, end_with_parent
+from m100link.station.child import answer, end_with_parent, logging_as_told
 from m100link.station.config import resolve
 from m100link.station.console.orders import orders_by_socket
 from m100link.station.fronts import Fronts, Sockets, serving_fronts
@@ -73,8 +73,10 @@ async def _until_ended(ended: asyncio.Event, fronts: Fronts, parent_ended: async
 
 def main() -> int:
     """Serve until told to end."""
+    request = json.loads(sys.stdin.readline())
     try:
-        asyncio.run(_serve(json.loads(sys.stdin.readline())))
+        with logging_as_told(request):
+            asyncio.run(_serve(request))
     except M100Error as error:
         answer(fault=dataclasses.asdict(Fault.of(error)))
         return 1

@@ -18,10 +18,12 @@ from typing import Any
 
 from m100link.agent.carriers.unix import serve_unix
 from m100link.agent.fault import Fault
+from m100link.agent.journal import JOURNAL_LOG
 from m100link.errors import M100Error
 from m100link.sim.orders.ctl import CtlServer
-from m100link.station.child import answer, end_with_parent
+from m100link.station.child import answer, end_with_parent, logging_as_told
 from m100link.station.config import resolve
+from m100link.station.log_output import log_of, tell_elsewhere
 from m100link.station.run import owning
 
 __all__ = ["LEASES_PER_START", "main"]
@@ -36,6 +38,8 @@ async def _own(request: dict[str, Any]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
     end_with_parent(ended)
+    log_of(request["name"])
+    tell_elsewhere(JOURNAL_LOG)  # by the process over this one, which gets every event
     async with AsyncExitStack() as stack:
         owner = await stack.enter_async_context(
             owning(
@@ -57,8 +61,10 @@ async def _own(request: dict[str, Any]) -> None:
 
 def main() -> int:
     """Own the aircraft until told to end."""
+    request = json.loads(sys.stdin.readline())
     try:
-        asyncio.run(_own(json.loads(sys.stdin.readline())))
+        with logging_as_told(request):
+            asyncio.run(_own(request))
     except M100Error as error:
         answer(fault=dataclasses.asdict(Fault.of(error)))
         return 1

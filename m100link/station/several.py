@@ -150,6 +150,7 @@ def _owner(
     name: str, place: int, settings: Settings, directory: Path, note: Callable[[str, str], None]
 ) -> Child:
     request = {
+        "name": name,
         "settings": agent_settings(settings),
         "place": place,
         "agent": str(_path(directory, place)),
