@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
+import pickle
 import re
+import warnings
+from collections import Counter
+from pathlib import Path
+
+import pytest
 
 import m100link
 from m100link import errors
+from m100link.cli.manual import error_classes
+from tests.published_errors import PUBLISHED
+from tests.test_house import MODULES, tree
 
 
 def error_tree() -> dict[str, str]:
@@ -45,3 +55,87 @@ def test_every_error_is_public_and_derives_from_one_base() -> None:
     }
     assert defined | {"LossReason"} == set(errors.__all__)
     assert defined <= set(m100link.__all__)
+
+
+# -- codes ----------------------------------------------------------------------------------------
+
+CLASSES = error_classes()
+
+
+def test_all_classes_are_found_wherever_they_stand() -> None:
+    """By their code, which every one has."""
+    declared = {
+        node.name
+        for path in MODULES.values()
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ClassDef) and {word.arg for word in node.keywords} & {"code"}
+    }
+    bases = {
+        node.name
+        for path in MODULES.values()
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ClassDef)
+        and {ast.unparse(base).rpartition(".")[2] for base in node.bases}
+        & (declared | {"M100Error"})
+    }
+    assert bases == declared
+    assert {kind.__name__ for kind in CLASSES} == declared | {"M100Error"}
+
+
+def test_no_code_is_used_twice_and_each_is_short() -> None:
+    codes = Counter(kind.error_code for kind in CLASSES)
+    assert [code for code, count in codes.items() if count > 1] == []
+    assert [code for code in codes if not re.fullmatch(r"M100(-[A-Z]+)+", code)] == []
+    assert max(map(len, codes)) <= 24
+
+
+@pytest.mark.parametrize("kind", CLASSES)
+def test_every_class_has_its_own_cause_and_remedy(kind: type[errors.M100Error]) -> None:
+    for name in ("error_code", "usual_cause", "usual_remedy"):
+        assert name in vars(kind)
+        assert getattr(kind, name) not in {getattr(base, name, "") for base in kind.__bases__}
+
+
+def test_codes_stay() -> None:
+    """Programs and questions on the web name them: one may come, none may change."""
+    known = {kind.error_code: kind.__name__ for kind in CLASSES}
+    assert known.items() >= PUBLISHED.items()
+
+
+def test_an_error_names_its_code_and_where_the_manual_describes_it() -> None:
+    error = errors.CommandRefused("no", code=3)
+    assert (error.error_code, error.code) == ("M100-COMMAND-REFUSED", 3)
+    assert error.manual == "reference/errors#m100-command-refused"
+    assert error.again().error_code == pickle.loads(pickle.dumps(error)).error_code
+    assert str(error) == "no", "what it says is what was seen"
+
+
+def test_a_class_of_a_program_has_the_code_of_its_base() -> None:
+    class OfAProgram(errors.LinkLost):
+        pass
+
+    assert OfAProgram.error_code == "M100-LINK-LOST"
+
+
+def test_the_page_has_every_class_with_its_anchor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the manual's builder makes it."""
+    monkeypatch.syspath_prepend(Path(__file__).parent.parent / "docs" / "_ext")
+    (tmp_path / "index.md").write_text("# Errors\n\n```{error-list}\n```\n")
+    sphinx = pytest.importorskip("sphinx.application")
+    pytest.importorskip("myst_parser")
+    settings = {"extensions": ["myst_parser", "error_list"], "project": "errors"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Sphinx about itself
+        app = sphinx.Sphinx(
+            *(str(tmp_path), None, str(tmp_path / "out"), str(tmp_path / "trees"), "html"),
+            confoverrides=settings,
+            status=None,
+            warning=None,
+        )
+        app.build()
+    page = (tmp_path / "out" / "index.html").read_text("utf-8")
+    for kind in CLASSES:
+        assert f'id="{kind.error_code.lower()}"' in page
+        assert f"> {kind.__name__}, a kind of" in page

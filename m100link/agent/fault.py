@@ -14,7 +14,12 @@ from m100link.errors import LinkError, M100Error
 __all__ = ["Fault", "MessageError", "agent_gone", "fault_of"]
 
 
-class MessageError(M100Error):
+class MessageError(
+    M100Error,
+    code="M100-MESSAGE",
+    cause="a front and an agent of different versions",
+    remedy="run both from the same installation",
+):
     """Bytes that are not a message, or a message that cannot be sent."""
 
 

@@ -38,11 +38,21 @@ _MAX_TAKE_OVERS = 1024
 """More than the clients of a station can ask within the lifetime of one request."""
 
 
-class LeaseRefused(M100Error):
+class LeaseRefused(
+    M100Error,
+    code="M100-LEASE-REFUSED",
+    cause="somebody else may steer, or the lease has ended",
+    remedy="ask for the lease again",
+):
     """This client may not steer: the token is wrong, expired, given back or taken over."""
 
 
-class LeaseHeld(LeaseRefused):
+class LeaseHeld(
+    LeaseRefused,
+    code="M100-LEASE-HELD",
+    cause="another client steers the aircraft",
+    remedy="wait until it lets go, or ask whoever sits there",
+):
     """Another client holds the lease.
 
     Attributes:

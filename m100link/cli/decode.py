@@ -52,7 +52,7 @@ def decode(
         except UsageError as error:
             status = complain(error)
             if as_json:
-                print_json({"error": error.seen})
+                print_json({"error": error.seen, "error_code": error.error_code})
             continue
         decoded = decode_stream(stream, cipher=cipher, profile=profile(firmware))
         if as_json:

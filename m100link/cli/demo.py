@@ -308,6 +308,7 @@ def _summary(
     return {
         "flown": flown,
         "error": None if failure is None else failure.seen,
+        "error_code": None if failure is None else failure.error_code,
         "firmware": flight.firmware,
         "seed": seed,
         "port": flight.port,

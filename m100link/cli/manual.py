@@ -30,9 +30,9 @@ import m100link
 from m100link.cli.common import err, out
 from m100link.cli.options import offered
 from m100link.cli.outcome import ExitCode
-from m100link.errors import UsageError
+from m100link.errors import M100Error, UsageError
 
-__all__ = ["docs"]
+__all__ = ["docs", "error_classes"]
 
 _FOLDERS = ("tutorial", "howto", "explanation", "reference")
 _WIDEST = 100
@@ -93,7 +93,9 @@ def _topics() -> list[str]:
 
 def docs(
     topic: Annotated[
-        str | None, Parameter(help="Which page; without one, all are listed"), offered(_topics)
+        str | None,
+        Parameter(help="Which page, or the code of an error (M100-LINK-LOST); without one, a list"),
+        offered(_topics),
     ] = None,
     /,
     *,
@@ -102,9 +104,11 @@ def docs(
     """Read the manual: a page by its topic, or the list of topics. Needs no network.
 
     Args:
-        topic: Which page.
+        topic: Which page; or the code of an error, such as M100-LINK-LOST.
         find: List the lines that have this word instead, with their topics.
     """
+    if topic is not None and topic.upper().startswith("M100-"):
+        return _show_error(topic)
     pages = _pages()
     if not pages:
         raise UsageError(
@@ -178,6 +182,43 @@ def _show(page: _Page) -> None:
     if in_colour:
         os.environ.setdefault("LESS", "-R")
     pydoc.pager(page.printed(min(out.width, _WIDEST), in_colour=in_colour))
+
+
+# -- errors ---------------------------------------------------------------------------------------
+
+
+def error_classes() -> list[type[M100Error]]:
+    """Every class of errors of the package, each before those that derive from it."""
+    for elsewhere in ("m100link.agent.fault", "m100link.sim.orders.ctl"):
+        importlib.import_module(elsewhere)
+    return list(_derived(M100Error))
+
+
+def _derived(base: type[M100Error]) -> Iterator[type[M100Error]]:
+    yield base
+    for kind in base.__subclasses__():
+        if kind.__module__.startswith("m100link."):  # programs have their own
+            yield from _derived(kind)
+
+
+def _show_error(code: str) -> int:
+    """What the manual says of one class of errors."""
+    kinds = {kind.error_code: kind for kind in error_classes()}
+    kind = kinds.get(code.upper())
+    if kind is None:
+        near = get_close_matches(code.upper(), kinds, n=3)
+        raise UsageError(
+            f"no error has the code {code}",
+            remedy=f"did you mean {' or '.join(near)}?" if near else "m100link docs errors",
+        )
+    for title, text in (
+        (code.upper(), f"{kind.__name__}, a kind of {kind.__bases__[0].__name__}"),
+        ("says", (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")),
+        ("usual cause", kind.usual_cause),
+        ("what to do", kind.usual_remedy),
+    ):
+        out.print(f"{title}: {text}", markup=False, soft_wrap=True)
+    return ExitCode.OK
 
 
 # -- what only the builder of the manual can make, in words ---------------------------------------

@@ -75,6 +75,8 @@ def complain(error: BaseException) -> int:
     text = str(error)
     for written, typed in _TYPED.items():
         text = text.replace(written, typed)
+    if isinstance(error, errors.M100Error):
+        text += f"\n  code:         {error.error_code}"
     err.print(text, markup=False)
     return exit_code(error)
 

@@ -89,6 +89,7 @@ class Finding:
                 found[name] = dict(value) if name == "details" else list(value)
         if self.error is not None:
             found["error"] = type(self.error).__name__
+            found["error_code"] = self.error.error_code
         return found
 
 

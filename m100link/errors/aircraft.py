@@ -35,7 +35,13 @@ __all__ = [
 ]
 
 
-class AckTimeout(M100Error, TimeoutError):
+class AckTimeout(
+    M100Error,
+    TimeoutError,
+    code="M100-ACK-TIMEOUT",
+    cause="the frame or its ack was lost, or the aircraft ignores the command",
+    remedy="the outcome is unknown: look at telemetry before you repeat it",
+):
     """No ack came after the last try.
 
     The outcome is *unknown*: the command may have been executed and its ack lost.
@@ -65,7 +71,12 @@ class AckTimeout(M100Error, TimeoutError):
         self.tries = tries
 
 
-class KeyRejected(M100Error):
+class KeyRejected(
+    M100Error,
+    code="M100-KEY-REJECTED",
+    cause="the key is not that of the app for which the aircraft was activated",
+    remedy="copy the key of this app again, and activate",
+):
     """Plain requests are answered and encrypted ones are not: the keys on both sides differ.
 
     Attributes:
@@ -77,7 +88,12 @@ class KeyRejected(M100Error):
         self.command = command
 
 
-class BadAck(M100Error):
+class BadAck(
+    M100Error,
+    code="M100-BAD-ACK",
+    cause="a firmware that answers in another layout",
+    remedy="force the profile with `firmware=`, and report the bytes in `payload`",
+):
     """The aircraft acknowledged with fewer bytes than the command's ack has.
 
     Attributes:
@@ -99,7 +115,12 @@ class BadAck(M100Error):
         self.payload = payload
 
 
-class CommandRefused(M100Error):
+class CommandRefused(
+    M100Error,
+    code="M100-COMMAND-REFUSED",
+    cause="the aircraft is not in a state for the command",
+    remedy="`code` is what it answered; nothing happened",
+):
     """The aircraft answered with a code that means no.
 
     Attributes:
@@ -115,30 +136,60 @@ class CommandRefused(M100Error):
         self.code = code
 
 
-class ActivationRefused(CommandRefused):
+class ActivationRefused(
+    CommandRefused,
+    code="M100-ACTIVATION-REFUSED",
+    cause="wrong app id, key or level, or no mobile device with internet at the remote control",
+    remedy="the message says what the code means; the guide to activation has every one",
+):
     """Activation ended with a code other than success (document 2.2.1.2)."""
 
 
-class NotActivated(CommandRefused):
+class NotActivated(
+    CommandRefused,
+    code="M100-NOT-ACTIVATED",
+    cause="the aircraft was switched on again since",
+    remedy="`await aircraft.activate(credentials)` first",
+):
     """The aircraft wants to be activated first (system code 0xFF01)."""
 
 
-class LevelTooLow(CommandRefused):
+class LevelTooLow(
+    CommandRefused,
+    code="M100-LEVEL-TOO-LOW",
+    cause="the app id is registered for a lower level",
+    remedy="flight control takes level 2: ask for it at DJI's developer site",
+):
     """The registered level of this app id does not allow the command (system code 0xFF02)."""
 
 
-class CommandNotSupported(CommandRefused):
+class CommandNotSupported(
+    CommandRefused,
+    code="M100-NOT-SUPPORTED",
+    cause="a command of a later firmware, or one that could not be decrypted",
+    remedy="the table of commands says which firmware knows it; check the key",
+):
     """The firmware does not know the command, or could not decrypt it (system code 0xFF00).
 
     Of a command that the firmware is known not to have, nothing was sent; ``code`` is -1 then.
     """
 
 
-class AuthorityRefused(CommandRefused):
+class AuthorityRefused(
+    CommandRefused,
+    code="M100-AUTHORITY-REFUSED",
+    cause="switch not in F, API control not enabled in the assistant, or the app holds control",
+    remedy="switch to F and enable API control; the checklist of the console names what lacks",
+):
     """Control authority was not given (document 2.2.2.1)."""
 
 
-class TaskError(CommandRefused):
+class TaskError(
+    CommandRefused,
+    code="M100-TASK",
+    cause="take-off, landing or go-home is not possible now",
+    remedy="look at `situation`: what telemetry showed then",
+):
     """Take-off, landing or go-home did not happen.
 
     Attributes:
@@ -159,7 +210,12 @@ class TaskError(CommandRefused):
         self.situation = situation or {}
 
 
-class TaskRefused(TaskError):
+class TaskRefused(
+    TaskError,
+    code="M100-TASK-REFUSED",
+    cause="another task runs, motors do not run, or it already flies",
+    remedy="look at `situation`, and ask again when it fits",
+):
     """Take-off, landing or go-home was rejected and not begun (document 2.2.2.2).
 
     Attributes:
@@ -167,7 +223,12 @@ class TaskRefused(TaskError):
     """
 
 
-class TaskFailed(TaskError):
+class TaskFailed(
+    TaskError,
+    code="M100-TASK-FAILED",
+    cause="the pilot moved a stick, or the aircraft broke it off",
+    remedy="look at `situation`; the pilot decides",
+):
     """The task was begun and the aircraft reports that it failed.
 
     Attributes:
@@ -175,7 +236,13 @@ class TaskFailed(TaskError):
     """
 
 
-class NotObserved(M100Error, TimeoutError):
+class NotObserved(
+    M100Error,
+    TimeoutError,
+    code="M100-NOT-OBSERVED",
+    cause="it still happens, something holds the aircraft, or telemetry lacks the item",
+    remedy="look at `situation`, and at the aircraft, before you ask again",
+):
     """A task was accepted, but neither telemetry nor the result query showed it done in time.
 
     Attributes:
@@ -194,7 +261,12 @@ class NotObserved(M100Error, TimeoutError):
         self.situation = situation or {}
 
 
-class MissionRefused(CommandRefused):
+class MissionRefused(
+    CommandRefused,
+    code="M100-MISSION-REFUSED",
+    cause="a plan beyond the aircraft's limits, or another mission flies",
+    remedy="look at `code` and `point`; stop what flies first",
+):
     """A mission, or an order to the one that flies, was refused (firmware 3.1, set 0x03).
 
     Attributes:
@@ -215,7 +287,12 @@ class MissionRefused(CommandRefused):
         self.point = point
 
 
-class MissionAborted(M100Error):
+class MissionAborted(
+    M100Error,
+    code="M100-MISSION-ABORTED",
+    cause="the pilot, a low battery, a limit zone or lost GPS",
+    remedy="`code` is the aircraft's reason; a new upload flies it from `index` on",
+):
     """A mission was flying and the aircraft broke it off.
 
     Attributes:
@@ -240,15 +317,30 @@ class MissionAborted(M100Error):
         self.index = index
 
 
-class AuthorityError(M100Error):
+class AuthorityError(
+    M100Error,
+    code="M100-AUTHORITY",
+    cause="somebody else controls the aircraft",
+    remedy="see who in telemetry's `control_device`",
+):
     """Something about who controls the aircraft."""
 
 
-class NoAuthority(AuthorityError):
+class NoAuthority(
+    AuthorityError,
+    code="M100-NO-AUTHORITY",
+    cause="the call stands outside of a control block, or it has ended",
+    remedy="put it into `async with aircraft.control()`",
+):
     """Movement or a task was asked for without control authority; nothing was sent."""
 
 
-class MissionRunning(NoAuthority):
+class MissionRunning(
+    NoAuthority,
+    code="M100-MISSION-RUNNING",
+    cause="a mission flies the aircraft, which ignores movement meanwhile",
+    remedy="stop or pause the mission first",
+):
     """Movement or a task was asked for while a mission flies the aircraft; nothing was sent.
 
     The aircraft would ignore it, without a word.
@@ -266,7 +358,12 @@ class LossReason(StrEnum):
     UNKNOWN = "unknown"  # a notification alone does not say
 
 
-class AuthorityLost(AuthorityError):
+class AuthorityLost(
+    AuthorityError,
+    code="M100-AUTHORITY-LOST",
+    cause="the pilot left F, the app took control, or the link was lost: `reason` says which",
+    remedy="the pilot flies; ask for control again only when he agrees",
+):
     """Authority went away during control.
 
     Attributes:
@@ -285,7 +382,12 @@ class AuthorityLost(AuthorityError):
         self.reason = reason
 
 
-class GuardRefused(M100Error):
+class GuardRefused(
+    M100Error,
+    code="M100-GUARD-REFUSED",
+    cause="battery, envelope, GPS or link are beyond a safety limit",
+    remedy="`guard`, `measured` and `limit` say which; switch off a guard only with a reason",
+):
     """A safety guard refused; nothing was sent.
 
     Attributes:
@@ -310,17 +412,39 @@ class GuardRefused(M100Error):
         self.limit = limit
 
 
-class TelemetryError(M100Error):
+class TelemetryError(
+    M100Error,
+    code="M100-TELEMETRY",
+    cause="what arrives of telemetry",
+    remedy="`m100link hz` shows what arrives",
+):
     """Something about the telemetry stream."""
 
 
-class TelemetryOverflow(TelemetryError):
+class TelemetryOverflow(
+    TelemetryError,
+    code="M100-TELEMETRY-OVERFLOW",
+    cause="the consumer is slower than telemetry, or something blocks the loop",
+    remedy="take the newest samples only, fewer items, or a larger queue",
+):
     """A lossless consumer did not keep up and its bounded queue is full."""
 
 
-class TelemetryStalled(TelemetryError, TimeoutError):
+class TelemetryStalled(
+    TelemetryError,
+    TimeoutError,
+    code="M100-TELEMETRY-STALLED",
+    cause="the item is switched off in the PC assistant, or the line is interrupted",
+    remedy="`m100link hz` shows what arrives; set rates in the assistant",
+):
     """An item that was arriving, or is needed, stopped arriving."""
 
 
-class LayoutMismatch(TelemetryError, ValueError):
+class LayoutMismatch(
+    TelemetryError,
+    ValueError,
+    code="M100-LAYOUT-MISMATCH",
+    cause="another firmware than the profile's",
+    remedy="ask for the version, or force the profile with `firmware=`",
+):
     """The length of a telemetry packet does not fit its flags under the firmware profile."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 __all__ = ["M100Error"]
 
@@ -12,11 +12,32 @@ E = TypeVar("E", bound="M100Error")
 class M100Error(Exception):
     """Base of every error of this package.
 
+    Each class of this package has a code of its own, which stays when a text changes; a class that
+    is derived from one elsewhere has that of its base.
+
     Attributes:
+        error_code: ``M100-`` and words, such as ``M100-LINK-LOST``.
+        usual_cause: What mostly causes errors of this class.
+        usual_remedy: What mostly helps.
         seen: What was observed, in one sentence.
         cause: The most likely cause, or an empty string.
         remedy: What to do about it, or an empty string.
     """
+
+    error_code: ClassVar[str] = "M100-ERROR"
+    usual_cause: ClassVar[str] = "what no other class of errors describes"
+    usual_remedy: ClassVar[str] = "read what was seen"
+
+    def __init_subclass__(cls, *, code: str = "", cause: str = "", remedy: str = "") -> None:
+        super().__init_subclass__()
+        cls.error_code = code or cls.error_code
+        cls.usual_cause = cause or cls.usual_cause
+        cls.usual_remedy = remedy or cls.usual_remedy
+
+    @property
+    def manual(self) -> str:
+        """Page and anchor of the manual that describe this class of errors."""
+        return f"reference/errors#{self.error_code.lower()}"
 
     def __init__(self, seen: str, *, cause: str = "", remedy: str = "") -> None:
         self.seen = seen

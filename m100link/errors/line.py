@@ -20,19 +20,43 @@ __all__ = [
 ]
 
 
-class LinkError(M100Error, ConnectionError):
+class LinkError(
+    M100Error,
+    ConnectionError,
+    code="M100-LINK",
+    cause="the cable, or what is at its end",
+    remedy="`m100link doctor` looks at one stage after the other",
+):
     """The serial line, socket or memory pair and what is at its other end."""
 
 
-class PortNotFound(LinkError, FileNotFoundError):
+class PortNotFound(
+    LinkError,
+    FileNotFoundError,
+    code="M100-PORT-NOT-FOUND",
+    cause="the adapter is not plugged in, or has another name now",
+    remedy="`m100link ports` lists those that are there; `m100link udev` gives it a name "
+    "that stays",
+):
     """No such device."""
 
 
-class PortPermissionDenied(LinkError, PermissionError):
+class PortPermissionDenied(
+    LinkError,
+    PermissionError,
+    code="M100-PORT-PERMISSION",
+    cause="this user is not in the group that owns the device",
+    remedy="`m100link ports` names the group, `m100link udev` prints a rule",
+):
     """The device exists, this user may not open it."""
 
 
-class PortBusy(LinkError):
+class PortBusy(
+    LinkError,
+    code="M100-PORT-BUSY",
+    cause="another program of yours, ModemManager or a login console has the port",
+    remedy="end it: `owners` and `m100link ports` say who it is",
+):
     """Another program holds the port.
 
     Attributes:
@@ -51,19 +75,39 @@ class PortBusy(LinkError):
         self.owners = owners
 
 
-class PortFailed(LinkError):
+class PortFailed(
+    LinkError,
+    code="M100-PORT-FAILED",
+    cause="not a serial port, or a driver that does not take the settings",
+    remedy="the system's own error is chained, and says more",
+):
     """The system could not open the port; its own error is chained."""
 
 
-class LinkLost(LinkError):
+class LinkLost(
+    LinkError,
+    code="M100-LINK-LOST",
+    cause="unplugged, powered off, or the other end closed",
+    remedy="check cable and power, then connect again, or let `supervise()` do it",
+):
     """The port went away: unplugged, reset, or the other end closed. The cause is chained."""
 
 
-class LinkClosed(LinkError):
+class LinkClosed(
+    LinkError,
+    code="M100-LINK-CLOSED",
+    cause="the connection's block was left, or another part of the program closed it",
+    remedy="use the aircraft inside its `async with` only",
+):
     """This side closed the link."""
 
 
-class AnotherAircraft(LinkError):
+class AnotherAircraft(
+    LinkError,
+    code="M100-ANOTHER-AIRCRAFT",
+    cause="a cable was put into another aircraft, or two ports have changed names",
+    remedy="look at `expected` and `found`, and connect anew on purpose",
+):
     """A line that came back leads to another aircraft than before.
 
     Attributes:
@@ -85,7 +129,13 @@ class AnotherAircraft(LinkError):
         self.found = found
 
 
-class NoAircraft(LinkError, TimeoutError):
+class NoAircraft(
+    LinkError,
+    TimeoutError,
+    code="M100-NO-AIRCRAFT",
+    cause="no power, no cable, another baud rate, or crossed wires",
+    remedy="`m100link doctor` tells these apart",
+):
     """The port opened, but no aircraft answered before the deadline.
 
     Attributes:
@@ -107,13 +157,28 @@ class NoAircraft(LinkError, TimeoutError):
         self.frames_received = frames_received
 
 
-class SilentLine(NoAircraft):
+class SilentLine(
+    NoAircraft,
+    code="M100-SILENT-LINE",
+    cause="no power, TX and RX swapped, or the wrong port",
+    remedy="`m100link docs silent-line`; `m100link doctor` tells these apart",
+):
     """Not one byte arrived."""
 
 
-class NoValidFrame(NoAircraft):
+class NoValidFrame(
+    NoAircraft,
+    code="M100-NO-VALID-FRAME",
+    cause="another baud rate than in the PC assistant, inverted levels, or another device",
+    remedy="`m100link doctor` tries the usual rates, and names the right one",
+):
     """Bytes arrived, but no frame among them had good checksums."""
 
 
-class NoAnswer(NoAircraft):
+class NoAnswer(
+    NoAircraft,
+    code="M100-NO-ANSWER",
+    cause="our transmit wire does not reach the aircraft, or the wrong key",
+    remedy="check the wire from our TX to the aircraft's RX",
+):
     """Frames arrive from the aircraft, but it does not answer requests."""

@@ -15,19 +15,40 @@ __all__ = [
 ]
 
 
-class UsageError(M100Error, ValueError):
+class UsageError(
+    M100Error,
+    ValueError,
+    code="M100-USAGE",
+    cause="an argument, an option or a file says what cannot be",
+    remedy="read what was seen: the same call is always refused, and nothing was sent",
+):
     """The call itself is wrong; nothing was sent."""
 
 
-class BadURL(UsageError):
+class BadURL(
+    UsageError,
+    code="M100-BAD-URL",
+    cause="a typing error in where the aircraft is",
+    remedy="write it as `serial:///dev/ttyUSB0:230400`, `tcp://host:port` or `sim://`",
+):
     """The connection string names no transport that exists."""
 
 
-class BadKey(UsageError):
+class BadKey(
+    UsageError,
+    code="M100-BAD-KEY",
+    cause="a key that was cut when it was copied, or an app id in its place",
+    remedy="copy the enc key of your app again: 64 hex digits",
+):
     """A key is 32 bytes or 64 hex digits. The message never contains the key."""
 
 
-class BadValue(UsageError):
+class BadValue(
+    UsageError,
+    code="M100-BAD-VALUE",
+    cause="a field of a command is outside its documented range, or not a number",
+    remedy="look at `field`, `value` and `limit` of the error",
+):
     """A field of a command lies outside its documented range, or is not a number.
 
     Attributes:
@@ -52,11 +73,21 @@ class BadValue(UsageError):
         self.limit = limit
 
 
-class BadSetpoint(UsageError):
+class BadSetpoint(
+    UsageError,
+    code="M100-BAD-SETPOINT",
+    cause="a division by zero in the program, or another unit than the mode takes",
+    remedy="look at the ranges of the control modes in the reference of setpoints",
+):
     """A setpoint value is not finite or lies outside the range of its control mode."""
 
 
-class BadPlan(UsageError):
+class BadPlan(
+    UsageError,
+    code="M100-BAD-PLAN",
+    cause="a plan made for another aircraft, or a file that is none",
+    remedy="`m100link plan check FILE` names each point and what it may be",
+):
     """A plan that the aircraft would refuse, or a file that is none.
 
     Attributes:
@@ -92,5 +123,10 @@ class BadPlan(UsageError):
         return (self, *self.others)
 
 
-class PayloadTooLarge(UsageError):
+class PayloadTooLarge(
+    UsageError,
+    code="M100-PAYLOAD-TOO-LARGE",
+    cause="more data than a frame or a transparent message takes",
+    remedy="send it in pieces",
+):
     """The data do not fit into one frame (document 1.2) or one transparent message (2.2.1.3)."""

@@ -18,6 +18,8 @@ from datetime import UTC, datetime
 from logging.handlers import QueueHandler
 from typing import Any
 
+from m100link.errors import M100Error
+
 __all__ = ["LEVELS", "LogOutput", "in_force", "log_of", "tell_elsewhere", "writing_log"]
 
 LEVELS = ("debug", "info", "warning", "error")
@@ -90,6 +92,8 @@ class JsonLines(logging.Formatter):
         }
         if record.exc_info:
             told["exception"] = self.formatException(record.exc_info)
+            if isinstance(record.exc_info[1], M100Error):
+                told["code"] = record.exc_info[1].error_code
         return json.dumps(told)
 
 

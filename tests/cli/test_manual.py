@@ -75,6 +75,18 @@ def test_a_page_that_is_not_there_names_those_that_are_near(cli: CommandLine) ->
     assert "m100link docs --find zzz" in cli("docs", "zzz").err
 
 
+def test_the_code_of_an_error_shows_what_the_manual_says_of_it(cli: CommandLine) -> None:
+    shown = cli("docs", "m100-link-lost")
+    assert shown.status == 0
+    assert shown.out.splitlines()[0] == "M100-LINK-LOST: LinkLost, a kind of LinkError"
+    assert "usual cause: unplugged" in shown.out
+    assert "what to do: check cable" in shown.out
+    unknown = cli("docs", "M100-LINK-LOSST")
+    assert unknown.status == 2
+    assert "M100-LINK-LOST" in unknown.err
+    assert unknown.err.endswith("code:         M100-USAGE\n")
+
+
 def test_words_are_found_with_their_topics(cli: CommandLine) -> None:
     outcome = cli("docs", "--find", "PROPELLERS")
     assert outcome.status == ExitCode.OK

@@ -53,7 +53,7 @@ def test_an_error_is_told_on_standard_error_as_it_is(capsys: pytest.CaptureFixtu
     assert complain(errors.BadURL("[bold]x[/]", remedy="write y")) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err == "error: [bold]x[/]\n  what to do:   write y\n"
+    assert err == "error: [bold]x[/]\n  what to do:   write y\n  code:         M100-BAD-URL\n"
 
 
 def test_a_remedy_for_programs_is_told_as_what_is_typed(

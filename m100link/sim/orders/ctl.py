@@ -112,7 +112,12 @@ class CtlServer:
         return {"ok": True, "status": status(aircraft)}
 
 
-class NoSimulator(M100Error):
+class NoSimulator(
+    M100Error,
+    code="M100-NO-SIMULATOR",
+    cause="no virtual aircraft runs, or another user's",
+    remedy="start one: `m100link sim`",
+):
     """No simulator runs, or it is not clear which one is meant."""
 
 
