@@ -13,6 +13,7 @@ Each directive takes its rows from one object of the package::
     ```{supervision-table}                transitions of a connection that is kept
     ```{stop-table}                       what the stop path does for each cause
     ```{block-table}                      transitions of a control block
+    ```{ending-table}                     what becomes of the aircraft when a program ends
     ```{cli-help}                         what `m100link … --help` says, for every verb
     ```{layer-list}                       the layers of the import contract, and what each one is
     ```{contract-list}                    the other contracts that `lint-imports` holds
@@ -34,6 +35,7 @@ from pathlib import Path
 from struct import calcsize
 from typing import Any
 
+import endings
 from docutils import nodes
 from docutils.statemachine import StringList
 from rich.console import Console
@@ -286,6 +288,17 @@ class StopTable(TableDirective):
             yield sentence(cause.value), *map(_yes, plan)
 
 
+class EndingTable(TableDirective):
+    """What the aircraft received last and did, for each ending of a program."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per ending."""
+        yield "What ends the program", '``stop="hover"``', '``stop="land"``', "a mission flies"
+        for ending, outcomes in endings.ENDINGS.items():
+            told = (f"{one.received}: {one.did}" for one in outcomes)
+            yield sentence(ending.value.replace("`", "``")), *map(sentence, told)
+
+
 class BlockTable(TableDirective):
     """The transitions of a control block."""
 
@@ -408,6 +421,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("supervision-table", SupervisionTable)
     app.add_directive("stop-table", StopTable)
     app.add_directive("block-table", BlockTable)
+    app.add_directive("ending-table", EndingTable)
     app.add_directive("errata-index", ErrataIndex)
     app.add_directive("layer-list", LayerList)
     app.add_directive("contract-list", ContractList)

@@ -1,0 +1,81 @@
+"""How a program can end, and what the aircraft then received last and did: one table.
+
+The manual's page is made of it (``{ending-table}``), and each cell is flown by
+``tests/flight/test_endings.py``.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+__all__ = ["ENDINGS", "MODES", "Ending", "Outcome"]
+
+MODES = ("hover", "land", "mission")
+"""A block with ``stop="hover"``, one with ``stop="land"``, and one whose mission flies."""
+
+
+class Outcome(NamedTuple):
+    """What an aircraft received last, and what it did.
+
+    Attributes:
+        received: What came last.
+        did: What the aircraft did.
+    """
+
+    received: str
+    did: str
+
+
+HOVERS = Outcome("0.3 s of neutral, then the release", "hovers; the pilot flies on")
+LANDS = Outcome("neutral, the landing, then the release", "lands and stops its motors")
+STOPS = Outcome("the mission's stop, then the release", "stops where it is and hovers")
+SILENCE = Outcome(
+    "the last setpoint, then nothing", "hovers, with nobody in control until the pilot leaves F"
+)
+FLIES_ON = Outcome(
+    "nothing more", "flies the mission to its end; the pilot or the next program stops it"
+)
+GOES_ON = Outcome("what the parent sends", "flies as before: the child has no part in the line")
+
+IN_ORDER = (HOVERS, LANDS, STOPS)
+"""Whatever leaves the program time to act."""
+
+CUT_OFF = (SILENCE, SILENCE, FLIES_ON)
+"""Nobody can send anything any more; a landing that was asked for does not happen."""
+
+
+class Ending(Enum):
+    """What ends a program, in words."""
+
+    EXCEPTION = "an exception in the block"
+    CANCELLATION = "its task is cancelled"
+    CTRL_C = "Ctrl-C"
+    CTRL_C_TWICE = "Ctrl-C twice"
+    CTRL_C_THRICE = "Ctrl-C three times"
+    SIGTERM = "SIGTERM"
+    SIGHUP = "SIGHUP: its terminal is closed"
+    EXIT = "`sys.exit()`: the interpreter ends"
+    COLLECTED = "an abandoned generator is collected (GC)"
+    FORK = "the child of a fork ends"
+    UNPLUGGED = "the cable is pulled"
+    HANG = "the process hangs (SIGSTOP)"
+    KILL = "kill -9"
+
+
+ENDINGS: dict[Ending, tuple[Outcome, Outcome, Outcome]] = {
+    Ending.EXCEPTION: IN_ORDER,
+    Ending.CANCELLATION: IN_ORDER,
+    Ending.CTRL_C: IN_ORDER,
+    Ending.CTRL_C_TWICE: IN_ORDER,
+    Ending.CTRL_C_THRICE: IN_ORDER,
+    Ending.SIGTERM: IN_ORDER,
+    Ending.SIGHUP: IN_ORDER,
+    Ending.EXIT: IN_ORDER,
+    Ending.COLLECTED: IN_ORDER,
+    Ending.FORK: (GOES_ON, GOES_ON, GOES_ON),
+    Ending.UNPLUGGED: CUT_OFF,
+    Ending.HANG: CUT_OFF,
+    Ending.KILL: CUT_OFF,
+}
+"""What becomes of the aircraft, in the order of :data:`MODES`."""
