@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import contextlib
+import json
 import os
 import re
 import shutil
@@ -464,16 +465,84 @@ def bench(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
-def build(session: nox.Session) -> None:
-    """Source archive and wheel, and whether the right files are in them."""
-    # What Sphinx needs is here, so that the manual in the wheel has every table and class.
-    session.install("build", "hatchling", PACKAGE, *group("docs", "test"))
-    output = Path(session.create_tmp()) / "dist"
+def audit(session: nox.Session) -> None:
+    """Known vulnerabilities of what package and tests install; says so without a database."""
+    install(session, PACKAGE, *group("audit", "test", "docs"))
+    asked = ("pip-audit", "--local", "--skip-editable", "--progress-spinner", "off", "-f", "json")
+    done = subprocess.run(
+        [Path(session.bin) / asked[0], *asked[1:], *session.posargs],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    try:
+        packages = json.loads(done.stdout)["dependencies"]
+    except ValueError:
+        session.log(done.stderr.strip())
+        packages = []
+    # Of a package that its database does not answer for it says so and ends with 0 all the same.
+    audited = [package for package in packages if "vulns" in package]
+    if not any(package["name"] == "cryptography" for package in audited):
+        session.skip("the database of vulnerabilities cannot be reached here: nothing was audited")
+    session.log(f"{len(audited)} packages audited, {len(packages) - len(audited)} skipped")
+    found = [
+        f"{package['name']} {package['version']}: {one['id']}"
+        for package in audited
+        for one in package["vulns"]
+    ]
+    if found:
+        session.error("known vulnerabilities: " + ", ".join(found))
+
+
+def built(session: nox.Session, output: Path) -> tuple[Path, Path]:
+    """Wheel and source archive, made afresh in a folder."""
     for old in output.glob("m100link-*"):
         old.unlink()
-    session.run("python", "-m", "build", "--no-isolation", "--outdir", str(output), silent=True)
+    made_at = subprocess.run(
+        ("git", "log", "-1", "--format=%ct"), capture_output=True, text=True, check=False
+    ).stdout.strip()
+    session.run(
+        *("python", "-m", "build", "--no-isolation", "--outdir", str(output)),
+        silent=True,
+        env={"SOURCE_DATE_EPOCH": os.environ.get("SOURCE_DATE_EPOCH", made_at or "1700000000")},
+    )
     (wheel,) = output.glob("*.whl")
     (archive,) = output.glob("*.tar.gz")
+    return wheel, archive
+
+
+def bill_of_materials(session: nox.Session, wheel: Path) -> None:
+    """A CycloneDX bill of what an installation of the wheel with all extras consists of."""
+    place = wheel.parent / "installed"
+    session.run("python", "-m", "venv", "--clear", "--without-pip", str(place))
+    python = str(place / "bin" / "python")
+    wanted = f"{wheel}[{','.join(EXTRAS)}]"
+    session.run("python", "-m", "pip", "--quiet", "--python", python, "install", wanted)
+    bill = wheel.with_suffix(".cdx.json")
+    session.run(
+        *("cyclonedx-py", "environment", python, "--pyproject", "pyproject.toml"),
+        *("--output-reproducible", "--output-format", "JSON", "--output-file", str(bill)),
+    )
+    shutil.rmtree(place)
+    components = json.loads(bill.read_text("utf-8"))["components"]
+    names = {component["name"].lower() for component in components}
+    missing = {"anyio", "cryptography", "pyserial-asyncio"} - names
+    if missing:
+        session.error(f"the bill of materials lacks {missing}")
+    session.log(f"{bill.name}: {len(components)} components")
+
+
+@nox.session(default=False)
+def build(session: nox.Session) -> None:
+    """Source archive, wheel (the same bit by bit when built again), and its bill of materials."""
+    # What Sphinx needs is here, so that the manual in the wheel has every table and class.
+    session.install(PACKAGE, *group("release", "docs", "test"))
+    output = Path(session.create_tmp()) / "dist"
+    wheel, archive = built(session, output)
+    again, _ = built(session, output.with_name("again"))
+    if wheel.read_bytes() != again.read_bytes():
+        session.error("the wheel was another one when it was built again")
+    bill_of_materials(session, wheel)
     with zipfile.ZipFile(wheel) as packed:
         in_wheel = packed.namelist()
     with tarfile.open(archive) as tarred:

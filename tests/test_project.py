@@ -124,6 +124,20 @@ def test_core_dependencies_are_the_four() -> None:
     assert sorted(names) == ["anyio", "crcmod", "cryptography", "pyserial-asyncio"]
 
 
+def test_the_lock_has_all_that_is_declared_with_checksums_and_no_address() -> None:
+    text = (ROOT / "requirements-dev.txt").read_text(encoding="utf-8")
+    assert "://" not in text
+    parts = [
+        PYPROJECT["project"]["dependencies"],
+        *PYPROJECT["project"]["optional-dependencies"].values(),
+        *PYPROJECT["dependency-groups"].values(),
+    ]
+    names = {re.split(r"[\[<>=~! ]", one)[0].lower().replace("_", "-") for p in parts for one in p}
+    locked = re.findall(r"^([a-z0-9._-]+)==\S+(?: ;[^\n\\]+)? \\\n    --hash=", text, re.MULTILINE)
+    assert names <= set(locked)
+    assert len(locked) == len(re.findall("^[a-z]", text, re.MULTILINE))
+
+
 def test_public_names_exist_and_are_listed_once() -> None:
     assert len(m100link.__all__) == len(set(m100link.__all__))
     missing = [name for name in m100link.__all__ if not hasattr(m100link, name)]
