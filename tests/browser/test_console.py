@@ -35,8 +35,8 @@ async def look_at(page: Any, view: str) -> None:
 
 
 async def hold(page: Any, name: str, seconds: float = 2.0) -> None:
-    box = await page.locator(f"[data-act={name}]").first.bounding_box()
-    await page.mouse.move(box["x"] + 10, box["y"] + 10)
+    # It waits until the button stands still and nothing lies over it.
+    await page.locator(f"[data-act={name}]").first.hover(position={"x": 10, "y": 10})
     await page.mouse.down()
     await asyncio.sleep(seconds)
     await page.mouse.up()
