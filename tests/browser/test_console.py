@@ -155,6 +155,9 @@ async def test_buttons_stay_where_the_finger_is_or_say_that_they_moved(console: 
     places = "() => [...document.querySelectorAll('.orders .act')].map((one) => one.offsetTop)"
     before = await page.evaluate(places)
     await press(page, "activate")
+    await page.wait_for_function(
+        "document.querySelector('#activation').textContent.includes('active')"
+    )
     await press(page, "obtain")
     await banner(page, "You have control")
     await look_around(page)  # what was missing above them is told no more
