@@ -446,6 +446,13 @@ def fuzz(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def soak(session: nox.Session) -> None:
+    """A simulated day, a real hour, a thousand connections: nothing grows. `-- --seconds 600`."""
+    install(session, PACKAGE, *group("test"))
+    session.run("python", "-m", "tests.soak.run", *session.posargs)
+
+
+@nox.session(default=False)
 def uvloop(session: nox.Session) -> None:
     """The tests of the link on real ports and sockets, on uvloop's event loop."""
     session.install(PACKAGE, *group("test", "uvloop"))
