@@ -9,6 +9,8 @@ import signal
 import urllib.error
 import urllib.parse
 import urllib.request
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from tests.browser.conftest import (
     running_console,
     until,
 )
+from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.anyio]
 
@@ -62,23 +65,42 @@ async def look_around(page: Any) -> None:
     await look_at(page, "fly")
 
 
-NOT_TAKEN = ("stood still", "on its way", "shifted", "not offered")
+NOT_TAKEN = ("stood still", "on its way", "shifted", "not offered", "was withdrawn")
 
 
-async def take_off(page: Any, console: Console) -> None:
-    """Hold the button again as long as the page says that it was too slow: it is never silent."""
+async def hold_until(
+    page: Any, name: str, done: Callable[[], bool | Awaitable[bool]], attempts: int = 6
+) -> None:
+    """Hold a button as people do: again when the page says that it was too slow.
+
+    And when nothing comes of it: a button that is grey as the finger comes down takes no press.
+    """
     problem = ""
+
+    async def is_done() -> bool:
+        result = done()
+        return result if isinstance(result, bool) else await result
 
     async def answered() -> bool:
         nonlocal problem
         problem = await page.inner_text("#problem")
-        return bool(problem) or console.watch.height > 1.0
+        return bool(problem) or await is_done()
 
-    while console.watch.height <= 1.0:
-        await page.wait_for_selector("[data-act=take_off]:not([disabled])")
-        await hold(page, "take_off")
-        await until(answered)
-        assert not problem or any(why in problem for why in NOT_TAKEN)
+    for _ in range(attempts):
+        await page.wait_for_selector(f"[data-act={name}]:not([disabled])")
+        if await is_done():
+            return
+        await hold(page, name)
+        with suppress(AssertionError):
+            await until(answered, within=PATIENCE / attempts)
+        if await is_done():
+            return
+        assert not problem or any(why in problem for why in NOT_TAKEN), problem
+    raise AssertionError(f"{name} was held {attempts} times, and nothing came of it")
+
+
+async def take_off(page: Any, console: Console) -> None:
+    await hold_until(page, "take_off", lambda: console.watch.height > 1.0)
 
 
 async def airborne(console: Console, script: str = "") -> Any:
@@ -126,8 +148,7 @@ async def test_a_whole_mission_by_clicks_and_keys(console: Console) -> None:
     await until(lambda: watch.speed[1] > 1.0, what="velocity to the north")
     await page.keyboard.up("w")
     await until(lambda: is_still(console))
-    await hold(page, "land")
-    await until(lambda: watch.status == 1)
+    await hold_until(page, "land", lambda: watch.status == 1)
     await page.wait_for_function("document.querySelector('#task').textContent === ''")
     await press(page, "release")
     await banner(page, "Nobody has control")
@@ -298,8 +319,7 @@ async def test_two_tabs_and_a_take_over(console: Console) -> None:
     await asyncio.sleep(1.0)
     assert is_still(console)
     await press(first, "stop")  # anybody may stop
-    await hold(second, "land")
-    await until(lambda: console.watch.status == 1)
+    await hold_until(second, "land", lambda: console.watch.status == 1)
 
 
 async def test_fields_grey_out_by_age_each_in_its_time(console: Console) -> None:
@@ -489,7 +509,11 @@ async def test_a_mission_from_a_file(browser: Any, tmp_path: Path) -> None:
         await shows(page, "#plan-summary", "3 waypoints")
         await press(page, "mission_upload")
         await shows(page, "#plan", "3 waypoints")
-        await hold(page, "mission_start")
+
+        async def is_under_way() -> bool:
+            return "to waypoint" in await page.inner_text("#mission")
+
+        await hold_until(page, "mission_start", is_under_way)
         await shows(page, "#mission", "to waypoint 2 of 3")
         await press(page, "mission_stop")
         await shows(page, "#mission", "no mission")

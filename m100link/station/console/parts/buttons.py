@@ -33,6 +33,15 @@ async def _stood_still() -> None:
     )
 
 
+async def _withdrawn() -> None:
+    raise GuardRefused(
+        "the order was withdrawn while its button was held; nothing was done",
+        guard="not_offered",
+        cause="the checklist, the task or who has control changed in that second",
+        remedy="see what the page says, then hold it again",
+    )
+
+
 async def _shifted() -> None:
     raise GuardRefused(
         "the page shifted as the button was pressed; nothing was done",
@@ -86,6 +95,7 @@ class Buttons:
         if hold:
             button.classes("hold")
             button.on("shifted", lambda: self._tab.attempt(_shifted), args=[])
+            button.on("withdrawn", lambda: self._tab.attempt(_withdrawn), args=[])
             button.on("unsure", lambda: self._tab.attempt(_stood_still), args=[])
 
         async def pressed(event: GenericEventArguments) -> None:

@@ -85,7 +85,7 @@ function stopAtOnce(button) {
   button.addEventListener("click", (event) => event.timeStamp - pressedAt > 1000 && stop());
 }
 
-// Buttons of class "hold" say "held" after a second, or "unsure"; they may come and go. What is told
+// Buttons of class "hold" say "held" after a second, or why not; they may come and go. What is told
 // with it stood on the button when the press began: whatever came since was not what was confirmed.
 function holdToPress() {
   let held = null;
@@ -97,8 +97,8 @@ function holdToPress() {
     const timer = setTimeout(() => {
       const isLate = performance.now() - held.at > HOLD_MS + STOOD_STILL_MS;
       end();
-      if (!button.disabled && button.isConnected)
-        button.dispatchEvent(new CustomEvent(isLate ? "unsure" : "held", {detail: {shown}}));
+      const name = button.disabled ? "withdrawn" : isLate ? "unsure" : "held";
+      button.dispatchEvent(new CustomEvent(name, {detail: {shown}}));
     }, HOLD_MS);
     const shown = button.dataset.shown;
     held = {button, timer, at: performance.now(), down: event.timeStamp, pointer: event.pointerId};
