@@ -171,7 +171,7 @@ async def hour(seconds: float, told: Told) -> list[Level]:
     )
     assert simulator.stdout is not None
     try:
-        url = json.loads(await simulator.stdout.readline())["url"]
+        url = json.loads(await simulator.stdout.readline())["port"]
         async with m100link.connect(url) as aircraft:
             await aircraft.activate(_CREDENTIALS)
             await asyncio.sleep(1.5)
