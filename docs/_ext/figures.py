@@ -87,7 +87,7 @@ class Rows(FiguresDirective):
         return lines if has_before else [drop_before(line) for line in lines]
 
 
-# What the tree of the column "before" reached where the goals were set.
+# What the goals name as reached when they were set; by inference, by the tree of "before".
 _THERE = {
     "frame decode, one per feed, other codec ÷ ours": 0.95,
     "telemetry untouched, pymavlink ÷ ours": 6.8,
