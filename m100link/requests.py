@@ -13,7 +13,7 @@ from m100link.errors import (
     CommandRefused,
     KeyRejected,
     LevelTooLow,
-    LinkError,
+    LineBlocked,
     NoAnswer,
     NotActivated,
     NoValidFrame,
@@ -199,14 +199,14 @@ class Requests:
     async def send(self, command: Push) -> None:
         """Send a command that nobody answers, unless it would be ignored.
 
-        Raises: as :meth:`admit`, and LinkError when the line does not drain.
+        Raises: as :meth:`admit`, and LineBlocked when the line takes no more.
         """
         await self.admit(command)
         if not self.push(command):
-            raise LinkError(
-                f"{command.NAME} was not sent: the line does not drain",
-                cause="more is sent than the baud rate carries, or the other end stands still",
-                remedy="send less, or a higher baud rate",
+            raise LineBlocked(
+                f"{command.NAME} was not sent: the line takes no more bytes",
+                cause=LineBlocked.usual_cause,
+                remedy=LineBlocked.usual_remedy,
             )
 
     async def find_aircraft(self, timeout: float) -> Version:

@@ -23,6 +23,7 @@ PUBLISHED = {
     "M100-LEASE-HELD": "LeaseHeld",
     "M100-LEASE-REFUSED": "LeaseRefused",
     "M100-LEVEL-TOO-LOW": "LevelTooLow",
+    "M100-LINE-BLOCKED": "LineBlocked",
     "M100-LINK": "LinkError",
     "M100-LINK-CLOSED": "LinkClosed",
     "M100-LINK-LOST": "LinkLost",

@@ -223,7 +223,6 @@ TESTED_ELSEWHERE = {
     ),
     "flight/missions/orders.py": ("flight/missions/test_keeper.py", "requests by their kind"),
     "flight/missions/refusal.py": ("flight/missions/test_waypoint.py", "seen in what is raised"),
-    "flight/steering.py": ("flight/test_control.py", "steering is what a control block is for"),
     "protocol/records.py": ("protocol/test_packet.py", "records are what packages are read into"),
     "session/events.py": ("session/test_endpoint.py", "names and counters, nothing to run"),
     "sim/orders/ctl.py": ("cli/test_sim.py", "a socket between two processes"),

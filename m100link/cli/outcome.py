@@ -46,6 +46,7 @@ _EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
     (errors.UsageError, ExitCode.USAGE),
     (errors.NoAircraft, ExitCode.NO_LINK),
     (errors.LinkLost, ExitCode.NO_LINK),
+    (errors.LineBlocked, ExitCode.NO_LINK),
     (errors.LinkError, ExitCode.PORT),
     (errors.ActivationRefused, ExitCode.ACTIVATION),
     (errors.NotActivated, ExitCode.ACTIVATION),

@@ -17,6 +17,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── PortFailed             the system refused for another reason
     │   ├── LinkLost               the port went away under us
     │   ├── LinkClosed             we closed it
+    │   ├── LineBlocked            it is open and takes no more bytes
     │   ├── AnotherAircraft        it came back, and not to the aircraft of before
     │   └── NoAircraft             opened, but no usable answer came (TimeoutError)
     │       ├── SilentLine         not one byte arrived
@@ -80,6 +81,7 @@ from m100link.errors.aircraft import (
 from m100link.errors.base import M100Error
 from m100link.errors.line import (
     AnotherAircraft,
+    LineBlocked,
     LinkClosed,
     LinkError,
     LinkLost,
@@ -121,6 +123,7 @@ __all__ = [
     "KeyRejected",
     "LayoutMismatch",
     "LevelTooLow",
+    "LineBlocked",
     "LinkClosed",
     "LinkError",
     "LinkLost",

@@ -6,6 +6,7 @@ from m100link.errors.base import M100Error
 
 __all__ = [
     "AnotherAircraft",
+    "LineBlocked",
     "LinkClosed",
     "LinkError",
     "LinkLost",
@@ -100,6 +101,15 @@ class LinkClosed(
     remedy="use the aircraft inside its `async with` only",
 ):
     """This side closed the link."""
+
+
+class LineBlocked(
+    LinkError,
+    code="M100-LINE-BLOCKED",
+    cause="the other end stands still, or more is sent than the baud rate carries",
+    remedy="start the other end again; send less, or at a higher baud rate",
+):
+    """The line is open, and takes no more bytes: what is sent does not reach the aircraft."""
 
 
 class AnotherAircraft(

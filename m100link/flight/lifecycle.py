@@ -57,6 +57,7 @@ class StopCause(Enum):
     TELEMETRY_STALLED = "no telemetry came for too long"
     GUARD_REFUSED = "a guard refused the mission that flies, or nobody could watch it"
     SENDING_FAILED = "a setpoint could not be sent, and not because of the line"
+    LINE_BLOCKED = "the line takes no more: setpoints do not reach the aircraft"
     LINK_LOST = "the line is gone"
 
 
@@ -102,6 +103,8 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
     _C.GUARD_REFUSED: _OURS,
     # The neutral and the release are other commands: they may still be sent.
     _C.SENDING_FAILED: _OURS,
+    # It may drain again at any moment, and then the release arrives.
+    _C.LINE_BLOCKED: _OURS,
     # There is nobody to talk to.
     _C.LINK_LOST: StopPlan(mission=False, explain=False, neutral=False, land=False, release=False),
 }

@@ -75,7 +75,7 @@ class SetpointLoop:
     frame would carry the value of the tick before.
 
     Args:
-        send: Puts a setpoint on the line.
+        send: Puts a setpoint on the line; False when the line takes no more.
         admits: Asked before each frame that goes out by itself; what :meth:`set` sends at once was
             checked by whoever set it.
         on_failure: Called with what ended the task; the next setpoint begins another.
@@ -88,7 +88,7 @@ class SetpointLoop:
 
     def __init__(
         self,
-        send: Callable[[Setpoint], object],
+        send: Callable[[Setpoint], bool],
         admits: Callable[[Setpoint], bool],
         on_failure: Callable[[Exception], None],
         loop: asyncio.AbstractEventLoop,
@@ -195,11 +195,14 @@ class SetpointLoop:
                 break
         else:
             self._slot = now
+        before = self._frame, self._owed
         self._frame = setpoint
         if setpoint == self._owed:
             self._owed = None
         self.sent += 1
-        self._send(setpoint)
+        if not self._send(setpoint):  # the line takes no more: the aircraft is still to be told
+            self._frame, self._owed = before
+            self.sent -= 1
 
     async def _run(self) -> None:
         """Repeat, and never end in silence: whoever flies by this has to hear of it."""

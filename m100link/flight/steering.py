@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority
+from m100link.errors import GuardRefused, LineBlocked, LinkError, M100Error, NoAuthority
 from m100link.flight.authority import AuthorityState
 from m100link.flight.block import ControlBlock
 from m100link.flight.guards import GuardKeeper
@@ -18,9 +18,13 @@ from m100link.flight.tasks import Commander, task_name
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["Steering"]
+__all__ = ["BLOCKED_S", "Steering"]
 
 _logger = logging.getLogger(__name__)
+
+BLOCKED_S = 0.5
+"""Seconds in which no setpoint leaves, although one is due, after which a block ends: for so long a
+line may be busy, and the aircraft does not fly on by the last one for much longer."""
 
 
 class Steering:
@@ -46,6 +50,9 @@ class Steering:
         self._missions = missions
         self.running_task: Task | None = None
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
+        self._clock = commander.link.loop.time
+        # When the line took no setpoint, the first and the newest time; None since it took one.
+        self._blocked: tuple[float, float] | None = None
         self.setpoints = SetpointLoop(
             self._transmit, self._admits, self._on_send_failed, commander.link.loop
         )
@@ -94,10 +101,29 @@ class Steering:
 
     def _transmit(self, setpoint: Setpoint) -> bool:
         try:
-            return self._requests.push(setpoint)
+            is_sent = self._requests.push(setpoint)
         except LinkError as error:
             self.block.end(StopCause.LINK_LOST, error.again())
             return False
+        if is_sent:
+            self._blocked = None
+        else:
+            self._on_blocked(self._clock())
+        return is_sent
+
+    def _on_blocked(self, now: float) -> None:
+        since, newest = self._blocked or (now, now)
+        if now - newest > BLOCKED_S:  # nothing was due meanwhile, and it may have taken something
+            since = now
+        self._blocked = since, now
+        blocked_s = now - since
+        if blocked_s >= BLOCKED_S:
+            failure = LineBlocked(
+                f"the line took no setpoint for {blocked_s:.1f} s while flying",
+                cause=LineBlocked.usual_cause,
+                remedy=LineBlocked.usual_remedy,
+            )
+            self.block.end(StopCause.LINE_BLOCKED, failure)
 
     def _on_send_failed(self, error: Exception) -> None:
         """The task that repeats setpoints has ended, and not because of the line."""

@@ -39,6 +39,13 @@ Opener = Callable[[ConnectionString, asyncio.Protocol], Awaitable[asyncio.Transp
 
 CONNECT_TIMEOUT = 5.0
 
+_TCP_BUFFER = 4096
+"""Bytes of the system for what a host did not take: by default megabytes, and setpoints for half an
+hour, which it would take all at once when it goes on."""
+
+_HOST_GONE_MS = 10_000
+"""Without a sign of a host that was sent something, or that takes nothing: the line is lost."""
+
 _CAN_WATCH_PORTS = os.name == "posix"
 
 
@@ -240,4 +247,9 @@ async def _open_tcp(address: ConnectionString, protocol: asyncio.Protocol) -> as
             cause="the program that should listen there is not running",
             remedy="start it, and check host and port",
         ) from error
+    transport.set_write_buffer_limits(high=HIGH_WATER)
+    options = transport.get_extra_info("socket")
+    options.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _TCP_BUFFER)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):  # by default it is found gone after half an hour
+        options.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _HOST_GONE_MS)
     return transport

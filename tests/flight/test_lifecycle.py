@@ -44,6 +44,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.NEW, C.TELEMETRY_STALLED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.GUARD_REFUSED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.SENDING_FAILED): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.LINE_BLOCKED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.LINK_LOST): (S.NEW, NOT_ENTERED),
     (S.ENTERING, I.ENTER): (S.ENTERING, ONCE),
     (S.ENTERING, I.OBTAINED): (S.FLYING, "the ack says obtained"),
@@ -58,6 +59,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.ENTERING, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
     (S.ENTERING, C.GUARD_REFUSED): (S.STOPPING, ENDS),
     (S.ENTERING, C.SENDING_FAILED): (S.STOPPING, ENDS),
+    (S.ENTERING, C.LINE_BLOCKED): (S.STOPPING, ENDS),
     (S.ENTERING, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.FLYING, I.ENTER): (S.FLYING, ONCE),
     (S.FLYING, I.OBTAINED): (S.FLYING, KNOWN),
@@ -72,6 +74,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.FLYING, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
     (S.FLYING, C.GUARD_REFUSED): (S.STOPPING, ENDS),
     (S.FLYING, C.SENDING_FAILED): (S.STOPPING, ENDS),
+    (S.FLYING, C.LINE_BLOCKED): (S.STOPPING, ENDS),
     (S.FLYING, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.PAUSED, I.ENTER): (S.PAUSED, ONCE),
     (S.PAUSED, I.OBTAINED): (S.PAUSED, "the pilot took it after the ack: that is newer"),
@@ -86,6 +89,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.PAUSED, C.TELEMETRY_STALLED): (S.STOPPING, ENDS),
     (S.PAUSED, C.GUARD_REFUSED): (S.STOPPING, ENDS),
     (S.PAUSED, C.SENDING_FAILED): (S.STOPPING, ENDS),
+    (S.PAUSED, C.LINE_BLOCKED): (S.STOPPING, ENDS),
     (S.PAUSED, C.LINK_LOST): (S.STOPPING, ENDS),
     (S.STOPPING, I.ENTER): (S.STOPPING, ONCE),
     (S.STOPPING, I.OBTAINED): (S.STOPPING, "an ack that comes late: the release follows"),
@@ -100,6 +104,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.STOPPING, C.TELEMETRY_STALLED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.GUARD_REFUSED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.SENDING_FAILED): (S.STOPPING, FIRST_CAUSE),
+    (S.STOPPING, C.LINE_BLOCKED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.LINK_LOST): (S.STOPPING, NO_LINE),
     (S.OVER, I.ENTER): (S.OVER, ONCE),
     (S.OVER, I.OBTAINED): (S.OVER, NEVER_AGAIN),
@@ -114,6 +119,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.OVER, C.TELEMETRY_STALLED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.GUARD_REFUSED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.SENDING_FAILED): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.LINE_BLOCKED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.LINK_LOST): (S.OVER, NEVER_AGAIN),
 }
 
@@ -194,6 +200,7 @@ PLANS: dict[StopCause, tuple[tuple[bool, bool, bool, bool, bool], str]] = {
     ),
     C.GUARD_REFUSED: ((True, False, True, True, True), "a mission that may not fly is stopped"),
     C.SENDING_FAILED: ((True, False, True, True, True), "other commands may still be sent"),
+    C.LINE_BLOCKED: ((True, False, True, True, True), "it may drain again at any moment"),
     C.LINK_LOST: ((False, False, False, False, False), "nobody is there"),
 }
 

@@ -519,8 +519,9 @@ async def test_a_send_that_blocks_for_longer_than_a_period_does_not_starve_the_o
     loop = rig.loop
     assert isinstance(loop, VirtualClockEventLoop)
 
-    def block(setpoint: Setpoint) -> None:
+    def block(setpoint: Setpoint) -> bool:
         loop._jumping.now += 2.5 * PERIOD
+        return True
 
     monkeypatch.setattr(rig.setpoints, "_send", block)
     rig.set(NORTH, lifetime=1.0)
