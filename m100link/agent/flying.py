@@ -291,10 +291,21 @@ class Flying:
 
     # -- the end ---------------------------------------------------------------------------------
 
-    async def end(self) -> None:
-        """Control ends: so does what was using it."""
+    async def end(self, *, is_lost: bool = False) -> str:
+        """Control ends: so does what was using it.
+
+        Args:
+            is_lost: Whether nobody here wanted that.
+
+        Returns:
+            What the mission is called that a loss of control broke off; empty for none.
+        """
         self._is_ended = True
-        self.mission.end("control ended")
+        broken_off = ""
+        if is_lost:
+            broken_off = self.mission.cut_off()
+        else:
+            self.mission.end("control ended")
         self._end_program("control ended")
         if self._running_task is not None:
             self._running_task.cancel()
@@ -303,6 +314,7 @@ class Flying:
         with anyio.CancelScope(shield=True):
             await self.guiding.ended()
             await self.mission.ended()
+        return broken_off
 
 
 def limits_of(guards: Guards, origin: tuple[float, float] | None) -> Limits:

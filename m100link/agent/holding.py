@@ -19,10 +19,18 @@ from m100link.agent.background import BackgroundTasks
 from m100link.agent.flying import Flying, limits_of
 from m100link.agent.guided import GuidedOrder
 from m100link.agent.journal import Journal
-from m100link.agent.messages import Limits
+from m100link.agent.messages import Limits, Topic
 from m100link.agent.mission import MissionListener
 from m100link.aircraft import Aircraft
-from m100link.errors import AuthorityLost, AuthorityRefused, LossReason, M100Error, NoAuthority
+from m100link.errors import (
+    AuthorityLost,
+    AuthorityRefused,
+    LinkError,
+    LossReason,
+    M100Error,
+    NoAuthority,
+    TelemetryStalled,
+)
 from m100link.flight.authority import AuthorityState
 from m100link.flight.control import Control
 from m100link.flight.guards import Guards
@@ -125,6 +133,9 @@ _LOSSES = {
     LossReason.LINK: _I.LINK_LOST,
 }
 
+_UNSEEN = (LinkError, TelemetryStalled)
+"""What ends control without a sight of the aircraft."""
+
 
 class Holding:
     """Control authority for the clients of one agent.
@@ -153,6 +164,8 @@ class Holding:
         # Resolved when the request under way has ended.
         self._granted: asyncio.Future[None] | None = None
         self.on_mission_event: MissionListener | None = None
+        # The mission that a loss of control broke off, until the reason is known and told.
+        self._broken_off = ""
         # Watches the mode switch while the pilot may come back.
         self._watch: asyncio.Task[None] | None = None
 
@@ -263,6 +276,7 @@ class Holding:
             self.feed(HoldingInput.REFUSED if is_refusal else HoldingInput.FAILED)
             if granted.done():
                 self._journal.note(f"control ended: {error.seen}", "error")
+                self._tell_mission(error.seen, is_seen=not isinstance(error, _UNSEEN))
             else:
                 self._journal.note(f"no control authority: {error.seen}", "warning")
                 granted.set_exception(error)
@@ -270,6 +284,7 @@ class Holding:
         finally:
             self._block = None
             self.feed(HoldingInput.ENDED)  # nothing holds it now, whatever ended the block
+            self._tell_mission("the agent ends")
             granted.cancel()
 
     async def _use(self, control: Control, granted: asyncio.Future[None]) -> None:
@@ -286,18 +301,34 @@ class Holding:
             await self._let_go.wait()
         finally:
             self.flying = None
-            await flying.end()
+            self._broken_off = await flying.end(is_lost=not self._let_go.is_set())
 
     def _lost(
         self, aircraft: Aircraft, error: AuthorityLost, granted: asyncio.Future[None]
     ) -> None:
         self.feed(_LOSSES.get(error.reason, HoldingInput.SOMEBODY_TOOK))
         self._journal.note(f"control authority lost: {error.seen}", "warning")
+        self._tell_mission(error.seen, is_seen=error.reason is not LossReason.LINK)
         if not granted.done():
             granted.set_exception(error)
         for callback in self.on_lost:
             callback(error)
         self._wait_for_pilot(aircraft)
+
+    def _tell_mission(self, why: str, *, is_seen: bool = True) -> None:
+        """Tell whoever has to see it that a loss of control broke a mission off, if it did.
+
+        Args:
+            why: What control was lost by.
+            is_seen: Whether the aircraft is seen: otherwise it may fly on, and nobody here knows.
+        """
+        what, self._broken_off = self._broken_off, ""
+        if not what:
+            return
+        told = f"the {what} ended: {why}"
+        if not is_seen:
+            told = f"nobody here flies the {what} now: {why}; the aircraft may fly on"
+        self._journal.note(told, "error", Topic.MISSION_ABORTED)
 
     # -- the pilot comes back --------------------------------------------------------------------
 

@@ -130,7 +130,8 @@ class Topic(Enum):
 
     NONE = ""
     STOPPED = "stopped"  # somebody pressed STOP
-    MISSION_ABORTED = "mission aborted"  # the aircraft or a guard ended it before its end
+    # The aircraft, a guard, or a loss of control or of the line ended it before its end.
+    MISSION_ABORTED = "mission aborted"
 
 
 @dataclass(frozen=True, slots=True)

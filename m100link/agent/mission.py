@@ -112,6 +112,8 @@ class FlyingMission:
         self._background = background
         self._flight: MissionFlight | None = None
         self._watch: asyncio.Task[None] | None = None
+        self._what = ""  # what the one that was begun last is called, for people
+        self._is_cut_off = False  # whoever cut it off knows why, and tells it
         self.on_event: MissionListener | None = None
 
     @property
@@ -163,6 +165,7 @@ class FlyingMission:
 
     async def _begin(self, flight: MissionFlight, what: str) -> None:
         begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._what, self._is_cut_off = what, False
         self._watch = self._background.spawn(self._fly(flight, what, begun), "mission")
         try:
             await asyncio.shield(begun)
@@ -193,7 +196,8 @@ class FlyingMission:
                 begun.set_exception(UsageError("control ended before the mission began"))
                 begun.exception()  # nobody may be there to hear it
             self._flight = self._watch = None
-            self._journal.note(outcome, level, topic)
+            if not self._is_cut_off:
+                self._journal.note(outcome, level, topic)
 
     def _tell(self, event: MissionEvent) -> None:
         if isinstance(event, Reached):
@@ -218,6 +222,19 @@ class FlyingMission:
         if self._watch is not None:
             self._journal.note(f"the mission is stopped: {why}")
             self._watch.cancel()
+
+    def cut_off(self) -> str:
+        """Control was lost, and the mission with it; returns what it is called, empty for none.
+
+        Why control was lost is told a moment later, by whoever asks the aircraft: with that reason
+        the caller has to tell it.
+        """
+        if self._watch is None or self._flight is None:  # it has not begun: its start fails
+            self.end("control ended")
+            return ""
+        self._is_cut_off = True
+        self._watch.cancel()
+        return self._what
 
     async def ended(self) -> None:
         """Wait for the end of its stop."""

@@ -92,11 +92,15 @@ async def fly_up(operator: Operator) -> None:
     front.background.spawn(tab.attempt(lambda: work), "guided")
 
 
-async def a_guard_ends_a_mission(operator: Operator) -> None:
+async def fly_a_mission(operator: Operator) -> None:
     tab = operator.browser.tab
     await tab.upload_plan(plan_of(operator.rig).to_json().encode())
     await tab.order_mission(Action.MISSION_START)
     await operator.watch(lambda: operator.rig.front.state.mission_index >= 0)
+
+
+async def a_guard_ends_a_mission(operator: Operator) -> None:
+    await fly_a_mission(operator)
     perform(operator.rig.aircraft, "battery 15")
 
 
@@ -133,3 +137,40 @@ async def test_each_alarm_is_raised_by_its_cause_and_sounds(rig: Rig, name: Alar
     for one in list(operator.raised):
         operator.memory.acknowledge(one)
     assert operator.memory.alarms.sounding is None
+
+
+@pytest.mark.parametrize(
+    ("words", "also", "why"),
+    [
+        ("rc-mode P", N.AUTHORITY_LOST, "ended: the pilot moved the mode switch out of F"),
+        ("app-takes-control", N.AUTHORITY_LOST, "ended: authority passed away"),
+        ("rc-off", N.AUTHORITY_LOST, "ended: authority passed away"),
+        ("unplug", N.LINK_LOST, "sim:// went away; the aircraft may fly on"),
+        ("stall on", N.LINK_LOST, "no telemetry for 1.0 s while flying; the aircraft may fly on"),
+    ],
+)
+async def test_control_that_is_lost_in_a_mission_tells_of_the_mission_too(
+    rig: Rig, words: str, also: AlarmName, why: str
+) -> None:
+    operator = Operator(rig, await airborne(rig))
+    await fly_a_mission(operator)
+    perform(rig.aircraft, words)
+    await operator.watch(lambda: {also, N.MISSION_ABORTED} <= operator.raised.keys())
+    assert why in operator.raised[N.MISSION_ABORTED]
+
+
+@pytest.mark.parametrize("how", ["stop", "release", "mission_stop"])
+async def test_a_mission_that_the_operator_ends_raises_no_alarm(rig: Rig, how: str) -> None:
+    operator = Operator(rig, await airborne(rig))
+    tab = operator.browser.tab
+    await fly_a_mission(operator)
+    ends: dict[str, Callable[[], Awaitable[None]]] = {
+        "stop": tab.stop,
+        "release": tab.release,
+        "mission_stop": lambda: tab.order_mission(Action.MISSION_STOP),
+    }
+    await ends[how]()
+    until = rig.front.now + 5.0
+    await operator.watch(lambda: rig.front.now > until)
+    assert rig.front.state.mission == "no mission"
+    assert operator.raised == {}
