@@ -35,15 +35,14 @@ class ActionsPart:
             add("activate", "actions.activate", tab.activate, kind="plain")
             add("obtain", "actions.obtain", self._take_over.obtain)
             add("release", "actions.release", tab.release, kind="plain")
-            add("take_off", "actions.take_off", self._deck.take_off, hold=True)
-            add("land", "actions.land", lambda: tab.fly(Task.LAND), hold=True)
+            add("take_off", "actions.take_off", self._deck.take_off)
+            add("land", "actions.land", lambda: tab.fly(Task.LAND))
             add("go_home", "actions.go_home", lambda: tab.fly(Task.GO_HOME))
         with ui.element("div").classes("acts simple"):
             add(
                 "simple_task",
                 "actions.simple_task",
                 lambda: tab.simple_task(int(self._number.value)),
-                hold=True,
             )
             self._number = ui.select(list(_SIMPLE), value=0).classes("task-number")
             self._number.props("dense outlined id=task-number")

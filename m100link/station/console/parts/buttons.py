@@ -13,6 +13,7 @@ from m100link.agent.client import AgentClient
 from m100link.errors import GuardRefused
 from m100link.station.console.parts.wording import Wording
 from m100link.station.console.tab import Tab
+from m100link.station.console.view.actions import HELD
 from m100link.station.console.view.catalogue import CATALOGUE
 
 __all__ = ["Buttons"]
@@ -72,18 +73,16 @@ class Buttons:
         work: Callable[..., Awaitable[Any]],
         *,
         kind: str = "",
-        hold: bool = False,
         check: Callable[[object], None] | None = None,
     ) -> Any:
         """A button in the present element; several may give the same order.
 
         Args:
-            name: Of the order, as in ``view.actions``.
+            name: Of the order, as in ``view.actions``, which says whether it has to be held.
             label: What stands on it, or the key of that in the catalogue.
             work: What is done; what goes wrong is the tab's problem. STOP is given the number of
                 its press.
             kind: ``"stop"`` or ``"plain"``, else a usual one.
-            hold: Whether it has to be held for a second.
             check: Called first, with what ``data-shown`` of the button was when the press began;
                 raises what refuses it.
         """
@@ -92,7 +91,8 @@ class Buttons:
             text = ui.label(label)
         if label in CATALOGUE:
             self._wording.put(text.set_text, label)
-        if hold:
+        is_held = name in HELD
+        if is_held:
             button.classes("hold")
             button.on("shifted", lambda: self._tab.attempt(_shifted), args=[])
             button.on("withdrawn", lambda: self._tab.attempt(_withdrawn), args=[])
@@ -114,7 +114,7 @@ class Buttons:
 
         # A tap with a second finger makes no click: STOP is told by what the page makes of it.
         button.on(
-            {"stop": "stopped"}.get(name, "held" if hold else "click"),
+            {"stop": "stopped"}.get(name, "held" if is_held else "click"),
             pressed,
             js_handler=f"(event) => emit({'event.detail' if name == 'stop' else _SAID})",
         )

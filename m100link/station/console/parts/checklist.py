@@ -62,7 +62,7 @@ class ChecklistPart:
                 add = self._deck.buttons.add
                 add("activate", "actions.activate", self._deck.tab.activate, kind="plain")
                 add("obtain", "actions.obtain", self._take_over.obtain, kind="plain")
-                add("take_off", "actions.take_off", self._deck.take_off, hold=True)
+                add("take_off", "actions.take_off", self._deck.take_off)
 
     def _build_row(self, item: Item, *, is_needed: bool) -> _Row:
         wording = self._deck.wording

@@ -95,7 +95,7 @@ class ClickPart:
             with ui.element("div").classes("acts"):
                 add = self._deck.buttons.add
                 self._fly_button = add(
-                    "guide", "click.fly", self._fly, hold=True, check=self._check_shown
+                    "guide", "click.fly", self._fly, check=self._check_shown
                 )
                 close = ui.element("button").classes("act plain")
                 with close.props("type=button id=point-close"):

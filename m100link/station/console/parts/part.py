@@ -21,7 +21,7 @@ of parts)::
 - A rule about what is shown belongs to ``m100link.station.console.view``, where a test reads it
   without a browser.
 - A button that gives an order comes from ``deck.buttons``: it is kept grey unless
-  ``view.actions`` names it, and holds for a second where that is asked for.
+  ``view.actions`` names it, and has to be held for a second where that says so.
 - What is shown in words comes from ``view.catalogue``: ``deck.wording.put(label.set_text, key)``
   for what stands there always, ``deck.wording(text)`` for a text of the view.
 - What runs in the browser is a module in ``static/``, loaded by ``deck.load``; it imports ``m100``

@@ -134,7 +134,7 @@ class PlanPart:
                     ("stop", Action.MISSION_STOP),
                 ):
                     work = partial(tab.order_mission, action)
-                    add(f"mission_{name}", f"plan.{name}", work, hold=name == "start")
+                    add(f"mission_{name}", f"plan.{name}", work)
             self._progress = ui.linear_progress(0.0, show_value=False)
             self._progress.props("id=mission-progress")
             self._deck.wording.put(attribute(self._progress), "plan.progress")

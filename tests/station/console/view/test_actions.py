@@ -13,15 +13,17 @@ from m100link.station.console.view.actions import (
     ACTIONS,
     FLIGHTS,
     FROM_GROUND,
+    HELD,
     MISSIONS,
     actions_of,
 )
+from m100link.station.console.view.catalogue import CATALOGUE
 from m100link.station.console.view.checklist import Checklist, ChecklistDesk
 from m100link.station.console.view.inputs import Inputs
 from m100link.station.console.view.situation import Situation, situation_of
 
 MINE = LeaseChanged(3, "tab")
-HELD = {"release", "mission_upload"}
+KEPT = {"release", "mission_upload"}
 
 
 def look(inputs: Inputs, *, has_reason: bool) -> Checklist:
@@ -51,18 +53,18 @@ def inputs_of(
     [
         (Inputs(), set()),
         (inputs_of(is_mine=False, obeyed=True), {"activate", "obtain"}),
-        (inputs_of(is_mine=True, obeyed=False), {"activate", "obtain", *HELD}),
-        (inputs_of(is_mine=True, obeyed=True), {"activate", *HELD, *FLIGHTS}),
+        (inputs_of(is_mine=True, obeyed=False), {"activate", "obtain", *KEPT}),
+        (inputs_of(is_mine=True, obeyed=True), {"activate", *KEPT, *FLIGHTS}),
         (
             inputs_of(is_mine=True, obeyed=True, mission="no mission"),
-            {"activate", *HELD, *FLIGHTS},
+            {"activate", *KEPT, *FLIGHTS},
         ),
-        (inputs_of(is_mine=True, obeyed=True, task="landing"), {"activate", *HELD}),
+        (inputs_of(is_mine=True, obeyed=True, task="landing"), {"activate", *KEPT}),
         (
             inputs_of(is_mine=True, obeyed=True, mission="hotpoint"),
-            {"activate", *HELD, *MISSIONS},
+            {"activate", *KEPT, *MISSIONS},
         ),
-        (inputs_of(is_mine=True, obeyed=True, is_silent=True), {*HELD}),
+        (inputs_of(is_mine=True, obeyed=True, is_silent=True), {*KEPT}),
     ],
 )
 def test_what_is_offered(inputs: Inputs, offered: set[str]) -> None:
@@ -96,3 +98,11 @@ def test_what_leaves_the_ground_is_offered_by_the_checklist(
 def test_anybody_may_let_a_guided_flight_hover() -> None:
     state = State(0.0, "connected", guided=GuidedFlight("change of height"))
     assert offered_of(Inputs(state=state)) == {"stop", "activate", "obtain", "hover"}
+
+
+def test_what_flies_by_itself_has_to_be_held_and_its_button_says_so() -> None:
+    assert HELD >= FLIGHTS
+    assert not HELD & {"stop", "hover", "mission_pause", "mission_stop", "release"}
+    labels = [key for key, (english, _) in CATALOGUE.items() if english.endswith("(hold)")]
+    assert labels == [key for key, (_, german) in CATALOGUE.items() if german.endswith("(halten)")]
+    assert len(labels) == len(HELD)

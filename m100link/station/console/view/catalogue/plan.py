@@ -22,7 +22,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "plan.upload": ("Upload", "Hochladen"),
     "plan.start": ("Start (hold)", "Start (halten)"),
     "plan.pause": ("Pause", "Pause"),
-    "plan.resume": ("Resume", "Fortsetzen"),
+    "plan.resume": ("Resume (hold)", "Fortsetzen (halten)"),
     "plan.stop": ("Stop", "Stopp"),
     "plan.mission": ("Mission", "Mission"),
     "plan.progress": ("how far the mission is", "wie weit die Mission ist"),
