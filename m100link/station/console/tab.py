@@ -236,6 +236,8 @@ class Tab:
         late = self._agent.now - float(said_at) if _is_number(said_at) else math.inf
         if late > MAX_ORDER_LATE:
             waited = f"was {late:.0f} s on its way" if late < math.inf else "has no time"
+            # A page that is loaded anew when the network is back does not show the problem.
+            self._agent.note(f"{self.name}: a pressed button {waited}; nothing was done", "warning")
             raise GuardRefused(
                 f"a pressed button {waited}; nothing was done",
                 guard="order_late",
@@ -253,8 +255,11 @@ class Tab:
         if message is None:
             self.refused += 1
             return None
+        answer = {"op": "echo", "at": message["at"]}
         if message["op"] == "stop":
             press = message.get("press")
+            if type(press) is int:
+                answer["press"] = press
             if not self._is_done(press):
                 self._stop_now(press)  # be it old, or a second time
         number = message["n"]
@@ -276,7 +281,7 @@ class Tab:
                     self._has_to_let_go = False
                     self._agent.halt(lease=self.lease)
                 self._agent.keep(self.lease)
-        return {"op": "echo", "at": message["at"], "told": now}
+        return answer | {"told": now}
 
     def _stop_now(self, press: object) -> None:
         """STOP by either way: that of the socket, or of the page's other events."""

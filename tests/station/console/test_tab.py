@@ -390,7 +390,7 @@ async def test_stop_by_the_socket_needs_no_lease_and_runs_once_at_a_time(rig: Ri
 async def test_one_press_of_stop_by_both_ways_is_one_entry(rig: Rig) -> None:
     other = Browser(rig, "other")
     for press in (1, 2):
-        other.say("stop", press=press)
+        assert (other.say("stop", press=press) or {})["press"] == press  # for the page to know
         await anyio.sleep(0.1)
         await other.tab.stop(press)
         other.say("stop", press=press)  # late, or once more
@@ -458,4 +458,6 @@ async def test_an_order_that_waited_is_refused(rig: Rig) -> None:
     await anyio.sleep(0.2)
     with pytest.raises(GuardRefused, match="2 s on its way") as refused:
         tab.check_order(said_at)
+    await anyio.sleep(0.1)
+    assert "2 s on its way; nothing was done" in rig.front.events[-1].text
     assert refused.value.limit == MAX_ORDER_LATE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Set
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -16,13 +17,16 @@ from m100link.station.console.tab import Tab
 from m100link.station.console.view.actions import HELD
 from m100link.station.console.view.catalogue import CATALOGUE
 
-__all__ = ["Buttons"]
+__all__ = ["ORDER", "Buttons", "answer"]
 
 _ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
 """What ends a motion is done however late it comes."""
 
 
-_SAID = "{at: m100.socket.saidAt, shown: event.detail?.shown}"
+ORDER = "(event) => emit(window.m100?.order(event) ?? {})"
+"""What the page sends of a press, with the number of it that is to be answered."""
+
+_STOP = "(event) => emit({press: event.detail})"
 
 
 async def _stood_still() -> None:
@@ -50,6 +54,19 @@ async def _shifted() -> None:
         cause="where the finger came down, another button had been just before",
         remedy="see which button is under the finger, then hold it again",
     )
+
+
+_NOT_TAKEN = {"shifted": _shifted, "withdrawn": _withdrawn, "unsure": _stood_still}
+"""What the page makes of a hold that gives no order."""
+
+
+def answer(event: GenericEventArguments) -> dict[str, Any]:
+    """Tell the page that its press has come; returns what it said of it."""
+    said = event.args if isinstance(event.args, dict) else {}
+    press = said.get("press")
+    if type(press) is int:
+        ui.run_javascript(f"m100.answered({press})")
+    return said
 
 
 class Buttons:
@@ -94,19 +111,18 @@ class Buttons:
         is_held = name in HELD
         if is_held:
             button.classes("hold")
-            button.on("shifted", lambda: self._tab.attempt(_shifted), args=[])
-            button.on("withdrawn", lambda: self._tab.attempt(_withdrawn), args=[])
-            button.on("unsure", lambda: self._tab.attempt(_stood_still), args=[])
+            for what, refuse in _NOT_TAKEN.items():
+                button.on(what, partial(self._refuse, refuse), js_handler=ORDER)
 
         async def pressed(event: GenericEventArguments) -> None:
-            said = event.args if isinstance(event.args, dict) else {}
+            said = answer(event)
 
             async def order() -> None:
                 if name not in _ENDS:
                     self._tab.check_order(said.get("at"))
                 if check is not None:
                     check(said.get("shown"))
-                await (work(event.args) if name == "stop" else work())
+                await (work(said.get("press")) if name == "stop" else work())
 
             # The page goes on while the aircraft flies.
             self._agent.background.spawn(self._tab.attempt(order), f"{name} of {self._tab.name}")
@@ -116,10 +132,17 @@ class Buttons:
         button.on(
             {"stop": "stopped"}.get(name, "held" if is_held else "click"),
             pressed,
-            js_handler=f"(event) => emit({'event.detail' if name == 'stop' else _SAID})",
+            js_handler=_STOP if name == "stop" else ORDER,
         )
         self._buttons.setdefault(name, []).append((button, True))
         return button
+
+    async def _refuse(
+        self, why: Callable[[], Awaitable[None]], event: GenericEventArguments
+    ) -> None:
+        """A hold that gives no order: answered as one, or a lost connection would hide its end."""
+        answer(event)
+        await self._tab.attempt(why)
 
     def update(self, offered: Set[str]) -> None:
         """Let those be pressed whose order is offered."""

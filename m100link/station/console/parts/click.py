@@ -94,9 +94,7 @@ class ClickPart:
             self._refusals = ui.element("div").props("id=click-refusals role=alert")
             with ui.element("div").classes("acts"):
                 add = self._deck.buttons.add
-                self._fly_button = add(
-                    "guide", "click.fly", self._fly, check=self._check_shown
-                )
+                self._fly_button = add("guide", "click.fly", self._fly, check=self._check_shown)
                 close = ui.element("button").classes("act plain")
                 with close.props("type=button id=point-close"):
                     put(ui.label().set_text, "click.close")

@@ -6,7 +6,9 @@ import json
 from typing import Any
 
 from nicegui import ui
+from nicegui.events import GenericEventArguments
 
+from m100link.station.console.parts.buttons import ORDER, answer
 from m100link.station.console.parts.part import Deck
 from m100link.station.console.parts.wording import attribute
 from m100link.station.console.view.fleet import FleetRow
@@ -65,14 +67,15 @@ class _Row:
             deck.wording.put(attribute(stop), "fleet.stop", name=name)
             with stop:
                 deck.wording.put(ui.label().set_text, "actions.stop")
-            stop.on("click", self._stop, args=[])
+            stop.on("click", self._stop, js_handler=ORDER)
 
     def _turn_to(self) -> None:
         if self._name != self._deck.tab.aircraft:
             address = self._deck.tabs.move(self._deck.tab, self._name)
             ui.run_javascript(f"location.replace({json.dumps(address)})")
 
-    def _stop(self) -> None:
+    def _stop(self, event: GenericEventArguments) -> None:
+        answer(event)
         agent, tab = self._deck.tabs.agents[self._name], self._deck.tab
         agent.background.spawn(tab.attempt(agent.stop), f"stop of {tab.name}")
 

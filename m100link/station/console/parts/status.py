@@ -48,6 +48,12 @@ class StatusPart:
             silence = ui.element("button").props("type=button id=page-lost-seen").classes("see")
             with silence:
                 seen = ui.label()
+        with ui.element("div").classes("unanswered").props("id=unanswered role=alert hidden"):
+            ui.label().props("id=unanswered-said")
+            with ui.element("button").props("type=button id=unanswered-seen").classes("see"):
+                known = ui.label()
+        ui.label().classes("page-said").props("id=page-said role=status")
+        self._deck.wording.put(known.set_text, "alarms.acknowledge")
         self._deck.wording.put(said.set_text, "status.page_lost")
         self._deck.wording.put(todo.set_text, "status.page_lost.remedy")
         self._deck.wording.put(seen.set_text, "alarms.acknowledge")

@@ -1,5 +1,7 @@
 // The shell of the page: the socket, the views, presses that are held, and STOP.
 
+import {answered, order, say, start as startOrders} from "./orders.js";
+import {words} from "./said.js";
 import {Socket} from "./socket.js";
 import {Steering} from "./steer.js";
 import {drawHorizon, drawChannels} from "./instruments.js";
@@ -20,6 +22,12 @@ export const m100 = {
   // Each message of the instruments, at most once for a frame; {} when everything is old.
   onLive(callback) { listeners.push(callback); },
   onMap(callback) { this.map ? callback(this.map) : waiting.push(callback); },
+  // What is told with a press: when it was, its number, and what stood on the button as it began.
+  order(event) {
+    const press = order(event.currentTarget, this.socket.isUnheard);
+    return {at: this.socket.saidAt, press, shown: event.detail?.shown};
+  },
+  answered,
 };
 
 export function start(key) {
@@ -31,6 +39,7 @@ export function start(key) {
   m100.onLive((live) => drawHorizon(find("#horizon"), live));
   m100.onLive(drawChannels);
   setInterval(() => m100.socket.isLost && draw(), 250);  // what is not told any more grows old
+  startOrders();
   stopAtOnce(find("[data-act=stop]"));
   holdToPress();
   for (const tab of document.querySelectorAll("[data-go]"))
@@ -69,10 +78,10 @@ function show(name) {
 
 // At the press and not at its end: while one finger is on a stick, the tap of another makes no click.
 function stopAtOnce(button) {
-  let pressedAt = -Infinity, press = 0;
+  let pressedAt = -Infinity;
   const stop = () => {
     m100.steering.rest();
-    press += 1;
+    const press = order(button, m100.socket.isUnheard);
     m100.socket.send({op: "stop", press});  // by both ways that there are
     button.dispatchEvent(new CustomEvent("stopped", {detail: press}));
   };
@@ -121,7 +130,9 @@ function holdToPress() {
       // Both stood in the queue of a page that was busy: the finger was there long enough.
       const {button, down} = held, wasHeld = event.timeStamp - down > HOLD_MS;
       end();
-      if (wasHeld && name === "pointerup") button.dispatchEvent(new CustomEvent("unsure", {detail: {}}));
+      if (name !== "pointerup") return;
+      if (wasHeld) button.dispatchEvent(new CustomEvent("unsure", {detail: {}}));
+      else say(words("hold"));
     });
   document.addEventListener("pointermove", (event) => {
     if (!held || event.pointerId !== held.pointer) return;
@@ -136,7 +147,10 @@ function holdToPress() {
     const isPress = event.code === "Space" || event.code === "Enter";
     if (target(event) && isPress && !event.repeat) begin(event, target(event));
   });
-  document.addEventListener("keyup", end);
+  document.addEventListener("keyup", () => {
+    if (held) say(words("hold"));
+    end();
+  });
   document.addEventListener("focusout", (event) => event.target === held?.button && end());
   document.addEventListener("visibilitychange", end);
   window.addEventListener("blur", end);

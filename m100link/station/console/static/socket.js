@@ -1,5 +1,6 @@
 // The socket of the page: beats out, instruments in, and the times that tell how old either is.
 
+import {answered} from "./orders.js";
 import {number, words} from "./said.js";
 
 const ALIVE_MS = 500;
@@ -37,6 +38,7 @@ export class Socket {
       if (message.op === "echo") {
         this.told = {told: message.told, at: performance.now()};
         this.roundTrip(performance.now() - message.at);
+        if (message.press !== undefined) answered(message.press);
       } else if (message.op === "live") {  // of the others only the arrival counts
         // The clocks may drift by a ten-thousandth.
         this.best = Math.min(this.best + 5e-6, performance.now() / 1000 - message.t);

@@ -14,9 +14,9 @@ FLIGHTS = frozenset({"take_off", "land", "go_home", "simple_task", "mission_star
 MISSIONS = frozenset({"mission_pause", "mission_resume", "mission_stop"})
 
 HELD = FLIGHTS | {"mission_resume"}
-"""What has to be held for a second: all that makes the aircraft fly by itself, home and down as well.
-A click that nobody meant must not; a second costs an aircraft that hovers nothing. What ends a motion
-is a single press."""
+"""What has to be held for a second: all that makes the aircraft fly by itself, home and down too.
+A click that nobody meant must not; a second costs an aircraft that hovers nothing. What ends a
+motion is a single press."""
 
 ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release", "mission_upload", "hover"}
 """Every button that is an order."""

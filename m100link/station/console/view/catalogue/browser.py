@@ -29,6 +29,11 @@ WORDS: dict[str, tuple[str, str]] = {
     "browser.no_attitude": ("no attitude", "keine Lage"),
     "browser.old": ("old", "alt"),
     "browser.compass_east": ("E", "O"),
+    "browser.hold": ("Hold the button for a second", "Taste eine Sekunde lang halten"),
+    "browser.unanswered": (
+        "{orders}: no answer. Whether it was done is not known: have the pilot take over.",
+        "{orders}: keine Antwort. Ob es geschah, ist nicht bekannt: den Piloten übernehmen lassen.",
+    ),
     "browser.clear": ("Clear", "Leeren"),
     "browser.remove": ("Remove", "Entfernen"),
     "browser.age": ("{seconds} s ago", "vor {seconds} s"),
