@@ -253,7 +253,9 @@ async def _serve(
             if station.console_port is not None and open_browser:
                 await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
             await ended.wait()
-            teller.do(lambda: err.print("ending: the aircraft hovers, control authority goes back"))
+            end = "ending: control authority goes back, an aircraft that flies hovers"
+            told = end if station.has_authority else "ending"
+            teller.do(lambda: err.print(told))
     return ExitCode.OK
 
 
@@ -318,6 +320,8 @@ class _Teller:
 class _Station(Protocol):
     """What every kind of running station tells of itself."""
 
+    @property
+    def has_authority(self) -> bool: ...
     @property
     def ports(self) -> list[int]: ...
     @property

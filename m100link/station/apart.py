@@ -49,6 +49,11 @@ class RunningApart:
         return self.owner.agent
 
     @property
+    def has_authority(self) -> bool:
+        """Whether an aircraft obeys this station."""
+        return self.agent.holding.has_authority
+
+    @property
     def ports(self) -> list[int]:
         """Ports of rosbridge, in the order of the settings."""
         return self.sockets.ports

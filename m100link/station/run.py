@@ -69,6 +69,11 @@ class Running:
         return self.owner.agent
 
     @property
+    def has_authority(self) -> bool:
+        """Whether an aircraft obeys this station."""
+        return self.agent.holding.has_authority
+
+    @property
     def bridge(self) -> Bridge:
         """What rosbridge clients reach."""
         return self.fronts.bridge

@@ -54,6 +54,11 @@ class RunningSeveral:
     sockets: Sockets
 
     @property
+    def has_authority(self) -> bool:
+        """Whether one of the aircraft obeys this station, as far as is known here."""
+        return any(agent.has_authority for agent in self.agents.values())
+
+    @property
     def ports(self) -> list[int]:
         """Ports of rosbridge, in the order of the settings."""
         return self.sockets.ports

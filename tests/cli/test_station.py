@@ -181,7 +181,25 @@ async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) ->
             _, talk = await process.communicate()
     assert process.returncode == 0
     assert b"control authority released" in talk
+    assert b"ending: control authority goes back" in talk
     assert b"Traceback" not in talk
+
+
+@pytest.mark.parametrize("more", [(), ("/dev/no-port-either",)])
+async def test_the_end_without_an_aircraft_says_nothing_of_one(more: tuple[str, ...]) -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "serve", "/dev/no-port", *more, "--port", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stderr is not None
+    async with asyncio.timeout(PATIENCE):
+        while b"not connected: there is no device" not in await process.stderr.readline():
+            pass
+        process.send_signal(signal.SIGINT)
+        _, talk = await process.communicate()
+    assert process.returncode == 0
+    assert talk.splitlines()[-1] == b"ending"
 
 
 async def test_a_front_that_died_is_told_once_and_its_console_can_be_opened_again(
