@@ -53,7 +53,7 @@ def survey(
     Raises:
         UsageError: No polygon, a spacing that makes no lines or more than 1000, an area of nothing.
     """
-    _check(polygon, spacing, height)
+    _check(polygon, spacing, height, angle_deg)
     cosine, sine = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     # Along the lines and across them.
     turned = [(n * cosine + e * sine, e * cosine - n * sine) for n, e in polygon]
@@ -74,7 +74,9 @@ def survey(
     return min(flat, key=lambda way: math.dist(way[0][:2], start))
 
 
-def _check(polygon: Sequence[tuple[float, float]], spacing: float, height: float) -> None:
+def _check(
+    polygon: Sequence[tuple[float, float]], spacing: float, height: float, angle_deg: float
+) -> None:
     if len(polygon) < 3:
         raise UsageError(f"{len(polygon)} corners make no polygon", remedy="3 or more")
     numbers = [*(value for corner in polygon for value in corner), height]
@@ -82,6 +84,8 @@ def _check(polygon: Sequence[tuple[float, float]], spacing: float, height: float
         raise UsageError("a corner of the polygon, or the height, is not a finite number")
     if not 0 < spacing < math.inf:
         raise UsageError(f"lines cannot be {spacing:g} m apart", remedy="more than 0")
+    if not math.isfinite(angle_deg):
+        raise UsageError(f"lines cannot have the direction {angle_deg:g}°", remedy="0 to 360°")
 
 
 def _crossings(corners: Sequence[tuple[float, float]], across: float) -> list[tuple[float, float]]:

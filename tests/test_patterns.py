@@ -67,6 +67,8 @@ def test_a_concave_field_has_lines_in_several_parts() -> None:
     ("polygon", "options", "words"),
     [
         ([], {}, "0 corners"),
+        (FIELD, {"angle_deg": math.nan}, "direction nan"),
+        (FIELD, {"angle_deg": math.inf}, "direction inf"),
         ([(0, 0), (1, 1)], {}, "2 corners"),
         ([(0, 0), (1, 1), (2, math.nan)], {}, "finite"),
         (FIELD, {"height": math.inf}, "finite"),

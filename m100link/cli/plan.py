@@ -22,7 +22,7 @@ from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import survey as lines_over
 from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
 
-__all__ = ["File", "FileOptions", "app", "read_plan"]
+__all__ = ["File", "FileOptions", "app", "read_plan", "require_free"]
 
 app = cyclopts.App(
     name="plan",
@@ -331,10 +331,26 @@ def _write(
     if str(target) == "-":
         sys.stdout.write(text)
         return ExitCode.OK
-    if Path(target).exists() and not force:
-        raise UsageError(f"{target} is there already", remedy="--force writes over it")
+    require_free(target, force=force)
     files.write(target, text)
     return ExitCode.OK
+
+
+def require_free(target: str | Path, *, force: bool) -> None:
+    """See that a file may be written there, before anything is done for it.
+
+    Raises:
+        UsageError: There is one, and nobody said ``--force``; or there cannot be one.
+    """
+    path = Path(target)
+    if path.is_dir():
+        raise UsageError(f"{target} is a folder", remedy=f"name a file: {path / 'plan.json'}")
+    if path.exists() and not force:
+        raise UsageError(f"{target} is there already", remedy="--force writes over it")
+    if not path.parent.is_dir():
+        raise UsageError(
+            f"there is no folder {path.parent}", remedy="make it first, or name another one"
+        )
 
 
 @app.command

@@ -51,7 +51,12 @@ def write(path: str | Path, text: str) -> None:
 
 def _unusable(path: str | Path, done: str, error: Exception) -> BadPlan:
     reason = getattr(error, "strerror", None) or error
-    return BadPlan(f"{os.fspath(path)!r} cannot be {done}: {reason}", remedy="name a file")
+    remedy = "name a file"
+    if isinstance(error, FileNotFoundError):
+        remedy = "check its name" if done == "read" else "make its folder first"
+    elif isinstance(error, PermissionError):
+        remedy = f"see who may {'read' if done == 'read' else 'write'} it"
+    return BadPlan(f"{os.fspath(path)!r} cannot be {done}: {reason}", remedy=remedy)
 
 
 def is_named_plan(path: str | Path) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
-from m100link.missions.checks import NEAREST_M
+from m100link.missions.checks import FASTEST_M_S, NEAREST_M
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import AtEnd, GimbalPitch, TakePhoto, Waypoint
 from m100link.patterns import survey as lines_over
@@ -92,6 +92,8 @@ def survey(
         )
     try:
         frame = LocalFrame(*area[0])
+        for corner in area:
+            LocalFrame(*corner)  # which knows what a place is
         corners = [frame.to_local(*corner) for corner in area]
         origin = (0.0, 0.0) if start is None else frame.to_local(*start)
     except ValueError as error:
@@ -108,7 +110,7 @@ def survey(
             for index, place in enumerate(_apart(way))
         ],
         speed=speed,
-        max_speed=max(speed, 10.0),
+        max_speed=min(max(speed, 10.0), FASTEST_M_S),
         at_end=at_end,
     )
 

@@ -266,10 +266,21 @@ def test_what_may_be_left_out_is_named(cli: CommandLine, tmp_path: Path) -> None
         assert cli("plan", "convert", str(path), "-", *named).status == ExitCode.OK
 
 
-def test_a_place_that_cannot_be_written_is_an_error(cli: CommandLine, file: str) -> None:
-    outcome = cli("plan", "convert", file, "/proc/nowhere/x.json")
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ("/proc/nowhere/x.json", ("there is no folder /proc/nowhere", "make it first")),
+        ("/proc", ("/proc is a folder", "name a file: /proc/plan.json")),
+        ("/proc/x.json", ("cannot be written", "folder")),
+    ],
+)
+@pytest.mark.parametrize("force", [(), ("--force",)])
+def test_a_place_that_cannot_be_written_is_an_error(
+    cli: CommandLine, file: str, target: str, words: tuple[str, str], force: tuple[str, ...]
+) -> None:
+    outcome = cli("plan", "convert", file, target, *force)
     assert outcome.status == ExitCode.USAGE
-    assert "cannot be written" in outcome.err
+    assert all(word in outcome.err for word in words), outcome.err
 
 
 FIELD = ("52.1,4.31", "52.1005,4.31", "52.1005,4.3108", "52.1,4.3108")
