@@ -281,6 +281,12 @@ def plot(
 
 def _unknown_column(field: str) -> UsageError:
     known = columns_of(BY_RECORD)
+    if field.lower() in ITEM_NAMES:
+        item = ITEM_NAMES[field.lower()].name
+        columns = [name for name in known if name.partition(".")[0] == item]
+        return UsageError(
+            f"{field} is an item, not a column", remedy=f"one of: {', '.join(columns)}"
+        )
     by_end = {name.rpartition(".")[2]: name for name in known} | {name: name for name in known}
     near = [by_end[end] for end in get_close_matches(field.lower(), by_end, n=2, cutoff=0.7)]
     meant = f"did you mean {' or '.join(dict.fromkeys(near))}? " if near else ""
@@ -299,7 +305,14 @@ def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
                 for field in fields:
                     if values.get(field):
                         points[field].append((float(values["received_at"]), float(values[field])))
-    except (OSError, KeyError, ValueError) as error:
+    except OSError as error:
+        return complain(
+            UsageError(
+                f"{path} cannot be read: {error.strerror}",
+                remedy="check its name, and who may read it",
+            )
+        )
+    except (KeyError, ValueError) as error:
         return complain(
             UsageError(
                 f"{path} cannot be plotted, line {lines}: {error}",

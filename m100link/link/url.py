@@ -88,7 +88,7 @@ def _serial(url: str, rest: str, baud_rate: int) -> ConnectionString:
         return ConnectionString("serial", rest, baud_rate)  # names by path have colons of their own
     if baud is not None:
         if not baud.isdecimal() or int(baud) == 0:
-            raise _bad(url, f"has the baud rate {baud!r}, which is not a number")
+            raise _bad(url, f"has the baud rate {baud!r}, which is not a number above 0")
         baud_rate = int(baud)
     return ConnectionString("serial", device, baud_rate)
 
@@ -100,7 +100,7 @@ def _tcp(url: str, text: str) -> ConnectionString:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port
     except ValueError:
-        host = port = None
-    if not host or port is None:
-        raise _bad(url, "has no host or no port number")
+        raise _bad(url, "has no port number of 1 to 65535") from None
+    if not host or not port:
+        raise _bad(url, f"has no {'host' if not host else 'port number'}")
     return ConnectionString("tcp", host, port)

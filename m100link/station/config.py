@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import secrets
 import tomllib
@@ -311,33 +312,50 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
     return table
 
 
+_ABOVE_0 = ("baud_rate", "timeout", "max_clients")
+
 _WANTED = {"int": "a whole number", "float": "a number", "bool": "true or false", "tuple": "a list"}
 
 
 def _convert(name: str, value: Any, source: str) -> Any:
     kind = str(_KINDS[name])
+    above = " above 0" if name in _ABOVE_0 else ""
     try:
-        if kind.startswith("tuple"):
-            items = value if isinstance(value, list | tuple) else [value]
-            return tuple(int(one) if "int" in kind else str(one) for one in items)
-        if kind.startswith("int"):
-            if isinstance(value, bool | float):
-                raise ValueError
-            return int(value, 0) if isinstance(value, str) else int(value)
-        if kind.startswith("float"):
-            if isinstance(value, bool):
-                raise ValueError
-            return float(value)
-        if kind.startswith("bool"):
-            if not isinstance(value, bool):
-                raise ValueError
-            return value
-        if not isinstance(value, str | Path):
+        made = _as(kind, value)
+        if above and not 0 < made < math.inf:
             raise ValueError
-        return Path(value) if kind.startswith("Path") else str(value)
+        return made
     except (TypeError, ValueError):
         shown = "what is there" if name in ("key", "token") else repr(value)
         # Nobody finds the setting `app_id` in an environment that has M100LINK_APP_ID.
         called = ENVIRONMENT[name] if source == "environment" else f"{source}: {name}"
         wanted = next((words for start, words in _WANTED.items() if kind.startswith(start)), "text")
-        raise UsageError(f"{called} cannot be {shown}", remedy=f"{wanted} is needed") from None
+        raise UsageError(
+            f"{called} cannot be {shown}", remedy=f"{wanted}{above} is needed"
+        ) from None
+
+
+def _as(kind: str, value: Any) -> Any:
+    """A value as a setting of this type.
+
+    Raises:
+        TypeError, ValueError: It cannot be one.
+    """
+    if kind.startswith("tuple"):
+        items = value if isinstance(value, list | tuple) else [value]
+        return tuple(int(one) if "int" in kind else str(one) for one in items)
+    if kind.startswith("int"):
+        if isinstance(value, bool | float):
+            raise ValueError
+        return int(value, 0) if isinstance(value, str) else int(value)
+    if kind.startswith("float"):
+        if isinstance(value, bool):
+            raise ValueError
+        return float(value)
+    if kind.startswith("bool"):
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+    if not isinstance(value, str | Path):
+        raise ValueError
+    return Path(value) if kind.startswith("Path") else str(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -97,7 +98,24 @@ def test_a_virtual_aircraft_is_asked_for_louder_than_a_port_in_a_file(launch: Pa
 def test_a_mistake_in_the_environment_names_its_variable() -> None:
     with pytest.raises(UsageError, match=r"^M100LINK_BAUD_RATE cannot be 'fast'") as caught:
         resolve({}, {"M100LINK_BAUD_RATE": "fast"})
-    assert caught.value.remedy == "a whole number is needed"
+    assert caught.value.remedy == "a whole number above 0 is needed"
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"baud_rate": 0},
+        {"baud_rate": -9600},
+        {"timeout": 0.0},
+        {"timeout": math.nan},
+        {"timeout": math.inf},
+        {"max_clients": 0},
+    ],
+)
+def test_what_has_to_be_above_0_is(given: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match="cannot be") as caught:
+        resolve(given, {})
+    assert "number above 0" in caught.value.remedy
 
 
 @pytest.mark.parametrize(
