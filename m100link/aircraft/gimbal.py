@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from m100link.requests import Requests
     from m100link.telemetry.stream import TelemetryStream
 
-__all__ = ["AircraftGimbal", "GimbalRates"]
+__all__ = ["AircraftGimbal", "GimbalRates", "angles_command", "rates_command"]
 
 _logger = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class GimbalRates:
     """Angular rates that are being repeated; :meth:`set` replaces them."""
 
     def __init__(self, *, yaw: float, pitch: float, roll: float) -> None:
-        self._command = _speed(yaw, pitch, roll)
+        self._command = rates_command(yaw=yaw, pitch=pitch, roll=roll)
 
     @property
     def command(self) -> GimbalSpeed:
@@ -56,7 +56,7 @@ class GimbalRates:
         Raises:
             UsageError: Beyond 180 degrees per second, or not a number.
         """
-        self._command = _speed(yaw, pitch, roll)
+        self._command = rates_command(yaw=yaw, pitch=pitch, roll=roll)
 
 
 class AircraftGimbal:
@@ -114,16 +114,10 @@ class AircraftGimbal:
             NotObserved: With ``wait``: the angles did not show in time.
             NotActivated, LevelTooLow, CommandNotSupported, LinkError: Nothing was sent.
         """
-        wanted = {"yaw": yaw, "roll": roll, "pitch": pitch}  # in the order of the wire
-        angles = {axis: angle for axis, angle in wanted.items() if angle is not None}
-        if not angles:
-            raise UsageError("no angle was given", remedy="set_angles(pitch=-45)")
-        in_range("seconds", seconds, 0.1, 25.5, "s")
-        mode = 0 if relative else int(GimbalAngleMode.ABSOLUTE)
-        for axis, keep in _KEEP.items():
-            mode |= 0 if axis in angles else keep
-        command = GimbalAngle(yaw or 0.0, roll or 0.0, pitch or 0.0, mode, seconds)
-        command.value(self._requests.firmware)  # what cannot be sent is refused before the rest
+        command = angles_command(
+            yaw=yaw, pitch=pitch, roll=roll, seconds=seconds, relative=relative
+        )
+        angles = _named(yaw=yaw, pitch=pitch, roll=roll)
         if not wait:
             await self._requests.send(command)
             return
@@ -208,10 +202,10 @@ class AircraftGimbal:
             UsageError: A rate beyond its limit, or a time that is not one; nothing was sent.
             NotActivated, LevelTooLow, CommandNotSupported, LinkError: See each class.
         """
+        command = rates_command(yaw=yaw, pitch=pitch, roll=roll, seconds=seconds)
         if seconds is None:
-            await self._requests.send(_speed(yaw, pitch, roll))
+            await self._requests.send(command)
             return
-        in_range("seconds", seconds, 0.0, 3600.0, "s")
         async with self.hold_angular_rates(yaw=yaw, pitch=pitch, roll=roll):
             await asyncio.sleep(seconds)
 
@@ -253,11 +247,50 @@ class AircraftGimbal:
             self._requests.push(rates.command)
 
 
-def _speed(yaw: float, pitch: float, roll: float) -> GimbalSpeed:
-    """The command, checked."""
+def angles_command(
+    *,
+    yaw: float | None = None,
+    pitch: float | None = None,
+    roll: float | None = None,
+    seconds: float = 1.0,
+    relative: bool = False,
+) -> GimbalAngle:
+    """The command of :meth:`AircraftGimbal.set_angles`, checked: that takes no aircraft.
+
+    Raises:
+        UsageError: No angle, one beyond its limit, or a time that does not fit.
+    """
+    angles = _named(yaw=yaw, pitch=pitch, roll=roll)
+    if not angles:
+        raise UsageError("no angle was given", remedy="set_angles(pitch=-45)")
+    in_range("seconds", seconds, 0.1, 25.5, "s")
+    mode = 0 if relative else int(GimbalAngleMode.ABSOLUTE)
+    for axis, keep in _KEEP.items():
+        mode |= 0 if axis in angles else keep
+    command = GimbalAngle(yaw or 0.0, roll or 0.0, pitch or 0.0, mode, seconds)
+    command.check()
+    return command
+
+
+def rates_command(
+    *, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0, seconds: float | None = None
+) -> GimbalSpeed:
+    """The command that :meth:`AircraftGimbal.set_angular_rates` repeats, checked.
+
+    Raises:
+        UsageError: A rate beyond its limit, or a time that is not one.
+    """
+    if seconds is not None:
+        in_range("seconds", seconds, 0.0, 3600.0, "s")
     for axis, rate in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
         in_range(f"{axis} rate", rate, -180.0, 180.0, "°/s")
     return GimbalSpeed(yaw_deg_s=yaw, roll_deg_s=roll, pitch_deg_s=pitch)
+
+
+def _named(*, yaw: float | None, pitch: float | None, roll: float | None) -> dict[str, float]:
+    """The angles that were given, by axis."""
+    wanted = {"yaw": yaw, "roll": roll, "pitch": pitch}  # in the order of the wire
+    return {axis: angle for axis, angle in wanted.items() if angle is not None}
 
 
 def _by_axis(seen: Gimbal) -> dict[str, float]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from m100link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["set_telemetry_rates"]
+__all__ = ["rates_by_item", "set_telemetry_rates"]
 
 _SETTLING_S = 0.3  # what was on its way, and the ack
 _WATCH_S = 1.2
@@ -27,7 +27,7 @@ async def set_telemetry_rates(
     requests: Requests, state: AircraftState, rates_hz: Mapping[str, int]
 ) -> dict[str, float]:
     """See :meth:`m100link.Aircraft.set_telemetry_rates`."""
-    wanted = _items(rates_hz)
+    wanted = rates_by_item(rates_hz)
     code = await requests.execute(
         SetTelemetryRates({item.name: rate for item, rate in wanted.values()}),
         timeout=0.3,
@@ -44,8 +44,8 @@ async def set_telemetry_rates(
     return await _observe(state, wanted)
 
 
-def _items(rates_hz: Mapping[str, int]) -> dict[str, tuple[Item, int]]:
-    """What was asked for, by the names that the program uses.
+def rates_by_item(rates_hz: Mapping[str, int]) -> dict[str, tuple[Item, int]]:
+    """What was asked for, by the names that the program uses; checked, which takes no aircraft.
 
     Raises:
         UsageError: Nothing, no such item, one item twice, or a rate that the wire does not have.

@@ -142,7 +142,8 @@ def fly(
     where = (link or LinkOptions()).place(place[0] if has_place else None, app)
     if where.is_virtual:
         err.print("sim:// is a new aircraft for each command, on the ground; `m100link sim` stays")
-    guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
+    envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
+    envelope.check("fly", far=math.hypot(north, east))
 
     def progress(found: GuidanceProgress) -> None:
         if sys.stderr.isatty():
@@ -156,7 +157,7 @@ def fly(
         yes,
         f"fly {north:g} m north, {east:g} m east, {up:g} m up",
         lambda control: control.fly_to(north=north, east=east, up=up, progress=progress),
-        guards,
+        Guards(envelope=envelope),
     )
     return run_async(flight)
 
@@ -199,8 +200,9 @@ def release(
     place = (link or LinkOptions()).place(url, app)
 
     async def run() -> None:
+        credentials = place.credentials()
         async with connect(place.url, **place.arguments()) as aircraft:
-            await activate_app(aircraft, place.credentials())
+            await activate_app(aircraft, credentials)
             if not await aircraft.release_authority():
                 raise NotObserved(
                     "the aircraft did not say that it has control authority back",

@@ -8,7 +8,6 @@ import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated
 
 import cyclopts
@@ -23,12 +22,13 @@ from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out, r
 from m100link.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
 from m100link.cli.options import Above0
 from m100link.cli.outcome import ExitCode, print_json
-from m100link.cli.plan import File, FileOptions, read_plan
+from m100link.cli.plan import File, FileOptions, read_plan, require_free
 from m100link.cli.terminal import ReaderGone
 from m100link.errors import UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.mission_state import MissionKind
+from m100link.flight.missions.checks import check_envelope
 from m100link.flight.missions.events import (
     Finished,
     MissionEvent,
@@ -92,7 +92,8 @@ def fly(
     """
     found = read_plan(plan, file)  # first: it tells of arguments that are exchanged
     place = (link or LinkOptions()).place(url, app)
-    guards = Guards(envelope=Envelope(max_height_m=max_height, max_radius_m=max_radius))
+    envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
+    check_envelope(envelope, found)  # before the aircraft is asked anything
 
     left: list[Callable[[], str]] = []
 
@@ -114,7 +115,7 @@ def fly(
                 place,
                 flight,
                 what=None if yes else what,
-                guards=guards,
+                guards=Guards(envelope=envelope),
                 is_admitted=None if take_off else _require_airborne,
                 is_new=True,
             )
@@ -415,8 +416,8 @@ def download(
         force: Write over a file that is there.
     """
     place = (link or LinkOptions()).place(url, app)
-    if output != "-" and Path(output).exists() and not force:
-        raise UsageError(f"{output} is there already", remedy="--force writes over it")
+    if output != "-":
+        require_free(output, force=force)
 
     async def run() -> int:
         credentials = place.credentials()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -11,6 +12,8 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
+from m100link.aircraft.gimbal import angles_command, rates_command
+from m100link.aircraft.rates import rates_by_item
 from m100link.cli.common import AppOptions, LinkOptions, Place, Url, out, places, run_async
 from m100link.cli.flight import activate_app
 from m100link.cli.options import Above0, offered
@@ -64,6 +67,10 @@ def gimbal(
     angles = {axis: angle for axis, angle in named.items() if angle is not None}
     if rates and (relative or not angles):
         raise UsageError("--rates goes with --yaw, --pitch or --roll, and not with --relative")
+    if rates:  # what cannot be sent is refused before a port is opened
+        rates_command(**angles, seconds=seconds)
+    elif angles:
+        angles_command(**angles, seconds=seconds, relative=relative)
 
     async def point(aircraft: Aircraft) -> None:
         if rates:
@@ -122,13 +129,25 @@ def camera(
         link: How to talk to it.
         json: One JSON object; the default in a pipe.
     """
-    place, actions = (link or LinkOptions()).place_among(words, lambda word: word in _CAMERA, app)
-    if len(actions) != 1 or actions[0] not in _CAMERA:
+    actions = [word for word in words if word in _CAMERA]
+    if len(actions) != 1 or words[-1] != actions[0] or len(words) > 2:
         raise UsageError(
-            f"the camera cannot {' '.join(actions) or 'do nothing'}",
-            remedy=f"one of: {', '.join(_CAMERA)}",
+            _not_an_action(words),
+            remedy=f"the aircraft, if it is named at all, then one of: {', '.join(_CAMERA)}",
         )
+    place, _ = (link or LinkOptions()).place_among(words, lambda word: word in _CAMERA, app)
     return run_async(_camera(place, actions[0], json or not sys.stdout.isatty()))
+
+
+def _not_an_action(words: Sequence[str]) -> str:
+    """What is wrong with words that are not an aircraft and one action."""
+    actions = [word for word in words if word in _CAMERA]
+    if len(actions) > 1:
+        return f"{len(actions)} actions were given: {' '.join(actions)}"
+    if actions:
+        return f"{' '.join(words)!r} is not an aircraft and an action"
+    strange = words[1:] or [word for word in words if not re.search(r"[:/]", word)]
+    return f"the camera has no action {strange[0]!r}" if strange else "no action was given"
 
 
 async def _camera(place: Place, action: str, as_json: bool) -> None:
@@ -189,6 +208,8 @@ def _pairs(words: Sequence[str]) -> dict[str, int]:
         if name in found:
             raise UsageError(f"two rates were given for {name}")
         found[name] = int(rate)
+    if found:  # what cannot be is refused before a port is opened
+        rates_by_item(found)
     return found
 
 

@@ -67,6 +67,41 @@ class Envelope:
             if not getattr(self, name) > 0:
                 raise UsageError(f"{name} must be more than 0, not {getattr(self, name)}")
 
+    def check(
+        self,
+        what: str,
+        *,
+        height: float | None = None,
+        far: float | None = None,
+        speed: float = 0.0,
+    ) -> None:
+        """Whether a target lies inside; what is None is not known.
+
+        Args:
+            what: Name of the flight.
+            height: Metres above the take-off point.
+            far: Metres from where control was obtained.
+            speed: On the way, m/s.
+
+        Raises:
+            GuardRefused: Outside, with the target and what widens the envelope.
+        """
+        for value, limit, unit, seen, name in (
+            (height, self.max_height_m, "m", "a height of {:.1f} m", "max_height_m"),
+            (far, self.max_radius_m, "m", "{:.0f} m from the start", "max_radius_m"),
+            (speed, self.max_speed_m_s, "m/s", "a speed of {:.1f} m/s", "max_speed_m_s"),
+        ):
+            if value is not None and value > limit + 1e-9:
+                widen = f"control(guards=Guards(envelope=Envelope({name}=…)))"
+                raise GuardRefused(
+                    f"{what} to {seen.format(value)} was refused: the envelope ends at "
+                    f"{limit:g} {unit}",
+                    guard="envelope",
+                    measured=value,
+                    limit=limit,
+                    remedy=f"a target inside, or {widen}",
+                )
+
 
 @dataclass(frozen=True, slots=True)
 class Guards:
@@ -275,33 +310,7 @@ class GuardKeeper:
         here = self._from_start(known(self._state, Position))
         if place is not None and here is not None and self._origin is not None:
             far = math.hypot(*self._origin.to_local(*place)) + radius
-        for value, limit, unit, seen, name in (
-            (
-                height,
-                envelope.max_height_m,
-                "m",
-                "a height of {:.1f} m",
-                "max_height_m",
-            ),
-            (
-                far,
-                envelope.max_radius_m,
-                "m",
-                "{:.0f} m from the start",
-                "max_radius_m",
-            ),
-            (speed, envelope.max_speed_m_s, "m/s", "a speed of {:.1f} m/s", "max_speed_m_s"),
-        ):
-            if value is not None and value > limit + 1e-9:
-                widen = f"control(guards=Guards(envelope=Envelope({name}=…)))"
-                raise GuardRefused(
-                    f"{what} to {seen.format(value)} was refused: the envelope ends at "
-                    f"{limit:g} {unit}",
-                    guard="envelope",
-                    measured=value,
-                    limit=limit,
-                    remedy=f"a target inside, or {widen}",
-                )
+        envelope.check(what, height=height, far=far, speed=speed)
 
     def _may_still_come(self, record: type[Any]) -> bool:
         """Whether an item has never come, and had no time yet."""

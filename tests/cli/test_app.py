@@ -155,3 +155,43 @@ def test_a_verb_that_flies_nothing_is_interrupted_with_a_line(
     monkeypatch.setattr("m100link.cli.plan.read_plan", interrupted)
     outcome = cli("plan", "check", "survey.json")
     assert (outcome.status, outcome.err) == (ExitCode.INTERRUPTED, "interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "says"),
+    [
+        (("gimbal", "--pitch", "-200"), ExitCode.USAGE, "stay within -90 to 30"),
+        (("gimbal", "--pitch", "nan"), ExitCode.USAGE, "stay within -90 to 30"),
+        (("gimbal", "--yaw", "10", "--seconds", "30"), ExitCode.USAGE, "0.1 to 25.5 s"),
+        (("gimbal", "--yaw", "200", "--rates"), ExitCode.USAGE, "-180 to 180"),
+        (("gimbal", "--yaw", "20", "--rates", "--seconds", "1e9"), ExitCode.USAGE, "3600 s"),
+        (("camera", "foto"), ExitCode.USAGE, "no action 'foto'"),
+        (("rates", "attitude=7"), ExitCode.USAGE, "cannot be sent at 7 Hz"),
+        (("rates", "altitude=50"), ExitCode.USAGE, "no telemetry item is called 'altitude'"),
+        (("rates", "rc=1", "remote_control=1"), ExitCode.USAGE, "two rates"),
+        (("fly", "500", "0", "1"), ExitCode.REFUSED, "or --max-radius"),
+        (("fly", "5", "0", "1", "--max-radius", "4.9"), ExitCode.REFUSED, "envelope ends at 4.9"),
+        (("plot", "attitude"), ExitCode.USAGE, "one of: quaternion.q0"),
+        (("mission", "download", "-o", "/proc/nowhere/x"), ExitCode.USAGE, "there is no folder"),
+        (("echo", "positon"), ExitCode.USAGE, "did you mean position"),
+        (("serve", "--timeout", "0"), ExitCode.USAGE, "a number above 0"),
+        (("serve", "--baud", "0"), ExitCode.USAGE, "a whole number above 0"),
+    ],
+)
+def test_what_no_aircraft_is_needed_to_refuse_is_refused_before_a_port_is_opened(
+    cli: CommandLine, app: list[str], words: tuple[str, ...], status: int, says: str
+) -> None:
+    verbs = 2 if words[0] == "mission" else 1
+    names_app = words[0] in ("gimbal", "camera", "fly", "mission")
+    place = (*words[:verbs], "/dev/no-such-port", *words[verbs:])
+    outcome = cli(*place, *(app if names_app else ()))
+    assert (outcome.status, outcome.out) == (status, "")
+    assert says in outcome.err
+    assert "/dev/no-such-port" not in outcome.err
+
+
+@pytest.mark.parametrize("verb", ["takeoff", "land", "home", "release", "activate"])
+def test_a_missing_app_is_told_before_a_port_is_opened(cli: CommandLine, verb: str) -> None:
+    outcome = cli(verb, "/dev/no-such-port")
+    assert outcome.status == ExitCode.USAGE
+    assert "no app id was given" in outcome.err

@@ -168,7 +168,11 @@ SIM = "sim://?firmware=3.1"
             "leave the speed out; an aircraft with",
         ),
         (("fly", "PLAN", "sim://", "--take-off"), ExitCode.REFUSED, "firmware 1.0 does not know"),
-        (("fly", "PLAN", SIM, "--max-height", "2"), ExitCode.USAGE, "on the ground"),
+        (
+            ("fly", "PLAN", "/dev/no-such-port", "--max-height", "2"),
+            ExitCode.REFUSED,
+            "waypoint 0 of the waypoint mission to a height of",
+        ),
         (
             ("fly", "PLAN", SIM, "--take-off", "--max-height", "2"),
             ExitCode.REFUSED,

@@ -12,14 +12,24 @@ from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Battery, FlightPhase, FlightStatus, Position
 
 if TYPE_CHECKING:
+    from m100link.flight.guards import Envelope
     from m100link.flight.missions.deck import Deck
     from m100link.missions.plan import WaypointPlan
 
-__all__ = ["FAR_M", "check_battery", "check_plan", "check_way", "require_airborne"]
+__all__ = [
+    "FAR_M",
+    "check_battery",
+    "check_envelope",
+    "check_plan",
+    "check_way",
+    "require_airborne",
+]
 
 FAR_M = 500.0
 """Horizontal metres to the first waypoint, centre or target from which a mission must be allowed by
 name: a plan of another place is a mistake that is made."""
+
+_WHAT = "the waypoint mission"
 
 
 async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False) -> bool:
@@ -55,19 +65,31 @@ async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False)
     return is_on_ground
 
 
+def check_envelope(envelope: Envelope, plan: WaypointPlan) -> None:
+    """Whether heights and speed of a plan lie inside, wherever the aircraft is.
+
+    Raises:
+        GuardRefused: One does not.
+    """
+    for index, point in enumerate(plan.waypoints):
+        envelope.check(f"waypoint {index} of {_WHAT}", height=point.height)
+    envelope.check(_WHAT, speed=abs(plan.speed))
+
+
 def check_plan(deck: Deck, plan: WaypointPlan, *, allow_far: bool) -> None:
     """Whether a plan may be flown from here, with this battery, within the envelope.
 
     Raises:
         GuardRefused: With the guard, the waypoint, the measured value and the limit.
     """
-    what = "the waypoint mission"
+    envelope = deck.guards.guards.envelope
+    if envelope is not None:
+        check_envelope(envelope, plan)
     for index, point in enumerate(plan.waypoints):
         place = point.latitude_deg, point.longitude_deg
-        deck.guards.check_target(f"waypoint {index} of {what}", place, height=point.height)
-    deck.guards.check_target(what, speed=abs(plan.speed))
+        deck.guards.check_target(f"waypoint {index} of {_WHAT}", place)
     first = plan.waypoints[0]
-    check_way(deck, what, (first.latitude_deg, first.longitude_deg), allow_far=allow_far)
+    check_way(deck, _WHAT, (first.latitude_deg, first.longitude_deg), allow_far=allow_far)
 
 
 def check_battery(deck: Deck, plan: WaypointPlan) -> None:

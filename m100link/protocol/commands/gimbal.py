@@ -133,8 +133,8 @@ class GimbalAngle(Push):
         """Yaw, roll and pitch, in the order of the wire."""
         return self.yaw_deg, self.roll_deg, self.pitch_deg
 
-    def value(self, profile: FirmwareProfile) -> bytes:
-        """8 bytes.
+    def check(self) -> None:
+        """Whether it could be sent at all.
 
         Raises:
             UsageError: An angle that the gimbal does not have, or a time that does not fit.
@@ -144,6 +144,14 @@ class GimbalAngle(Push):
             in_range(axis, angle, low, high, "°")
         in_range("mode", self.mode, 0, _MODE_BITS)
         in_range("duration", self.duration_s, 0.0, _DURATION_LIMIT_S, "s")
+
+    def value(self, profile: FirmwareProfile) -> bytes:
+        """8 bytes.
+
+        Raises:
+            UsageError: See :meth:`check`.
+        """
+        self.check()
         duration = round(self.duration_s * 10.0)
         return _ANGLE.pack(*_tenths(self.angles_deg), self.mode, duration)
 
