@@ -16,8 +16,8 @@ from typing import Any
 from playwright.async_api import async_playwright
 
 from tests.browser.conftest import ARGUMENTS, CHROMIUM, console_in_browser
+from tests.browser.operator import airborne
 from tests.browser.recording import film, record
-from tests.browser.test_console import airborne
 
 IMAGES = Path(__file__).parents[2] / "docs/images"
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from tests.browser.conftest import Console, until
-from tests.browser.test_console import banner, look_at, press, shows
+from tests.browser.conftest import Console
+from tests.browser.operator import banner, look_at, press_for, press_until, shows
 
 pytestmark = [pytest.mark.anyio]
 
@@ -79,11 +79,14 @@ async def test_take_off_needs_a_green_checklist_or_a_reason(console: Console) ->
     assert await page.locator(take_off).is_disabled()
     await page.get_by_label("Why do you take off").fill("a test of weak GPS")
     await page.wait_for_selector(f"{take_off}:not([disabled])")
-    box = await page.locator(take_off).bounding_box()
-    await page.mouse.move(box["x"] + 10, box["y"] + 10)
-    await page.mouse.down()
-    await until(lambda: console.watch.height > 0.5)
-    await page.mouse.up()
+
+    async def hold_here(page: Any, _: str) -> None:
+        await page.locator(take_off).hover(position={"x": 10, "y": 10})
+        await page.mouse.down()
+        await asyncio.sleep(2.0)
+        await page.mouse.up()
+
+    await press_until(page, "take_off", lambda: console.watch.height > 0.5, hold_here)
     await look_at(page, "events")
     await shows(page, "#events", "takes off although not right: GPS")
     await shows(page, "#events", "Reason: a test of weak GPS")
@@ -109,8 +112,7 @@ async def test_what_was_chosen_is_kept_by_the_browser(console: Console) -> None:
     await look_at(page, "check")
     await shows(page, "[data-check=guards]", "164 ft hoch")
     await look_at(page, "fly")
-    await press(page, "activate")
-    await shows(page, "#activation", "Aktivierung: aktiv")
-    await press(page, "obtain")
     other = await console.open()
+    await press_for(page, "activate", "#activation", "Aktivierung: aktiv")
+    await press_for(page, "obtain", "#banner", "Sie haben die Steuerung")
     await banner(other, "Anna hat die Steuerung")

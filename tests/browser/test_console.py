@@ -9,8 +9,6 @@ import signal
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,106 +17,37 @@ import pytest
 from m100link import Waypoint, WaypointPlan
 from tests.browser.conftest import (
     Console,
+    Watch,
     console_in_browser,
     context_of,
     running_console,
     until,
 )
-from tests.waiting import PATIENCE
+from tests.browser.operator import (
+    GAMEPAD,
+    airborne,
+    banner,
+    hold_key,
+    hold_until,
+    in_control,
+    is_still,
+    look_around,
+    look_at,
+    press,
+    press_for,
+    press_until,
+    shows,
+    steer,
+    take_off,
+)
 
 pytestmark = [pytest.mark.anyio]
 
 
-async def press(page: Any, name: str) -> None:
-    await page.click(f"[data-act={name}]")
-
-
-async def look_at(page: Any, view: str) -> None:
-    await page.click(f"[data-go={view}]")
-
-
-async def hold(page: Any, name: str, seconds: float = 2.0) -> None:
-    # It waits until the button stands still and nothing lies over it.
-    await page.locator(f"[data-act={name}]").first.hover(position={"x": 10, "y": 10})
-    await page.mouse.down()
-    await asyncio.sleep(seconds)
-    await page.mouse.up()
-
-
-async def banner(page: Any, text: str) -> None:
-    await shows(page, "#banner", text)
-
-
-async def shows(page: Any, selector: str, text: str) -> None:
-    await page.wait_for_function(
-        "([selector, text]) => document.querySelector(selector)?.textContent.includes(text)",
-        arg=[selector, text],
-    )
-
-
-async def look_around(page: Any) -> None:
-    """What the operator has to say before take-off."""
-    await look_at(page, "check")
-    # It is checked when the station has taken it, which a busy machine does in its own time.
-    await page.get_by_role("checkbox", name="I have looked").click()
-    await page.wait_for_selector("[data-check=free].right")
-    await look_at(page, "fly")
-
-
-NOT_TAKEN = ("stood still", "on its way", "shifted", "not offered", "was withdrawn")
-
-
-async def hold_until(
-    page: Any, name: str, done: Callable[[], bool | Awaitable[bool]], attempts: int = 6
-) -> None:
-    """Hold a button as people do: again when the page says that it was too slow.
-
-    And when nothing comes of it: a button that is grey as the finger comes down takes no press.
-    """
-    problem = ""
-
-    async def is_done() -> bool:
-        result = done()
-        return result if isinstance(result, bool) else await result
-
-    async def answered() -> bool:
-        nonlocal problem
-        problem = await page.inner_text("#problem")
-        return bool(problem) or await is_done()
-
-    for _ in range(attempts):
-        await page.wait_for_selector(f"[data-act={name}]:not([disabled])")
-        if await is_done():
-            return
-        await hold(page, name)
-        with suppress(AssertionError):
-            await until(answered, within=PATIENCE / attempts)
-        if await is_done():
-            return
-        assert not problem or any(why in problem for why in NOT_TAKEN), problem
-    raise AssertionError(f"{name} was held {attempts} times, and nothing came of it")
-
-
-async def take_off(page: Any, console: Console) -> None:
-    await hold_until(page, "take_off", lambda: console.watch.height > 1.0)
-
-
-async def airborne(console: Console, script: str = "") -> Any:
-    page = await console.open(script)
-    await press(page, "activate")
-    await page.wait_for_function(
-        "document.querySelector('#activation').textContent.includes('active')"
-    )
-    await press(page, "obtain")
-    await banner(page, "You have control")
-    await look_around(page)
-    await take_off(page, console)
-    await page.wait_for_selector("[data-act=land]:not([disabled])")
-    return page
-
-
-def is_still(console: Console) -> bool:
-    return math.hypot(*console.watch.speed) < 0.15
+def heading(watch: Watch) -> float:
+    """By the first parts of the attitude, rad."""
+    attitude = watch.newest["attitude"]["quaternion"]
+    return 2.0 * math.atan2(attitude["z"], attitude["w"])
 
 
 async def test_a_whole_mission_by_clicks_and_keys(console: Console) -> None:
@@ -134,71 +63,76 @@ async def test_a_whole_mission_by_clicks_and_keys(console: Console) -> None:
         ("z", lambda: watch.speed[2] > 0.2),
         ("c", lambda: watch.speed[2] < -0.2),
     ):
-        await page.keyboard.down(key)
-        await until(moves, what=key)
+        await hold_key(page, key, moves)
         await page.keyboard.up(key)
         await until(lambda: is_still(console), what=f"{key} released")
-    before = watch.newest["attitude"]["quaternion"]
-    await page.keyboard.down("e")
-    await asyncio.sleep(1.0)
+    before = heading(watch)
+    await hold_key(page, "e", lambda: math.cos(heading(watch) - before) < math.cos(0.1))
     await page.keyboard.up("e")
-    assert watch.newest["attitude"]["quaternion"] != before
     await page.keyboard.press("Digit9")
-    await page.keyboard.down("w")
-    await until(lambda: watch.speed[1] > 1.0, what="velocity to the north")
+    await hold_key(page, "w", lambda: watch.speed[1] > 1.0)
     await page.keyboard.up("w")
     await until(lambda: is_still(console))
     await hold_until(page, "land", lambda: watch.status == 1)
     await page.wait_for_function("document.querySelector('#task').textContent === ''")
-    await press(page, "release")
-    await banner(page, "Nobody has control")
+    await press_for(page, "release", "#banner", "Nobody has control")
     assert await page.inner_text("#problem") == ""
+
+
+# Both by the page's clock, so that no machine is so busy that it becomes a long one.
+SHORT_PRESS = """() => new Promise((done) => {
+  const say = (kind) => document.querySelector("[data-act=take_off]").dispatchEvent(
+    new PointerEvent(kind, {bubbles: true, pointerId: 1}));
+  say("pointerdown");
+  setTimeout(() => { say("pointerup"); done(); }, 400);
+})"""
 
 
 async def test_a_short_press_neither_takes_off_nor_lands(console: Console) -> None:
     page = await console.open()
-    await press(page, "activate")
-    await page.wait_for_function(
-        "document.querySelector('#activation').textContent.includes('active')"
-    )
-    await press(page, "obtain")
-    await banner(page, "You have control")
+    await in_control(page)
     await look_around(page)
-    await hold(page, "take_off", 0.4)
+    await page.wait_for_selector("[data-act=take_off]:not([disabled])")
+    await page.evaluate(SHORT_PRESS)
     await page.click("[data-act=take_off]")
     await asyncio.sleep(1.5)
     assert console.watch.status == 1
     await take_off(page, console)
 
 
+# In the frame in which the header grows: the page's own observer was there first.
+PRESS_AS_IT_SHIFTS = """() => {
+  const header = document.querySelector("#header"), height = header.offsetHeight;
+  new ResizeObserver((_, observer) => {
+    if (header.offsetHeight === height) return;
+    observer.disconnect();
+    document.querySelector("[data-act=take_off]").dispatchEvent(
+      new PointerEvent("pointerdown", {bubbles: true, pointerId: 1}));
+  }).observe(header, {box: "border-box"});
+  header.style.paddingBottom = "44px";
+}"""
+
+
 async def test_buttons_stay_where_the_finger_is_or_say_that_they_moved(console: Console) -> None:
     page = await console.open()
     places = "() => [...document.querySelectorAll('.orders .act')].map((one) => one.offsetTop)"
     before = await page.evaluate(places)
-    await press(page, "activate")
-    await page.wait_for_function(
-        "document.querySelector('#activation').textContent.includes('active')"
-    )
-    await press(page, "obtain")
-    await banner(page, "You have control")
+    await in_control(page)
     await look_around(page)  # what was missing above them is told no more
     await page.wait_for_selector("[data-act=take_off]:not([disabled])")
     await page.wait_for_selector("#why-not", state="hidden")
     assert await page.evaluate(places) == before
-    await page.locator("[data-act=take_off]").first.hover()
-    await page.evaluate("document.querySelector('#header').style.paddingBottom = '44px'")
-    await page.wait_for_function("document.querySelector('#header').offsetHeight > 90")
-    await hold(page, "take_off", 1.6)
+    await page.evaluate(PRESS_AS_IT_SHIFTS)
     await shows(page, "#problem", "the page shifted as the button was pressed")
     assert console.watch.status == 1
+    await take_off(page, console)
 
 
 async def test_closing_the_tab_in_flight_stops_and_frees_control(console: Console) -> None:
     page = await airborne(console)
     await page.click("#pad")
     await page.keyboard.press("Digit4")
-    await page.keyboard.down("w")
-    await until(lambda: console.watch.speed[1] > 0.5)
+    await hold_key(page, "w", lambda: console.watch.speed[1] > 0.5)
     await page.close()
     await until(lambda: is_still(console))
     assert console.watch.height > 0.8
@@ -211,8 +145,7 @@ async def test_losing_focus_stops_although_the_key_is_held(console: Console, how
     page = await airborne(console)
     await page.click("#pad")
     await page.keyboard.press("Digit4")
-    await page.keyboard.down("w")
-    await until(lambda: console.watch.speed[1] > 0.5)
+    await hold_key(page, "w", lambda: console.watch.speed[1] > 0.5)
     if how == "click elsewhere":
         await page.click("#banner")
     elif how == "escape":
@@ -249,12 +182,12 @@ window.WebSocket = class extends Native {
 async def test_nobody_steers_with_a_second_each_way_and_the_page_says_why(
     console: Console,
 ) -> None:
-    first = await airborne(console)
-    page = await console.open(SLOW)
+    first, page = await console.open(), await console.open(SLOW)
+    await airborne(console, page=first)
     await look_at(page, "check")
     await page.wait_for_selector("[data-check=quality].wrong")  # it would offer no take-off, either
     await look_at(page, "fly")
-    await press(page, "obtain")
+    await press_until(page, "obtain", lambda: page.is_visible("#confirm"))
     await page.click("#confirm")
     await banner(page, "You have control")
     await first.close()
@@ -272,8 +205,7 @@ async def test_a_key_whose_release_is_not_told_stops(console: Console) -> None:
     page = await airborne(console)
     await page.click("#pad")
     await page.keyboard.press("Digit4")
-    await page.keyboard.down("w")
-    await until(lambda: console.watch.speed[1] > 0.5)
+    await hold_key(page, "w", lambda: console.watch.speed[1] > 0.5)
     await page.keyboard.down("Meta")  # macOS sends no keyup from now on
     await until(lambda: is_still(console), within=20.0)
     assert await page.evaluate("window.m100.steering.held.size") == 0
@@ -291,8 +223,7 @@ async def test_a_browser_that_hangs_stops_the_aircraft(console: Console) -> None
     page = await airborne(console)
     await page.click("#pad")
     await page.keyboard.press("Digit4")
-    await page.keyboard.down("w")
-    await until(lambda: console.watch.speed[1] > 0.5)
+    await hold_key(page, "w", lambda: console.watch.speed[1] > 0.5)
     hanging = asyncio.create_task(
         page.evaluate("() => { const end = Date.now() + 8000; while (Date.now() < end); }")
     )
@@ -303,12 +234,11 @@ async def test_a_browser_that_hangs_stops_the_aircraft(console: Console) -> None
 
 
 async def test_two_tabs_and_a_take_over(console: Console) -> None:
-    first = await airborne(console)
-    second = await console.open()
+    first, second = await console.open(), await console.open()
+    await airborne(console, page=first)
     await banner(second, "console 1 has control")
     assert await second.locator("[data-act=land]").is_disabled()
-    await press(second, "obtain")
-    await second.wait_for_selector("#take-over")
+    await press_until(second, "obtain", lambda: second.is_visible("#take-over"))
     assert "console 1 has control" in await second.inner_text("#take-over")
     await second.click("#confirm")
     await banner(second, "You have control")
@@ -376,16 +306,14 @@ async def test_a_refusal_says_why(console: Console) -> None:
     await look_at(page, "settings")
     await page.click("#sim-refuse")
     await look_at(page, "fly")
-    await press(page, "activate")
-    await shows(page, "#activation", "the server refused")
-    await press(page, "obtain")
-    await shows(page, "#problem", "activate first")
+    await press_for(page, "activate", "#activation", "the server refused")
+    await press_for(page, "obtain", "#problem", "activate first")
 
 
-GAMEPAD = """
-window.pad = {connected: true, axes: [0, 0, 0, 0], buttons: Array(6).fill({pressed: false})};
-navigator.getGamepads = () => [window.pad];
-"""
+SHOULDER_IS_SEEN = """(is) => {
+  const {wasActive, gamepadIsSpent} = window.m100.steering;
+  return (wasActive || gamepadIsSpent) === is;
+}"""
 
 
 async def test_a_gamepad_flies_while_its_shoulder_button_is_held(console: Console) -> None:
@@ -395,9 +323,21 @@ async def test_a_gamepad_flies_while_its_shoulder_button_is_held(console: Consol
     await page.evaluate("window.pad.axes = [0, 0, 0, -1]")
     await asyncio.sleep(0.7)
     assert is_still(console)  # the stick alone moves nothing
-    await page.evaluate("window.pad.buttons = Array(6).fill({pressed: true})")
-    await until(lambda: console.watch.speed[1] > 0.5)
-    await page.evaluate("window.pad.buttons = Array(6).fill({pressed: false})")
+
+    async def shoulder(is_pressed: bool) -> None:
+        await page.evaluate(
+            "(pressed) => window.pad.buttons = Array(6).fill({pressed})", is_pressed
+        )
+        # The page let go, or steers; either ends as it sees the button come up.
+        await page.wait_for_function(SHOULDER_IS_SEEN, arg=is_pressed)
+
+    await steer(
+        page,
+        lambda: shoulder(True),
+        lambda: shoulder(False),
+        lambda: console.watch.speed[1] > 0.5,
+    )
+    await shoulder(False)
     await until(lambda: is_still(console))
 
 
@@ -407,10 +347,13 @@ async def test_the_stick_on_the_screen_flies_while_it_is_held(console: Console) 
     await page.keyboard.press("Digit4")
     box = await page.locator(".stick.move").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    await page.mouse.move(x, y)
-    await page.mouse.down()
-    await page.mouse.move(x, y - box["height"] / 2)
-    await until(lambda: console.watch.speed[1] > 0.5)
+
+    async def deflect() -> None:
+        await page.mouse.move(x, y)
+        await page.mouse.down()
+        await page.mouse.move(x, y - box["height"] / 2)
+
+    await steer(page, deflect, page.mouse.up, lambda: console.watch.speed[1] > 0.5)
     await page.mouse.up()
     await until(lambda: is_still(console))
 
@@ -507,14 +450,12 @@ async def test_a_mission_from_a_file(browser: Any, tmp_path: Path) -> None:
         await look_at(page, "plan")
         await page.set_input_files("#plan-file", path)
         await shows(page, "#plan-summary", "3 waypoints")
-        await press(page, "mission_upload")
-        await shows(page, "#plan", "3 waypoints")
+        await press_for(page, "mission_upload", "#plan-uploaded", "Uploaded")
 
         async def is_under_way() -> bool:
             return "to waypoint" in await page.inner_text("#mission")
 
         await hold_until(page, "mission_start", is_under_way)
         await shows(page, "#mission", "to waypoint 2 of 3")
-        await press(page, "mission_stop")
-        await shows(page, "#mission", "no mission")
+        await press_for(page, "mission_stop", "#mission", "no mission")
         await until(lambda: is_still(console))

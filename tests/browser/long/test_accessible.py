@@ -9,8 +9,8 @@ import pytest
 from m100link.station.console.page import VIEWS
 from m100link.station.console.view.settings import Theme
 from tests.browser.conftest import Console
+from tests.browser.operator import airborne, look_at, press, shows
 from tests.browser.test_accessible import violations
-from tests.browser.test_console import airborne, look_at, press, shows
 
 pytestmark = [pytest.mark.anyio]
 

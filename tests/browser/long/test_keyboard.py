@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.browser.conftest import console_in_browser, until
-from tests.browser.test_console import banner, is_still, shows
+from tests.browser.operator import banner, is_still, shows
 
 pytestmark = [pytest.mark.anyio]
 

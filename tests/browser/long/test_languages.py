@@ -11,7 +11,7 @@ import pytest
 from m100link.station.console.page import VIEWS
 from tests.browser.boxes import SIZES, faults
 from tests.browser.conftest import Console
-from tests.browser.test_console import airborne, banner, hold, look_at, press, shows
+from tests.browser.operator import airborne, banner, hold, look_at, press, shows
 
 pytestmark = [pytest.mark.anyio]
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.browser.boxes import faults
 from tests.browser.conftest import Console, console_in_browser, context_of, until
-from tests.browser.test_console import GAMEPAD, airborne, is_still
+from tests.browser.operator import GAMEPAD, airborne, is_still
 
 pytestmark = [pytest.mark.anyio]
 

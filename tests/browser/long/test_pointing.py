@@ -12,7 +12,7 @@ import pytest
 from m100link import WaypointPlan
 from m100link.geodesy import distance_m
 from tests.browser.conftest import console_in_browser, until
-from tests.browser.test_console import (
+from tests.browser.operator import (
     NOT_TAKEN,
     airborne,
     hold,

@@ -12,7 +12,7 @@ import pytest
 
 from tests.browser.boxes import faults
 from tests.browser.conftest import Console, Watch, context_of, running_console, until
-from tests.browser.test_console import (
+from tests.browser.operator import (
     airborne,
     banner,
     is_still,

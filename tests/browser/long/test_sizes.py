@@ -9,7 +9,7 @@ import pytest
 
 from tests.browser.boxes import SIZES, faults
 from tests.browser.conftest import Console
-from tests.browser.test_console import airborne, look_at, press
+from tests.browser.operator import airborne, look_at, press
 
 pytestmark = [pytest.mark.anyio]
 

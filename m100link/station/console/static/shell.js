@@ -100,7 +100,8 @@ function holdToPress() {
   let held = null;
   const begin = (event, button) => {
     if (held || button.disabled || event.button > 0) return;
-    if (event.pointerId !== undefined && performance.now() - shiftedAt < SHIFTED_MS)
+    // By when the finger came down: on a page that was busy, the shift may be the later of the two.
+    if (event.pointerId !== undefined && event.timeStamp - shiftedAt < SHIFTED_MS)
       return void button.dispatchEvent(new CustomEvent("shifted", {detail: {}}));
     button.classList.add("holding");
     const timer = setTimeout(() => {

@@ -1,0 +1,176 @@
+"""What an operator does at the page: presses, holds, steers, and again where the page says why not.
+
+A page on a busy machine stands still for a second now and then. It then drops what was held, says
+so and asks for a new press; whoever operates it gives that, and so do these.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from typing import Any
+
+from tests.browser.conftest import Console, until
+from tests.waiting import PATIENCE
+
+ATTEMPTS = 6
+
+NOT_TAKEN = ("stood still", "on its way", "shifted", "not offered", "was withdrawn")
+"""What the page says when it asks for another press."""
+
+STEERS = "window.m100.steering.wasActive"
+
+
+GAMEPAD = """
+window.pad = {connected: true, axes: [0, 0, 0, 0], buttons: Array(6).fill({pressed: false})};
+navigator.getGamepads = () => [window.pad];
+"""
+"""A gamepad of which the test sets sticks and buttons."""
+
+
+async def press(page: Any, name: str) -> None:
+    await page.click(f"[data-act={name}]")
+
+
+async def look_at(page: Any, view: str) -> None:
+    await page.click(f"[data-go={view}]")
+
+
+async def hold(page: Any, name: str, seconds: float = 2.0) -> None:
+    # It waits until the button stands still and nothing lies over it.
+    await page.locator(f"[data-act={name}]").first.hover(position={"x": 10, "y": 10})
+    await page.mouse.down()
+    await asyncio.sleep(seconds)
+    await page.mouse.up()
+
+
+async def banner(page: Any, text: str) -> None:
+    await shows(page, "#banner", text)
+
+
+async def shows(page: Any, selector: str, text: str) -> None:
+    await page.wait_for_function(
+        "([selector, text]) => document.querySelector(selector)?.textContent.includes(text)",
+        arg=[selector, text],
+    )
+
+
+async def look_around(page: Any) -> None:
+    """What the operator has to say before take-off."""
+    await look_at(page, "check")
+    # It is checked when the station has taken it, which a busy machine does in its own time.
+    await page.get_by_role("checkbox", name="I have looked").click()
+    await page.wait_for_selector("[data-check=free].right")
+    await look_at(page, "fly")
+
+
+async def press_until(
+    page: Any,
+    name: str,
+    done: Callable[[], bool | Awaitable[bool]],
+    pressed: Callable[[Any, str], Awaitable[None]] = press,
+) -> None:
+    """Press a button as people do: again when the page says that it was too slow.
+
+    And when nothing comes of it: a button that is grey as the finger comes down takes no press.
+    """
+    problem = ""
+
+    async def is_done() -> bool:
+        result = done()
+        return result if isinstance(result, bool) else await result
+
+    async def answered() -> bool:
+        nonlocal problem
+        problem = await page.inner_text("#problem")
+        return bool(problem) or await is_done()
+
+    async def is_offered() -> bool:
+        return await page.locator(f"[data-act={name}]").first.is_enabled() or await is_done()
+
+    for _ in range(ATTEMPTS):
+        await until(is_offered, what=name)
+        if await is_done():
+            return
+        await pressed(page, name)
+        with suppress(AssertionError):
+            await until(answered, within=PATIENCE / ATTEMPTS)
+        if await is_done():
+            return
+        assert not problem or any(why in problem for why in NOT_TAKEN), problem
+    raise AssertionError(f"{name} was pressed {ATTEMPTS} times, and nothing came of it")
+
+
+async def hold_until(page: Any, name: str, done: Callable[[], bool | Awaitable[bool]]) -> None:
+    """The same for a button that has to be held."""
+    await press_until(page, name, done, hold)
+
+
+async def steer(
+    page: Any,
+    begin: Callable[[], Awaitable[Any]],
+    end: Callable[[], Awaitable[Any]],
+    moves: Callable[[], bool],
+) -> None:
+    """Hold something until the aircraft moves so; it is held on.
+
+    Begun again where the page let go by itself.
+    """
+
+    async def answered() -> bool:
+        return moves() or not await page.evaluate(STEERS)
+
+    for _ in range(ATTEMPTS):
+        await begin()
+        await until(answered)
+        if moves():
+            return
+        await end()
+    raise AssertionError(f"it was held {ATTEMPTS} times, and the page let go each time")
+
+
+async def hold_key(page: Any, key: str, moves: Callable[[], bool]) -> None:
+    """The same with a key."""
+    keys = page.keyboard
+    await steer(page, lambda: keys.down(key), lambda: keys.up(key), moves)
+
+
+async def take_off(page: Any, console: Console) -> None:
+    await hold_until(page, "take_off", lambda: console.watch.height > 1.0)
+
+
+async def press_for(page: Any, name: str, selector: str, text: str) -> None:
+    """Press a button until the page says so."""
+
+    async def is_shown() -> bool:
+        return text in (await page.text_content(selector) or "")
+
+    await press_until(page, name, is_shown)
+
+
+async def in_control(page: Any) -> None:
+    """Activate, and take control."""
+    await press_for(page, "activate", "#activation", "Activation: active")
+    await press_for(page, "obtain", "#banner", "You have control")
+
+
+async def airborne(console: Console, script: str = "", page: Any = None) -> Any:
+    """A page that has control of an aircraft in the air.
+
+    Args:
+        script: Runs in the page before its own.
+        page: One that is open; by default another is opened. To open one costs so much that a busy
+            machine may hear nothing of another for too long: whoever needs two opens both first.
+    """
+    page = page or await console.open(script)
+    await in_control(page)
+    await look_around(page)
+    await take_off(page, console)
+    await page.wait_for_selector("[data-act=land]:not([disabled])")
+    return page
+
+
+def is_still(console: Console) -> bool:
+    return math.hypot(*console.watch.speed) < 0.15
