@@ -24,7 +24,6 @@ from tests.browser.conftest import (
     until,
 )
 from tests.browser.operator import (
-    GAMEPAD,
     airborne,
     banner,
     hold_key,
@@ -37,7 +36,6 @@ from tests.browser.operator import (
     press_for,
     press_until,
     shows,
-    steer,
     take_off,
 )
 
@@ -140,27 +138,6 @@ async def test_closing_the_tab_in_flight_stops_and_frees_control(console: Consol
     await banner(other, "Nobody has control")
 
 
-@pytest.mark.parametrize("how", ["click elsewhere", "escape", "hide"])
-async def test_losing_focus_stops_although_the_key_is_held(console: Console, how: str) -> None:
-    page = await airborne(console)
-    await page.click("#pad")
-    await page.keyboard.press("Digit4")
-    await hold_key(page, "w", lambda: console.watch.speed[1] > 0.5)
-    if how == "click elsewhere":
-        await page.click("#banner")
-    elif how == "escape":
-        await page.keyboard.press("Escape")
-    else:
-        await page.evaluate(
-            """() => {
-                Object.defineProperty(document, 'hidden', {get: () => true});
-                document.dispatchEvent(new Event('visibilitychange'));
-            }"""
-        )
-    await until(lambda: is_still(console))
-    await banner(page, "You have control")
-
-
 SLOW = """
 const Native = WebSocket;
 window.WebSocket = class extends Native {
@@ -199,24 +176,6 @@ async def test_nobody_steers_with_a_second_each_way_and_the_page_says_why(
     assert is_still(console)
     assert await page.evaluate("window.m100.socket.age") > 0.9
     await page.keyboard.up("w")
-
-
-async def test_a_key_whose_release_is_not_told_stops(console: Console) -> None:
-    page = await airborne(console)
-    await page.click("#pad")
-    await page.keyboard.press("Digit4")
-    await hold_key(page, "w", lambda: console.watch.speed[1] > 0.5)
-    await page.keyboard.down("Meta")  # macOS sends no keyup from now on
-    await until(lambda: is_still(console), within=20.0)
-    assert await page.evaluate("window.m100.steering.held.size") == 0
-
-
-async def test_keys_do_nothing_until_the_pad_has_the_focus(console: Console) -> None:
-    page = await airborne(console)
-    await page.click("#banner")
-    await page.keyboard.down("w")
-    await asyncio.sleep(1.0)
-    assert is_still(console)
 
 
 async def test_a_browser_that_hangs_stops_the_aircraft(console: Console) -> None:
@@ -292,15 +251,6 @@ async def test_everything_greys_when_the_station_is_gone(console: Console) -> No
     console.watch.newest.clear()
 
 
-async def test_the_pilots_switch_shows_in_the_banner(console: Console) -> None:
-    page = await airborne(console)
-    await look_at(page, "settings")
-    await page.click("#sim-mode >> text=P")
-    await banner(page, "The pilot flies: mode switch in P")
-    await page.click("#sim-mode >> text=F")
-    await banner(page, "You have control")
-
-
 async def test_a_refusal_says_why(console: Console) -> None:
     page = await console.open()
     await look_at(page, "settings")
@@ -308,54 +258,6 @@ async def test_a_refusal_says_why(console: Console) -> None:
     await look_at(page, "fly")
     await press_for(page, "activate", "#activation", "the server refused")
     await press_for(page, "obtain", "#problem", "activate first")
-
-
-SHOULDER_IS_SEEN = """(is) => {
-  const {wasActive, gamepadIsSpent} = window.m100.steering;
-  return (wasActive || gamepadIsSpent) === is;
-}"""
-
-
-async def test_a_gamepad_flies_while_its_shoulder_button_is_held(console: Console) -> None:
-    page = await airborne(console, GAMEPAD)
-    await page.click("#pad")
-    await page.keyboard.press("Digit4")
-    await page.evaluate("window.pad.axes = [0, 0, 0, -1]")
-    await asyncio.sleep(0.7)
-    assert is_still(console)  # the stick alone moves nothing
-
-    async def shoulder(is_pressed: bool) -> None:
-        await page.evaluate(
-            "(pressed) => window.pad.buttons = Array(6).fill({pressed})", is_pressed
-        )
-        # The page let go, or steers; either ends as it sees the button come up.
-        await page.wait_for_function(SHOULDER_IS_SEEN, arg=is_pressed)
-
-    await steer(
-        page,
-        lambda: shoulder(True),
-        lambda: shoulder(False),
-        lambda: console.watch.speed[1] > 0.5,
-    )
-    await shoulder(False)
-    await until(lambda: is_still(console))
-
-
-async def test_the_stick_on_the_screen_flies_while_it_is_held(console: Console) -> None:
-    page = await airborne(console)
-    await page.click("#pad")
-    await page.keyboard.press("Digit4")
-    box = await page.locator(".stick.move").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-    async def deflect() -> None:
-        await page.mouse.move(x, y)
-        await page.mouse.down()
-        await page.mouse.move(x, y - box["height"] / 2)
-
-    await steer(page, deflect, page.mouse.up, lambda: console.watch.speed[1] > 0.5)
-    await page.mouse.up()
-    await until(lambda: is_still(console))
 
 
 async def test_map_tiles_come_from_a_folder(browser: Any, tmp_path: Path) -> None:
