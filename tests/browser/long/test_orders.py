@@ -8,7 +8,7 @@ import pytest
 
 from m100link.station.console.view.actions import HELD
 from tests.browser.conftest import Console
-from tests.browser.test_console import airborne, hold, look_at, press, shows
+from tests.browser.operator import airborne, hold, look_at, press, shows
 
 pytestmark = [pytest.mark.anyio]
 
