@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import weakref
 
 import pytest
 
@@ -112,6 +114,22 @@ async def test_a_refusal_is_raised_and_leaves_nothing_behind() -> None:
         control = await flown.aircraft.control().obtain()
         assert control.has_authority
         await control.release()
+
+
+@each_firmware
+async def test_a_refusal_is_raised_when_its_stop_path_has_ended(firmware: str) -> None:
+    """The ack that refuses may be wrong or late: authority is given back before anybody goes on."""
+    async with rig(firmware=firmware) as flown:
+        flown.virtual.leave_f()
+        await asyncio.sleep(0.5)
+        control = flown.aircraft.control()
+        with pytest.raises(AuthorityRefused):
+            await control.obtain()
+        assert control.is_over
+        flown.virtual.return_to_f()
+        await asyncio.sleep(0.5)
+        again = await flown.aircraft.control().obtain()
+        await again.release()
 
 
 async def test_a_second_obtain_of_the_same_object_is_refused() -> None:
@@ -263,6 +281,20 @@ async def test_a_cancelled_call_leaves_control_with_the_program() -> None:
         with pytest.raises(asyncio.CancelledError):
             await task
         assert control.has_authority
+        await control.release()
+
+
+async def test_a_task_whose_call_has_ended_is_let_go() -> None:
+    """A service that flies by hand for days keeps none of those that waited in its calls."""
+    async with rig() as flown:
+        control = await flown.aircraft.control().obtain()
+        task = asyncio.create_task(control.wait_resumable())
+        await task
+        ended = weakref.ref(task)
+        del task
+        await asyncio.sleep(0.1)  # the event loop lets go of it
+        gc.collect()
+        assert ended() is None
         await control.release()
 
 
