@@ -504,11 +504,11 @@ async def test_a_block_that_is_over_is_let_go() -> None:
         async with flown.aircraft.control() as control:
             await control.take_off()
             await flown.fly(control)
-            over = weakref.ref(control)
+            over = [weakref.ref(part) for part in (control, control._block)]
         del control
         await asyncio.sleep(1.0)
         gc.collect()
-        assert over() is None
+        assert [part() for part in over] == [None, None]
 
 
 # -- one at a time --------------------------------------------------------------------------------
