@@ -112,6 +112,7 @@ class Aircraft:
         Neutral and release take about 0.4 s, a landing that the block was to end with up to a
         minute and a half. May be called any number of times.
         """
+        self.link.require_loop()
         try:
             await self._claim.close()
         finally:
@@ -327,6 +328,7 @@ class Aircraft:
         Returns:
             Whether the aircraft said that it has it back.
         """
+        self.link.require_loop()
         return await release_authority(self._commander)
 
     async def set_telemetry_rates(self, **rates_hz: int) -> dict[str, float]:

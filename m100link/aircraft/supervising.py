@@ -35,6 +35,7 @@ from m100link.errors import (
     TelemetryError,
     UsageError,
 )
+from m100link.errors.usage import of_another_loop
 from m100link.protocol.codes import ActivationCode
 from m100link.telemetry.subscription import Hub, Latest, Newest, Policy, Subscription
 
@@ -194,8 +195,11 @@ class Supervised:
 
     async def _change(self) -> None:
         """Wait until the state has changed."""
+        loop = asyncio.get_running_loop()
+        if self._task is not None and self._task.get_loop() is not loop:
+            raise of_another_loop()
         if self._changed is None:
-            self._changed = asyncio.get_running_loop().create_future()
+            self._changed = loop.create_future()
         await asyncio.shield(self._changed)
 
     # -- the machine -----------------------------------------------------------------------------

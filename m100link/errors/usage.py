@@ -12,6 +12,7 @@ __all__ = [
     "BadValue",
     "PayloadTooLarge",
     "UsageError",
+    "of_another_loop",
 ]
 
 
@@ -23,6 +24,17 @@ class UsageError(
     remedy="read what was seen: the same call is always refused, and nothing was sent",
 ):
     """The call itself is wrong; nothing was sent."""
+
+
+def of_another_loop() -> UsageError:
+    """What whoever waits or sends gets outside the event loop in which the connection was made."""
+    return UsageError(
+        "the connection belongs to another event loop than the one that runs here, if any",
+        cause="another thread uses it, or it was made by an asyncio.run() that has ended",
+        remedy="connect and fly in the same asyncio.run(); from another thread "
+        "asyncio.run_coroutine_threadsafe(..., aircraft.link.loop), or for what does not wait "
+        "aircraft.link.loop.call_soon_threadsafe(...); m100link.sync may be used by any thread",
+    )
 
 
 class BadURL(

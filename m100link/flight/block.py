@@ -192,6 +192,7 @@ class ControlBlock:
         Raises:
             M100Error: What ended it before, unless a call has told it.
         """
+        self._commander.link.require_loop()
         if self._life.state is BlockState.NEW:
             return
         self.end(StopCause.LEFT)
@@ -202,6 +203,7 @@ class ControlBlock:
             raise failure.again() from failure.__cause__
 
     def _begin(self) -> None:
+        self._commander.link.require_loop()
         if self._life.state is not BlockState.NEW:
             raise UsageError("this control block was entered before; ask for a new one")
         self._commander.requests.fix_firmware()
@@ -308,6 +310,7 @@ class ControlBlock:
             NoAuthority: Authority is not held, or is paused.
             M100Error: What ended the block.
         """
+        self._commander.link.require_loop()
         if self.admits() and self._authority.state is AuthorityState.HELD:
             return
         life = self._life
@@ -330,6 +333,7 @@ class ControlBlock:
         Raises:
             NoAuthority: The pilot has not.
         """
+        self._commander.link.require_loop()
         if self._authority.state is not AuthorityState.HELD:
             raise NoAuthority(
                 "the pilot has not given the aircraft back",

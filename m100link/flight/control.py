@@ -191,6 +191,7 @@ class Control:
 
     def interrupt(self) -> None:
         """Begin the stop path and do not wait for its end: what a signal does."""
+        self._commander.link.require_loop()
         self._block.end(StopCause.SIGNALLED)
 
     # -- setpoints -------------------------------------------------------------------------------
@@ -361,6 +362,7 @@ class Control:
         Raises:
             MissionRefused, AckTimeout, NoAuthority: A mission may be flying on.
         """
+        self._commander.link.require_loop()
         self._guidance.interrupt()
         if self.is_flying and self._keeper.flying:
             await self._missions.stop_mission()
@@ -368,6 +370,7 @@ class Control:
 
     async def wait_resumable(self) -> None:
         """With ``on_pause="wait"``: wait until the pilot has given the aircraft back."""
+        self._commander.link.require_loop()
         with self._block.waiting("wait_resumable"):
             await self._authority.wait_for(AuthorityState.HELD)
 

@@ -50,6 +50,7 @@ class Steering:
         self._missions = missions
         self.running_task: Task | None = None
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
+        self._require_loop = commander.link.require_loop
         self._clock = commander.link.loop.time
         # When the line took no setpoint, the first and the newest time; None since it took one.
         self._blocked: tuple[float, float] | None = None
@@ -91,6 +92,7 @@ class Steering:
     @contextmanager
     def ends_neutral(self) -> Iterator[None]:
         """Neutral on the way out, and the refusal if a guard ended what was sent last."""
+        self._require_loop()
         self._refused = None
         try:
             yield

@@ -130,6 +130,7 @@ class VirtualRc:
     # -- in and out ------------------------------------------------------------------------------
 
     async def __aenter__(self) -> Self:
+        self._commander.link.require_loop()
         if self._life.state is not BlockState.NEW:
             raise UsageError("this virtual RC was entered before; ask for a new one")
         settings = VirtualRcSettings(True, self._falls_back)
@@ -387,6 +388,7 @@ class VirtualRc:
             self._sticks = CENTRED
 
     def _require_flying(self) -> None:
+        self._commander.link.require_loop()
         if self.is_flying and self._watchdog.is_quiet():
             return
         if self._life.failure is not None:

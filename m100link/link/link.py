@@ -10,10 +10,12 @@ import asyncio
 import logging
 import math
 import os
+from asyncio import _get_running_loop  # the other one raises where none runs
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
+from m100link.errors.usage import of_another_loop
 from m100link.link.statistics import LinkStatistics, RoundTripCounter
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Event, Expired, SessionMode
@@ -57,28 +59,10 @@ class Link(asyncio.Protocol):
 
     # With a dictionary for what programs put there, which tests do, and which is only then made.
     __slots__ = (
-        "__dict__",
-        "__weakref__",
-        "_bytes_sent",
-        "_connected",
-        "_disconnected",
-        "_dropped_writes",
-        "_endpoint",
-        "_failure",
-        "_frames_sent",
-        "_is_debug",
-        "_is_failure_told",
-        "_is_writable",
-        "_level_at",
-        "_loop",
-        "_pending",
-        "_round_trips",
-        "_timers",
-        "_transport",
-        "last_received_at",
-        "name",
-        "on_lost",
-        "on_received",
+        *("__dict__", "__weakref__", "_bytes_sent", "_connected", "_disconnected"),
+        *("_dropped_writes", "_endpoint", "_failure", "_frames_sent", "_is_debug"),
+        *("_is_failure_told", "_is_writable", "_level_at", "_loop", "_pending", "_round_trips"),
+        *("_timers", "_transport", "last_received_at", "name", "on_lost", "on_received"),
     )
 
     def __init__(
@@ -124,6 +108,13 @@ class Link(asyncio.Protocol):
     def loop(self) -> asyncio.AbstractEventLoop:
         """The event loop that this link belongs to."""
         return self._loop
+
+    def require_loop(self) -> None:
+        """Raise a UsageError when another event loop runs here, or its own elsewhere or nowhere."""
+        here, own = _get_running_loop(), self._loop
+        # Between two runs of its loop, as at a prompt, none runs here.
+        if here is not own and (here or own.is_running() or own.is_closed()):
+            raise of_another_loop()
 
     @property
     def cipher(self) -> Cipher | None:
@@ -254,6 +245,7 @@ class Link(asyncio.Protocol):
 
         Bytes already written get up to a second to leave. May be called any number of times.
         """
+        self.require_loop()
         is_attached = self._transport is not None
         if self._failure is None:
             when = "by this side" if is_attached else "before it was open"
@@ -270,6 +262,7 @@ class Link(asyncio.Protocol):
 
     async def wait_disconnected(self, timeout: float | None = CLOSE_TIMEOUT) -> None:
         """Wait until the transport has let go of the line; None: however long that takes."""
+        self.require_loop()
         try:
             async with asyncio.timeout(timeout):
                 await self._disconnected.wait()
@@ -341,6 +334,7 @@ class Link(asyncio.Protocol):
     # -- inside ----------------------------------------------------------------------------------
 
     def _check_open(self) -> None:
+        self.require_loop()
         if self._failure is not None:
             raise self._failure.again()
         if self._transport is None:

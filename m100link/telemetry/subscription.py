@@ -7,12 +7,14 @@ happens when a consumer is slow is the consumer's choice, made when it subscribe
 from __future__ import annotations
 
 import asyncio
+from asyncio import _get_running_loop  # the other one raises where none runs
 from collections import deque
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Generic, Self, TypeVar
 
 from m100link.errors import M100Error, TelemetryOverflow, UsageError
+from m100link.errors.usage import of_another_loop
 
 __all__ = [
     "Latest",
@@ -75,6 +77,7 @@ class Queue(Generic[T]):
         waiter: Resolved when there is something to take; None while nobody waits for it. The
             hub keeps a waiting consumer alive by it, as nothing else needs to.
         error: How the stream ends, after what is queued.
+        loop: In which values come and are waited for; None: any.
         is_closed: Nobody takes values any more.
         received: Values that were queued.
         dropped: Values that the policy dropped.
@@ -91,6 +94,7 @@ class Queue(Generic[T]):
         "dropped",
         "error",
         "is_closed",
+        "loop",
         "received",
         "thinned",
         "values",
@@ -104,7 +108,9 @@ class Queue(Generic[T]):
         *,
         min_interval: float = 0.0,
         wanted: int = ANY,
+        loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
+        self.loop = loop
         self._policy = policy
         self._count = policy.count
         self._min_interval = min_interval
@@ -241,7 +247,10 @@ class Subscription(Generic[T]):
                 raise queue.error.again()
             if queue.waiter is not None and not queue.waiter.done():
                 raise RuntimeError("two tasks iterate over one subscription; give each its own")
-            queue.waiter = asyncio.get_running_loop().create_future()
+            loop = asyncio.get_running_loop()
+            if queue.loop is not loop and queue.loop is not None:
+                raise of_another_loop()
+            queue.waiter = loop.create_future()
             await queue.waiter
         return queue.values.popleft()
 
@@ -253,9 +262,10 @@ class Hub(Generic[T]):
     that has ended, or whose subscription is gone, is dropped with the next value.
     """
 
-    __slots__ = ("_error", "_queues")
+    __slots__ = ("_error", "_loop", "_queues")
 
     def __init__(self) -> None:
+        self._loop = _get_running_loop()
         # A tuple: what happens while a value is handed out makes a new one.
         self._queues: tuple[Queue[T], ...] = ()
         self._error: M100Error | None = None  # of the line, for those who come later
@@ -268,7 +278,7 @@ class Hub(Generic[T]):
         wanted: int = ANY,
     ) -> Subscription[T]:
         """A new subscription for values of the kinds whose bits are in ``wanted``."""
-        queue: Queue[T] = Queue(policy, min_interval=min_interval, wanted=wanted)
+        queue: Queue[T] = Queue(policy, min_interval=min_interval, wanted=wanted, loop=self._loop)
         if self._error is not None:
             queue.fail(self._error)
         self._queues = (*(other for other in self._queues if other.wanted), queue)

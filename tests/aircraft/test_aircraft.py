@@ -211,7 +211,7 @@ async def test_a_bad_line_is_no_reason_not_to_connect(loss: float) -> None:
         ("", "names neither"),
         ("serial:///dev/ttyUSB0:fast", "not a number"),
         ("serial:///dev/ttyUSB0:0", "not a number"),
-        ("tcp://somewhere", "no host or no port"),
+        ("tcp://somewhere", "no port number"),
         ("carrier-pigeon://coop", "no transport called"),
     ],
 )
