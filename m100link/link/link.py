@@ -39,6 +39,7 @@ of authority must not be taken for one that was told before.
 _LOGGED_BYTES = 64
 _HEADER = 12
 _ACTIVATION = b"\x00\x01"  # set and id; it has the app id in it and is never encrypted
+_SILENT_S = 1.0  # without telemetry of 1 Hz, or any: it is not the one frame that was lost
 _LEVEL_S = 0.1  # between two looks at the level of the log
 
 
@@ -381,6 +382,9 @@ class Link(asyncio.Protocol):
             cause = "the other end of the line does not take bytes"
         elif self.last_received_at is None:
             cause = "nothing arrives from the aircraft at all"
+        elif (silent_s := self._loop.time() - self.last_received_at) > _SILENT_S:
+            cause = f"nothing has come from the aircraft for {silent_s:.1f} s: it stands still, or "
+            cause += "the line from it is broken"
         return AckTimeout(
             f"no ack of {name} after {event.tries} tries; its outcome is unknown",
             command=name,
