@@ -2,7 +2,7 @@
   const found = [];
   const wide = window.innerWidth, high = window.innerHeight;
   const name = (one) => one.dataset?.act || one.dataset?.go || one.dataset?.map || one.dataset?.steer
-    || one.id || one.getAttribute?.("aria-label") || one.className || one.tagName;
+    || (/^c\d+$/.test(one.id) ? "" : one.id) || one.getAttribute?.("aria-label") || one.className || one.tagName;
   const isSeen = (one) => one.checkVisibility({visibilityProperty: true});
   const at = (x, y) => document.elementFromPoint(x, y);
   const hits = (one, x, y) => { const hit = at(x, y); return hit && (one.contains(hit) || hit.contains(one)); };
@@ -49,7 +49,8 @@
     "#header, #bar, .place.hud > *, .place.orders > *, .place.clicked > *, .stick, .legend, .map-tools, .map-home"
   )].filter((one) => isSeen(one) && one.getBoundingClientRect().width);
   const clipped = (one) => {
-    const b = one.getBoundingClientRect(), frame = (one.closest(".place") || one).getBoundingClientRect();
+    const place = one.closest(".place"), b = one.getBoundingClientRect();
+    const frame = (place && getComputedStyle(place).overflowY !== "visible" ? place : one).getBoundingClientRect();
     return {left: b.left, right: b.right, top: Math.max(b.top, frame.top), bottom: Math.min(b.bottom, frame.bottom)};
   };
   over.forEach((one, i) => over.slice(i + 1).forEach((two) => {

@@ -57,7 +57,7 @@ class _Row:
             with turn:
                 ui.label(name).classes("ship-name")
                 self._control = ui.label().classes("ship-control")
-                self._flies = ui.label()
+                self._flies = ui.label().classes("ship-flies")
                 self._battery = ui.label()
             self._turn: Any = turn
             turn.on("click", self._turn_to, args=[])
