@@ -2,7 +2,7 @@
 // It keeps that page and nothing else. Only the opening of a page passes here: sockets, values and
 // scripts never do, so nothing old can be taken for new.
 
-const KEPT = "m100link-offline-1";
+const KEPT = "m100link-offline-2";
 const PAGE = "/console/offline.html";
 
 self.addEventListener("install", (event) => {
