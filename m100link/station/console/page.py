@@ -183,7 +183,7 @@ class Page:
                 is_silent=agent.is_silent,
                 is_gone=agent.is_gone,
                 has_lease=tab.has_lease,
-                problem=tab.problem,
+                refusal=tab.refusal,
                 plan=agent.plan,
                 events=tuple(agent.events),
                 link=agent.link,

@@ -62,7 +62,7 @@ class Tab:
         kept: Control of other aircraft, kept as long as this tab is heard.
         name: As given; the operator may change it.
         lease: Its lease, in force or not.
-        problem: What was refused last, for people.
+        refusal: What was refused last; None for nothing.
         plan: What was uploaded last, None before.
         beats: Beats that were sent on.
         refused: Messages that could not be used.
@@ -77,7 +77,7 @@ class Tab:
         self.kept = KeptLeases()
         self.name = name
         self.lease: Lease | None = None
-        self.problem = ""
+        self.refusal: M100Error | None = None
         self.plan: WaypointPlan | None = None
         self.beats = 0
         self.refused = 0
@@ -108,6 +108,11 @@ class Tab:
         return self._way.round_trip
 
     @property
+    def problem(self) -> str:
+        """What was refused last, in English; empty for nothing."""
+        return "" if self.refusal is None else str(self.refusal)
+
+    @property
     def has_lease(self) -> bool:
         """Whether this tab may steer."""
         return self._agent.holds(self.lease)
@@ -116,11 +121,11 @@ class Tab:
 
     async def attempt(self, work: Callable[[], Awaitable[Any]]) -> bool:
         """Do something for the operator; what goes wrong is kept as the problem."""
-        self.problem = ""
+        self.refusal = None
         try:
             await work()
         except M100Error as error:
-            self.problem = str(error)
+            self.refusal = error
             return False
         return True
 
@@ -347,7 +352,7 @@ class Tab:
             )
 
     def _steer(self, lease: Lease, message: dict[str, Any], late: float, held: float) -> None:
-        self.problem = ""
+        self.refusal = None
         try:
             self._check_let_go(lease, message["at"] / 1000.0)
             self._check_way(late, held)
@@ -365,7 +370,7 @@ class Tab:
         if self.lease is None or self.lease.number != fence:
             return
         self.refused += 1
-        self.problem = str(error)
+        self.refusal = error
         now = self._agent.now
         if now - self._complained_at >= _COMPLAINT_PAUSE:
             self._complained_at = now

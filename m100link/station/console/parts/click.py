@@ -290,8 +290,8 @@ class ClickPart:
         with self._refusals:
             for refusal in refusals:
                 with ui.element("div").classes("problem"):
-                    if refusal.reason:
-                        ui.label(refusal.reason)
+                    if refusal.reason is not None:
+                        ui.label(self._say(refusal.reason))
                     remedy = refusal.remedy
                     ui.label(self._say(remedy) if isinstance(remedy, Text) else remedy)
 

@@ -68,7 +68,7 @@ class StatusPart:
         self._remedy.set_text(say(line.remedy) if line.remedy is not None else "")
         self._flies.set_text(say(line.flies) if line.flies is not None else "")
         self._virtual.set_visibility(line.is_virtual)
-        self._problem.set_text(view.problem)
+        self._problem.set_text("" if view.problem is None else say(view.problem))
         if line.level.value != self._level:
             self._banner.classes(remove=self._level, add=line.level.value)
             self._level = line.level.value

@@ -21,6 +21,7 @@ from m100link.agent.guided import (
 from m100link.agent.preview import Preview
 from m100link.errors import GuardRefused, LinkError, M100Error, TelemetryStalled, UsageError
 from m100link.geodesy import LocalFrame
+from m100link.station.console.view.errors import reason_text
 from m100link.station.console.view.units import Kind, Quantity
 from m100link.station.console.view.words import Text, say
 
@@ -171,11 +172,11 @@ class Refusal:
     """Why something is refused, and what to do about it.
 
     Attributes:
-        reason: In the words of whoever refuses.
+        reason: What whoever refuses saw; None where only a remedy is told.
         remedy: For whoever points; empty where nothing is known.
     """
 
-    reason: str
+    reason: Text | None
     remedy: Text | str
 
 
@@ -234,9 +235,9 @@ def click_of(
     """
     refusals = [] if foreseen is None else [_refusal(error) for error in foreseen.refusals]
     if foreseen is not None and not has_control:
-        refusals.insert(0, Refusal("", say("click.remedy.control")))
+        refusals.insert(0, Refusal(None, say("click.remedy.control")))
     may_fly = foreseen is not None and not refusals
-    if problem is not None and problem.seen not in [one.reason for one in refusals]:
+    if problem is not None and reason_text(problem) not in [one.reason for one in refusals]:
         refusals.append(_refusal(problem))
     return ClickView(
         preview=None if foreseen is None else _preview(pointed.wish, foreseen),
@@ -291,7 +292,7 @@ def _time(seconds: float) -> str:
 
 def _refusal(error: M100Error) -> Refusal:
     """With a remedy for whoever points; those of errors are for whoever writes programs."""
-    return Refusal(error.seen, _remedy(error))
+    return Refusal(reason_text(error), _remedy(error))
 
 
 def _remedy(error: M100Error) -> Text | str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from m100link.agent.messages import Event, LeaseChanged, LinkCounted, State
-from m100link.errors import LossReason
+from m100link.errors import LossReason, M100Error
 from m100link.missions.plan import WaypointPlan
 from m100link.telemetry.state import AircraftState
 
@@ -53,7 +53,7 @@ class Inputs:
         heard_at: When the agent was heard last, s.
         wall: The same moment as ``now``, in seconds since 1970.
         is_virtual: Whether the aircraft is known to be a simulated one.
-        problem: What was refused to that tab last.
+        refusal: What was refused to that tab last.
         plan: What that tab uploaded last.
         events: What happened lately, oldest first.
         link: What was counted on the line; None while there is none.
@@ -74,7 +74,7 @@ class Inputs:
     heard_at: float = 0.0
     wall: float = 0.0
     is_virtual: bool = False
-    problem: str = ""
+    refusal: M100Error | None = None
     plan: WaypointPlan | None = None
     events: tuple[Event, ...] = ()
     link: LinkCounted | None = None

@@ -14,6 +14,7 @@ from enum import Enum
 
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Device, RcMode
+from m100link.station.console.view.errors import problem_text
 from m100link.station.console.view.inputs import Inputs
 from m100link.station.console.view.mission import name_of
 from m100link.station.console.view.situation import (
@@ -191,10 +192,10 @@ def _flies(now: Situation) -> Text | None:
 
 
 def activation_of(inputs: Inputs) -> Text:
-    """How far activation is; what the aircraft answered, and errors, in English."""
+    """How far activation is; what the aircraft answered, in English."""
     state = inputs.state
     if state.activation_fault is not None:
-        return say("status.activation.failed", why=str(state.activation_fault.error()))
+        return say("status.activation.failed", why=problem_text(state.activation_fault.error()))
     if state.is_activated:
         return say("status.activation.done")
     if state.activation_code is not None:

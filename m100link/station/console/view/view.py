@@ -11,6 +11,7 @@ from m100link.station.console.view.actions import actions_of
 from m100link.station.console.view.alarms import Alarm
 from m100link.station.console.view.chart import Chart, chart_of
 from m100link.station.console.view.checklist import Checklist
+from m100link.station.console.view.errors import problem_text
 from m100link.station.console.view.events import Line
 from m100link.station.console.view.fleet import FleetRow, fleet_of
 from m100link.station.console.view.inputs import Inputs
@@ -34,7 +35,7 @@ class View:
         situation: What is known, as plain values.
         status: The status line.
         activation: How far activation is.
-        problem: What was refused last, in English; empty for nothing.
+        problem: What was refused last; None for nothing.
         alarms: What is alarming, the most urgent first.
         sounding: The most urgent level that nobody has acknowledged; None for silence.
         checklist: What is right before take-off.
@@ -51,7 +52,7 @@ class View:
     situation: Situation
     status: StatusLine
     activation: Text
-    problem: str
+    problem: Text | None
     alarms: tuple[Alarm, ...]
     sounding: Level | None
     checklist: Checklist
@@ -73,7 +74,7 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> View:
         situation=memory.situation,
         status=status_line(memory.situation),
         activation=activation_of(inputs),
-        problem=inputs.problem,
+        problem=None if inputs.refusal is None else problem_text(inputs.refusal),
         alarms=alarms,
         sounding=memory.alarms.sounding,
         checklist=checklist,

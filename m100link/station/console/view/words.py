@@ -1,8 +1,9 @@
 """What the console says, in the language and the units of whoever looks at it.
 
 A view model holds a :class:`Text`: the key of an entry and what is filled in. The entries stand in
-:mod:`m100link.station.console.view.catalogue`, English beside German. Errors of this package are
-not among them: they are English everywhere, so that a log, a page and a report say the same.
+:mod:`m100link.station.console.view.catalogue`, English beside German. Errors of this package keep
+their English everywhere, so that a log, a page and a report say the same; see
+:mod:`m100link.station.console.view.errors` for what German has before that.
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ def test_a_refusal_has_its_reason_and_a_remedy_for_whoever_points(
     view = click_of(Pointed().at(*HERE), foreseen, None, has_control=True)
     assert not view.may_fly
     (refusal,) = view.refusals
-    assert refusal.reason == error.seen
+    assert said(refusal.reason) == error.seen
     remedies = refusal.remedy if isinstance(refusal.remedy, str) else SAY(refusal.remedy)
     assert remedy in remedies
 
@@ -150,7 +150,7 @@ def test_what_was_refused_by_the_agent_is_told_and_may_be_tried_again() -> None:
     problem = NotObserved("it was ended")
     view = click_of(Pointed().at(*HERE), FORESEEN, None, has_control=True, problem=problem)
     assert view.may_fly
-    assert [one.reason for one in view.refusals] == ["it was ended"]
+    assert [said(one.reason) for one in view.refusals] == ["it was ended"]
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from m100link.station.console.view.catalogue import (
     browser,
     checklist,
     click,
+    errors,
     events,
     fleet,
     instruments,
@@ -28,8 +29,8 @@ from m100link.station.console.view.catalogue import (
 __all__ = ["CATALOGUE", "PARTS"]
 
 PARTS = (
-    *(actions, alarms, browser, checklist, click, events, fleet, instruments, link, mission, page),
-    *(plan, plots, settings, sim, status, unit),
+    *(actions, alarms, browser, checklist, click, errors, events, fleet, instruments, link),
+    *(mission, page, plan, plots, settings, sim, status, unit),
 )
 """The files."""
 
