@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
 
 from tests.browser.conftest import console_in_browser, until
-from tests.browser.operator import banner, is_still, shows
+from tests.browser.operator import ATTEMPTS, NOT_TAKEN, banner, hold_key, is_still, shows
 
-pytestmark = [pytest.mark.anyio]
+pytestmark = [pytest.mark.anyio, pytest.mark.timeout(600)]
 
 # Whether somebody who sees the page sees what has the focus: an outline, or Quasar's own marks.
 IS_SEEN = """() => {
@@ -40,12 +40,40 @@ async def press(page: Any, selector: str, key: str = "Enter") -> None:
     await page.keyboard.press(key)
 
 
-async def hold(page: Any, selector: str, key: str) -> None:
-    await page.wait_for_selector(f"{selector}:not([disabled]):visible")
-    await go(page, selector)
-    await page.keyboard.down(key)
-    await asyncio.sleep(2.0)
-    await page.keyboard.up(key)
+async def hold(page: Any, selector: str, key: str, done: Callable[[], Awaitable[bool]]) -> None:
+    """Hold it until the page has counted the second; again when that says why it was not taken."""
+    problem = ""
+
+    async def is_answered() -> bool:
+        nonlocal problem
+        problem = await page.inner_text("#problem")
+        return bool(problem) or await done()
+
+    for _ in range(ATTEMPTS):
+        await page.wait_for_selector(f"{selector}:not([disabled]):visible")
+        await go(page, selector)
+        await page.keyboard.down(key)
+        await page.wait_for_selector(f"{selector}:not(.holding)")
+        await page.keyboard.up(key)
+        await until(is_answered)
+        if await done():
+            return
+        assert any(why in problem for why in NOT_TAKEN), problem
+    raise AssertionError(f"{selector} was held {ATTEMPTS} times: {problem}")
+
+
+def seen(what: Callable[[], bool]) -> Callable[[], Awaitable[bool]]:
+    async def is_so() -> bool:
+        return what()
+
+    return is_so
+
+
+def shown(page: Any, selector: str, text: str) -> Callable[[], Awaitable[bool]]:
+    async def is_so() -> bool:
+        return text in await page.inner_text(selector)
+
+    return is_so
 
 
 @pytest.mark.parametrize("key", ["Space", "Enter"])
@@ -61,12 +89,10 @@ async def test_a_whole_mission_by_keyboard_alone(browser: Any, key: str) -> None
         await press(page, "#free-said", "Space")
         await page.wait_for_selector("[data-check=free].right")
         await press(page, "#bar [data-go=fly]", key)
-        await hold(page, f"{fly}[data-act=take_off]", key)
-        await until(lambda: watch.height > 1.0)
+        await hold(page, f"{fly}[data-act=take_off]", key, seen(lambda: watch.height > 1.0))
         await page.wait_for_selector(f"{fly}[data-act=land]:not([disabled])")
         await go(page, "#pad")
-        await page.keyboard.down("w")
-        await until(lambda: watch.speed[1] > 0.3)
+        await hold_key(page, "w", lambda: watch.speed[1] > 0.3)
         await page.keyboard.up("w")
         await until(lambda: is_still(console))
         await page.keyboard.press("Escape")
@@ -76,15 +102,13 @@ async def test_a_whole_mission_by_keyboard_alone(browser: Any, key: str) -> None
             await page.wait_for_selector(f"[data-point='{number}']")
         await press(page, "[data-act=mission_upload]", key)
         await shows(page, "#plan-uploaded", "Uploaded")
-        await hold(page, "[data-act=mission_start]", key)
-        await shows(page, "#mission", "to waypoint")
+        await hold(page, "[data-act=mission_start]", key, shown(page, "#mission", "to waypoint"))
         await press(page, "[data-act=mission_stop]", key)
         await shows(page, "#mission", "no mission")
         await until(lambda: is_still(console))
         await press(page, "[data-act=stop]", key)
         await press(page, "#bar [data-go=fly]", key)
-        await hold(page, f"{fly}[data-act=land]", key)
-        await until(lambda: watch.status == 1)
+        await hold(page, f"{fly}[data-act=land]", key, seen(lambda: watch.status == 1))
         await page.wait_for_function("document.querySelector('#task').textContent === ''")
         await press(page, f"{fly}[data-act=release]", key)
         await banner(page, "Nobody has control")
