@@ -14,6 +14,7 @@ import errno
 import importlib.util
 import logging
 import os
+import warnings
 from collections import deque
 from enum import Enum
 from typing import Any, Protocol
@@ -123,6 +124,15 @@ class SerialTransport(asyncio.Transport):
         protocol.connection_made(self)
         if self.is_reading():
             loop.add_reader(self._fd, self._on_readable)
+
+    def __del__(self) -> None:
+        # Its loop has ended, or it would be in there. In a forked child this is a copy, so nothing
+        # is said to the line: the file is closed, and that is all.
+        if getattr(self, "state", PortState.CLOSED) is not PortState.CLOSED:
+            name = getattr(self._port, "name", self._fd)
+            text = f"{name} was not closed before its event loop: use `async with`, or aclose()"
+            warnings.warn(text, ResourceWarning, source=self, stacklevel=1)
+            self._port.close()
 
     # -- reading ---------------------------------------------------------------------------------
 

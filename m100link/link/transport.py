@@ -176,6 +176,14 @@ def _translate(device: str, address: ConnectionString, error: Exception) -> Link
     if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
         owners = port_owners(device)
         names = ", ".join(f"{name} (process {pid})" for pid, name in owners)
+        if any(pid == os.getpid() for pid, _ in owners):
+            return PortBusy(
+                f"{device} is in use by this program itself",
+                owners=owners,
+                cause="a connection was dropped without aclose(): it stays open until its event "
+                "loop ends",
+                remedy="`async with connect(...)`, or keep the aircraft and await its aclose()",
+            )
         return PortBusy(
             f"{device} is in use" + (f" by {names}" if names else ""),
             owners=owners,
