@@ -71,10 +71,16 @@ async def press_until(
     name: str,
     done: Callable[[], bool | Awaitable[bool]],
     pressed: Callable[[Any, str], Awaitable[None]] = press,
+    mend: Callable[[], Awaitable[None]] | None = None,
 ) -> None:
     """Press a button as people do: again when the page says that it was too slow.
 
     And when nothing comes of it: a button that is grey as the finger comes down takes no press.
+
+    Args:
+        done: Whether it is so.
+        pressed: How it is pressed.
+        mend: What is done while the button is grey, for what makes it grey.
     """
     problem = ""
 
@@ -88,7 +94,11 @@ async def press_until(
         return bool(problem) or await is_done()
 
     async def is_offered() -> bool:
-        return await page.locator(f"[data-act={name}]").first.is_enabled() or await is_done()
+        if await page.locator(f"[data-act={name}]").first.is_enabled() or await is_done():
+            return True
+        if mend is not None:
+            await mend()
+        return False
 
     for _ in range(ATTEMPTS):
         await until(is_offered, what=name)
@@ -138,7 +148,14 @@ async def hold_key(page: Any, key: str, moves: Callable[[], bool]) -> None:
 
 
 async def take_off(page: Any, console: Console) -> None:
-    await hold_until(page, "take_off", lambda: console.watch.height > 1.0)
+    # Control is taken from a page that is not heard for too long, on a busy machine, too.
+    await press_until(
+        page,
+        "take_off",
+        lambda: console.watch.height > 1.0,
+        hold,
+        mend=lambda: in_control(page),
+    )
 
 
 async def press_for(page: Any, name: str, selector: str, text: str) -> None:
