@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import UsageError
-from m100link.link import Link, open_link
+from m100link.link import Link, Tap, open_link
 from m100link.protocol.firmware import FirmwareProfile, profile
 
 __all__ = ["Connecting", "connect"]
@@ -74,6 +74,7 @@ def connect(
     firmware: str | FirmwareProfile | None = None,
     baud_rate: int | None = None,
     timeout: float = 3.0,
+    tap: Tap | None = None,
 ) -> Connecting:
     """Connect to an aircraft for the time of a block.
 
@@ -91,14 +92,17 @@ def connect(
         firmware: Force a profile by name; by default the version answer chooses it.
         baud_rate: Rate when the URL has none; 230400 by default.
         timeout: Seconds until an aircraft has to answer.
+        tap: Called with the bytes of every read and write, which way they went and when, on the
+            event loop's clock: see :data:`m100link.link.Tap`. The activation carries the app id in
+            clear.
 
     Raises (when it is entered or awaited):
-        BadURL, UsageError: A wrong string or profile name; no asyncio, but trio.
+        BadURL, UsageError: A wrong string or profile name; no asyncio, but trio; a tap on a link.
         PortNotFound, PortPermissionDenied, PortBusy, PortFailed: The port cannot be opened.
         SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
     """
     name = line if isinstance(line, str) else line.name
-    opening = partial(_open, line, firmware=firmware, baud_rate=baud_rate, timeout=timeout)
+    opening = partial(_open, line, firmware=firmware, baud_rate=baud_rate, timeout=timeout, tap=tap)
     return Connecting(opening, name)
 
 
@@ -108,10 +112,16 @@ async def _open(
     firmware: str | FirmwareProfile | None,
     baud_rate: int | None,
     timeout: float,
+    tap: Tap | None,
 ) -> Aircraft:
     _require_asyncio()
     forced = None if firmware is None else profile(firmware)
-    link = line if isinstance(line, Link) else await open_link(line, baud_rate=baud_rate)
+    if isinstance(line, Link) and tap is not None:
+        raise UsageError(
+            f"{line.name} is open already, and cannot be tapped",
+            remedy="give the tap to open_link(), or the URL to connect()",
+        )
+    link = line if isinstance(line, Link) else await open_link(line, baud_rate=baud_rate, tap=tap)
     aircraft = Aircraft(link, firmware=forced)
     try:
         await aircraft._requests.find_aircraft(timeout)

@@ -6,14 +6,17 @@ from m100link.link.link import Link
 from m100link.link.memory import MemoryTransport, connect_in_memory
 from m100link.link.opening import open_link
 from m100link.link.statistics import LinkStatistics, RoundTrips
+from m100link.link.tap import Direction, Tap
 from m100link.link.url import DEFAULT_BAUD_RATE, parse_url
 
 __all__ = [
     "DEFAULT_BAUD_RATE",
+    "Direction",
     "Link",
     "LinkStatistics",
     "MemoryTransport",
     "RoundTrips",
+    "Tap",
     "connect_in_memory",
     "open_link",
     "parse_url",

@@ -19,6 +19,7 @@ from m100link.flight.block import PauseAction
 from m100link.flight.guards import Guards
 from m100link.flight.mission_state import MissionState
 from m100link.flight.stop_path import StopAction
+from m100link.link import Tap
 from m100link.link.link import Link
 from m100link.link.statistics import LinkStatistics
 from m100link.missions.plan import WaypointPlan
@@ -390,6 +391,7 @@ def connect(
     firmware: str | FirmwareProfile | None = None,
     baud_rate: int | None = None,
     timeout: float = 3.0,
+    tap: Tap | None = None,
 ) -> Aircraft:
     """Connect to an aircraft for the time of a block.
 
@@ -407,9 +409,12 @@ def connect(
         firmware: Force a profile by name; by default the version answer chooses it.
         baud_rate: Rate when the URL has none; 230400 by default.
         timeout: Seconds until an aircraft has to answer.
+        tap: Called with the bytes of every read and write, which way they went and when, on the
+            event loop's clock: see :data:`m100link.link.Tap`. The activation carries the app id in
+            clear.
 
     Raises:
-        BadURL, UsageError: A wrong string or profile name.
+        BadURL, UsageError: A wrong string or profile name; a tap on a link.
         PortNotFound, PortPermissionDenied, PortBusy, PortFailed: The port cannot be opened.
         SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
     """
@@ -417,7 +422,7 @@ def connect(
     try:
         aircraft = portal.wait(
             lambda _: _connected(
-                aio.connect(line, firmware=firmware, baud_rate=baud_rate, timeout=timeout)
+                aio.connect(line, firmware=firmware, baud_rate=baud_rate, timeout=timeout, tap=tap)
             )
         )
     except BaseException:
