@@ -93,6 +93,22 @@ async def test_a_setpoint_goes_out_at_once(rig: Rig) -> None:
     assert rig.frames == [(1.0, NORTH)]
 
 
+async def test_who_sets_one_has_checked_it_and_each_repetition_is_asked_for(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def admit(setpoint: Setpoint) -> bool:
+        asked.append(rig.loop.time())
+        return True
+
+    monkeypatch.setattr(rig.setpoints, "_admits", admit)
+    rig.set(NORTH)
+    assert (rig.times, asked) == ([0.0], [])
+    await asyncio.sleep(1.0)
+    assert asked == rig.times[1:]
+
+
 async def test_it_is_repeated_at_50_hz_for_its_lifetime_then_neutral_then_silence(rig: Rig) -> None:
     rig.set(NORTH, lifetime=0.19)
     await asyncio.sleep(5.0)
@@ -125,6 +141,7 @@ async def test_a_neutral_setpoint_that_runs_out_is_no_expiry(rig: Rig) -> None:
     rig.set(STILL)
     await asyncio.sleep(1.0)
     assert rig.setpoints.expired == 0
+    assert 0 < SETPOINT_LIFETIME + NEUTRAL_TIME - rig.times[-1] < 1.5 * PERIOD
 
 
 async def test_renewal_keeps_it_going(rig: Rig) -> None:
