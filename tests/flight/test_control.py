@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -16,6 +18,7 @@ from m100link import (
     GuardRefused,
     LinkLost,
     M100Error,
+    MissionRunning,
     NoAuthority,
     Setpoint,
     Tick,
@@ -26,6 +29,7 @@ from m100link.flight.stop_path import StopAction
 from m100link.protocol.commands.control import Move
 from m100link.requests import Requests
 from m100link.sim import VirtualClockEventLoop
+from tests.flight.missions.foreign import foreign, spot
 from tests.rig import FIRMWARES, NORTH, STILL, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -492,6 +496,43 @@ async def test_the_experts_door_sends_once_unchecked(flying: tuple[Rig, Control]
     assert control.send_raw_move_as_expert(move)
     await asyncio.sleep(1.0)
     assert list(flown.moves) == [move]
+
+
+CIRCLE: dict[str, Any] = {
+    "latitude_deg": spot(30.0, 0.0)[0],
+    "longitude_deg": spot(30.0, 0.0)[1],
+    "height": 20.0,
+    "radius": 20.0,
+    "rate_deg_s": 10.0,
+}
+
+
+async def push_raw(control: Control) -> None:
+    control.send_raw_move_as_expert(Move(0, 0.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "fly"),
+    [
+        ("take off", Control.take_off),
+        ("fly_to", partial(Control.fly_to, north=1.0, east=0.0, up=0.0)),
+        ("turn_to", partial(Control.turn_to, yaw_deg=90.0)),
+        ("a raw movement command", push_raw),
+    ],
+)
+async def test_while_a_mission_flies_what_else_would_fly_is_refused_by_name_and_at_once(
+    name: str, fly: Callable[[Control], Awaitable[None]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with foreign() as (there, aircraft), aircraft.control() as control:
+        async with control.hotpoint(**CIRCLE):
+            await asyncio.sleep(5.0)
+            monkeypatch.setattr(GuardKeeper, "admit_take_off", lambda _: pytest.fail("battery"))
+            count, began_at = len(there.movements), asyncio.get_running_loop().time()
+            with pytest.raises(MissionRunning, match=f"{name} was asked for while a hotpoint"):
+                await fly(control)
+            assert asyncio.get_running_loop().time() == began_at
+            assert len(there.movements) == count
+            assert there.missions.flying == "hotpoint"
 
 
 async def test_the_experts_door_needs_authority_too() -> None:
