@@ -314,6 +314,18 @@ async def test_a_neutral_that_may_not_go_out_does_not(rig: Rig) -> None:
     assert rig.frames == [(0.0, NORTH)]
 
 
+async def test_what_was_refused_once_does_not_come_back_by_itself(rig: Rig) -> None:
+    rig.set(NORTH, lifetime=10.0)
+    await asyncio.sleep(0.1)
+    rig.is_admitted = False
+    await asyncio.sleep(0.1)
+    count = len(rig.frames)
+    assert rig.setpoints.current is None
+    rig.is_admitted = True
+    await asyncio.sleep(1.0)
+    assert len(rig.frames) == count
+
+
 @pytest.mark.parametrize("after", [0.0, 0.011, 0.105, 0.111])
 async def test_behind_a_halt_there_is_silence(rig: Rig, after: float) -> None:
     rig.setpoints.set(NORTH, lifetime=10.0, period=0.5)
