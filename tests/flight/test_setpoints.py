@@ -326,6 +326,18 @@ async def test_what_was_refused_once_does_not_come_back_by_itself(rig: Rig) -> N
     assert len(rig.frames) == count
 
 
+async def test_a_neutral_that_never_went_out_is_owed_and_one_that_did_is_not(rig: Rig) -> None:
+    """The process stands still from before its turn until after its time."""
+    rig.set(NORTH)
+    rig.setpoints.neutralise()
+    await stand_still(rig, 0.001, 10.0)
+    await asyncio.sleep(0.1)
+    assert [setpoint for _, setpoint in rig.frames] == [NORTH]
+    rig.setpoints.pay()
+    rig.setpoints.pay()
+    assert [setpoint for _, setpoint in rig.frames] == [NORTH, STILL]
+
+
 @pytest.mark.parametrize("after", [0.0, 0.011, 0.105, 0.111])
 async def test_behind_a_halt_there_is_silence(rig: Rig, after: float) -> None:
     rig.setpoints.set(NORTH, lifetime=10.0, period=0.5)
