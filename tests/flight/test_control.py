@@ -238,6 +238,21 @@ async def test_a_take_off_without_authority_is_not_first_a_matter_of_the_battery
             await flown.aircraft.control().take_off()
 
 
+@pytest.mark.parametrize("task", [Control.land, Control.go_home])
+async def test_nothing_is_flown_without_authority(
+    task: Callable[[Control], Awaitable[None]],
+) -> None:
+    async with rig() as flown:
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+        count = len(flown.virtual.autopilot.received_commands)
+        with pytest.raises(NoAuthority, match="over with this block"):
+            await task(control)
+        await asyncio.sleep(1.0)
+        assert len(flown.virtual.autopilot.received_commands) == count
+        await flown.assert_hovers()
+
+
 # -- hold -----------------------------------------------------------------------------------------
 
 
