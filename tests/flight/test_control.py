@@ -530,6 +530,7 @@ async def push_raw(control: Control) -> None:
     ("name", "fly"),
     [
         ("take off", Control.take_off),
+        ("land", Control.land),
         ("fly_to", partial(Control.fly_to, north=1.0, east=0.0, up=0.0)),
         ("turn_to", partial(Control.turn_to, yaw_deg=90.0)),
         ("a raw movement command", push_raw),
