@@ -137,7 +137,12 @@ def chart(names: Sequence[str], speaker: Speaker) -> dict[str, Any]:
             for n in stripes
         ],
         "xAxis": [
-            {"type": "time", "gridIndex": n, "axisLabel": {"show": n == len(names) - 1}}
+            {
+                "type": "time",
+                "gridIndex": n,
+                # A narrow chart has room for few times; they would be written over each other.
+                "axisLabel": {"show": n == len(names) - 1, "hideOverlap": True},
+            }
             for n in stripes
         ],
         "yAxis": [

@@ -88,6 +88,8 @@ def test_each_number_has_a_stripe_of_its_own_and_one_cursor_reads_all(count: int
     options = chart(COLUMNS[:count], Speaker())
     assert len(options["grid"]) == len(options["series"]) == len(options["yAxis"]) == count
     assert options["axisPointer"]["link"] == [{"xAxisIndex": "all"}]
+    assert sum(one["axisLabel"]["show"] for one in options["xAxis"]) == min(count, 1)
+    assert all(one["axisLabel"]["hideOverlap"] for one in options["xAxis"])
     tops = [grid["top"] for grid in options["grid"]]
     assert all(after - before > 88 for before, after in pairwise(tops))
     assert not tops or tops[-1] + 88 <= height(COLUMNS[:count])
