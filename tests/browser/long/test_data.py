@@ -15,7 +15,7 @@ import pytest
 
 from tests.browser.boxes import faults
 from tests.browser.conftest import console_in_browser, context_of, running_console
-from tests.browser.operator import airborne, look_at
+from tests.browser.operator import airborne, look_at, shows
 from tests.browser.test_console import child_of
 
 pytestmark = [pytest.mark.anyio]
@@ -46,7 +46,7 @@ async def test_plots_are_drawn_at_once_stand_still_and_come_as_a_file(
             await page.set_viewport_size({"width": width, "height": height})
             assert await faults(page) == [], (width, height)
         await page.click("#plot-pause")
-        await page.wait_for_selector("#plot-pause[aria-pressed=true]")
+        await shows(page, "#plot-pause", "Go on")
         async with page.expect_download() as download:
             await page.click("#plot-csv")
         path = tmp_path / "plots.csv"
