@@ -315,14 +315,24 @@ async def test_a_neutral_that_may_not_go_out_does_not(rig: Rig) -> None:
     assert rig.frames == [(0.0, NORTH)]
 
 
-async def test_what_was_refused_once_does_not_come_back_by_itself(rig: Rig) -> None:
+async def test_what_was_refused_once_does_not_come_back_by_itself(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Setpoint] = []
+
+    def refuse(setpoint: Setpoint) -> bool:
+        asked.append(setpoint)
+        if len(asked) > 3:
+            raise RuntimeError("asked again and again")
+        return False
+
     rig.set(NORTH, lifetime=10.0)
     await asyncio.sleep(0.1)
-    rig.is_admitted = False
-    await asyncio.sleep(0.1)
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.setpoints, "_admits", refuse)
+        await asyncio.sleep(0.1)
     count = len(rig.frames)
-    assert rig.setpoints.current is None
-    rig.is_admitted = True
+    assert (asked, rig.setpoints.current) == ([NORTH], None)
     await asyncio.sleep(1.0)
     assert len(rig.frames) == count
 
