@@ -26,6 +26,17 @@ def test_a_time_counts_in_the_class_whose_bound_it_keeps() -> None:
     assert trips.mean_s == pytest.approx(64.1021 / 6)
 
 
+def test_the_classes_end_at_1_2_and_5_of_each_decade_up_to_two_seconds() -> None:
+    ends = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
+    for place, milliseconds in enumerate(ends):
+        counter = RoundTripCounter()
+        counter.add(milliseconds / 1000)
+        counter.add(milliseconds / 1000 * 1.001)
+        counts = counter.counted().counts
+        assert counts[place : place + 2] == (1, 1), milliseconds
+        assert sum(counts) == 2
+
+
 def test_of_none_nothing_is_said() -> None:
     trips = RoundTrips()
     assert (trips.count, trips.mean_s, trips.within_s(0.5)) == (0, None, None)
