@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import sys
+import termios
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
@@ -366,12 +367,15 @@ def test_an_error_of_the_protocol_is_the_loops_and_the_bytes_are_gone(bench: Ben
     assert bench.transport.state is OPEN
 
 
+@pytest.mark.parametrize("error", [GONE, termios.error(errno.EIO, "Input/output error")])
 @pytest.mark.parametrize("step", ["reset_output_buffer", "close"])
 def test_a_port_that_fails_at_its_end_has_ended_all_the_same(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, step: str
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, step: str, error: Exception
 ) -> None:
+    """What the terminal layer raises is no OSError."""
+
     def fail() -> None:
-        raise GONE
+        raise error
 
     block(bench)
     monkeypatch.setattr(bench.line, step, fail)
