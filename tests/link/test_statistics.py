@@ -40,6 +40,7 @@ def test_the_classes_end_at_1_2_and_5_of_each_decade_up_to_two_seconds() -> None
 def test_of_none_nothing_is_said() -> None:
     trips = RoundTrips()
     assert (trips.count, trips.mean_s, trips.within_s(0.5)) == (0, None, None)
+    assert trips == RoundTripCounter().counted()
 
 
 @pytest.mark.parametrize(
