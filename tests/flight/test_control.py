@@ -16,6 +16,7 @@ from m100link import (
     BadSetpoint,
     Control,
     GuardRefused,
+    Guards,
     LinkLost,
     M100Error,
     MissionRunning,
@@ -209,7 +210,8 @@ async def test_where_a_block_is_in_its_life_can_be_asked() -> None:
         seen = []
 
         def look() -> None:
-            seen.append((control.is_flying, control.is_stopping, control.is_over))
+            life = control.is_flying, control.is_stopping, control.is_over
+            seen.append((life, control.has_authority, control.is_paused))
 
         async def fly() -> None:
             async with control:
@@ -223,11 +225,17 @@ async def test_where_a_block_is_in_its_life_can_be_asked() -> None:
         await flight
         look()
         assert seen == [
-            (False, False, False),
-            (True, False, False),
-            (False, True, False),
-            (False, False, True),
+            ((False, False, False), False, False),
+            ((True, False, False), True, False),
+            ((False, True, False), True, False),
+            ((False, False, True), False, False),
         ]
+        assert control.state is flown.aircraft.state
+        assert control.guards == Guards()
+        position = control.state.position
+        assert position is not None
+        place = position.latitude_deg, position.longitude_deg
+        assert control.origin == pytest.approx(place, abs=1e-5)
 
 
 async def test_a_take_off_without_authority_is_not_first_a_matter_of_the_battery() -> None:
