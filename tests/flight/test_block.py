@@ -555,7 +555,9 @@ async def test_two_blocks_made_before_either_was_entered_do_not_share_authority(
 async def test_a_block_is_entered_once_and_is_over_when_it_is_over() -> None:
     async with rig() as flown:
         async with flown.aircraft.control() as control:
-            pass
+            block = control._block
+            assert (block.is_open, block.is_flying) == (True, True)
+        assert (block.is_open, block.is_flying) == (False, False)
         with pytest.raises(NoAuthority, match="over with this block"):
             control.send(NORTH)
         with pytest.raises(NoAuthority):
