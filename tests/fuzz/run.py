@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import argparse
 import gc
+import importlib.util
 import os
+import subprocess
 import sys
 import time
 from contextlib import suppress
@@ -93,18 +95,48 @@ def execute(name: str, target: Target, executions: int, seed: int) -> Told:
     return told
 
 
+def _guide(names: list[str], seconds: int, seed: int) -> int:
+    """Let atheris look for inputs, a process for each target; 1 when one ended with a finding."""
+    if importlib.util.find_spec("atheris") is None:
+        sys.stdout.write("atheris is not installed: pip install atheris (Python 3.11 to 3.13)\n")
+        return 1
+    status = 0
+    for name in names:
+        sys.stdout.write(f"{name}:\n")
+        sys.stdout.flush()
+        words = (
+            sys.executable,
+            "-m",
+            "tests.fuzz.guided",
+            name,
+            str(seconds),
+            str(seed & 0x7FFFFFFF),
+        )
+        done = subprocess.run(words, check=False, capture_output=True, text=True)
+        lines = done.stderr.splitlines()
+        shown = [one for one in lines if one.startswith("stat::") or " DONE " in one]
+        # Python's own report of a finding, and the bytes that libFuzzer prints, stand at the end.
+        sys.stdout.write("\n".join(lines[-60:] if done.returncode else shown) + "\n")
+        status |= done.returncode != 0
+    return status
+
+
 def main() -> int:
     """Run all targets, or some; 1 when there was a finding."""
     parser = argparse.ArgumentParser(prog="nox -s fuzz --", description=__doc__)
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=", ".join(TARGETS))
     parser.add_argument("--executions", type=int, default=10_000_000, help="of all together")
     parser.add_argument("--seed", type=int, default=int.from_bytes(os.urandom(4)))
+    parser.add_argument("--engine", choices=("own", "atheris"), default="own")
+    parser.add_argument("--seconds", type=int, default=60, help="of atheris, for each target")
     options = parser.parse_args()
     unknown = [name for name in options.targets if name not in TARGETS]
     if unknown:
         parser.error(f"there is no target {unknown[0]!r}: {', '.join(TARGETS)}")
     sys.stdout.write(f"seed {options.seed}\n")
     chosen = options.targets or list(TARGETS)
+    if options.engine == "atheris":
+        return _guide(chosen, options.seconds, options.seed)
     shares = sum(TARGETS[name].share for name in chosen)
     status = 0
     for name in chosen:

@@ -6,6 +6,7 @@ from random import Random
 
 import pytest
 
+from tests.fuzz.guided import quoted
 from tests.fuzz.mutation import MOST, changed
 from tests.fuzz.run import Finding, execute
 from tests.fuzz.targets import TARGETS, Target
@@ -46,3 +47,7 @@ def test_changes_follow_from_the_seed_and_have_a_limit() -> None:
     assert inputs == [changed(second, seeds) for _ in range(300)]
     assert max(map(len, inputs)) <= MOST
     assert len(set(inputs)) > 200
+
+
+def test_words_of_a_language_are_written_as_the_other_engine_reads_them() -> None:
+    assert quoted((b'"\\', b"", b"op")) == '"\\x22\\x5c"\n"\\x6f\\x70"\n'
