@@ -126,32 +126,37 @@ async def serving_fronts(
         servers = [Server.make(bridge.app(settings), settings)]
         await stack.enter_async_context(_serving(servers[0], sockets.rosbridge))
         access = None
+        dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
         if sockets.console is not None:
             console = await _reached(stack, reach, "console")
-            server, access = _console(console, settings, orders)
+            server, access, dropped_by_tabs = _console(console, settings, orders)
             await stack.enter_async_context(_serving(server, [sockets.console]))
             servers.append(server)
         if sockets.metrics is not None:
-            servers.append(_metrics(bridge, settings))
+            servers.append(_metrics(bridge, settings, dropped_by_tabs))
             await stack.enter_async_context(_serving(servers[-1], [sockets.metrics]))
         yield Fronts(agents, bridge, servers, access)
 
 
 def _console(
     agents: Mapping[str, AgentClient], settings: Settings, orders: Mapping[str, Orders]
-) -> tuple[Server, Access | None]:
+) -> tuple[Server, Access | None, Callable[[], Mapping[str, int]]]:
     try:
         from m100link.station.console.app import console_app
+        from m100link.station.console.tabs import Tabs
     except ModuleNotFoundError as error:
         raise UsageError(
             f"the console needs {error.name}, which is not installed",
             remedy="pip install 'm100link[station]'",
         ) from None
-    app = console_app(agents, settings, orders)
-    return Server.make(app, settings, lifespan="on"), app.access
+    tabs = Tabs(agents)
+    app = console_app(agents, settings, orders, tabs)
+    return Server.make(app, settings, lifespan="on"), app.access, tabs.dropped
 
 
-def _metrics(bridge: Bridge, settings: Settings) -> Server:
+def _metrics(
+    bridge: Bridge, settings: Settings, dropped_by_tabs: Callable[[], Mapping[str, int]]
+) -> Server:
     try:
         from m100link.station.web.metrics import metrics_app
     except ModuleNotFoundError as error:
@@ -159,7 +164,7 @@ def _metrics(bridge: Bridge, settings: Settings) -> Server:
             f"the metrics need {error.name}, which is not installed",
             remedy="pip install 'm100link[station]'",
         ) from None
-    return Server.make(metrics_app(bridge, settings), settings)
+    return Server.make(metrics_app(bridge, settings, dropped_by_tabs), settings)
 
 
 @asynccontextmanager

@@ -44,7 +44,10 @@ _RECONNECT_S = 10.0
 
 
 def console_app(
-    agents: Mapping[str, AgentClient], settings: Settings, orders: Mapping[str, Orders]
+    agents: Mapping[str, AgentClient],
+    settings: Settings,
+    orders: Mapping[str, Orders],
+    tabs: Tabs | None = None,
 ) -> Gate:
     """The application behind its gate.
 
@@ -52,12 +55,13 @@ def console_app(
         agents: The agent that owns an aircraft, by its name.
         settings: Who may connect, and the folder with tiles.
         orders: What the panel does that plays pilot and weather of virtual aircraft.
+        tabs: Where its tabs are kept; of its own by default.
 
     Raises:
         UsageError: The folder with tiles does not exist.
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    tabs = Tabs(agents)
+    tabs = tabs or Tabs(agents)
     histories = {name: History() for name in agents}
     for name, agent in agents.items():
         agent.background.spawn(histories[name].keep(agent), "history")

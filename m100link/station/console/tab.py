@@ -66,6 +66,7 @@ class Tab:
         plan: What was uploaded last, None before.
         beats: Beats that were sent on.
         refused: Messages that could not be used.
+        dropped: Pictures of telemetry that its page did not get because it is slow.
         lease_end: How the lease was lost, and to whom; None while the tab has it, gave it back or
             never had it.
         loss: Who or what took authority while the tab had the lease; None when it is held again.
@@ -81,6 +82,7 @@ class Tab:
         self.plan: WaypointPlan | None = None
         self.beats = 0
         self.refused = 0
+        self.dropped = 0
         self.lease_end: LeaseChanged | None = None
         self.loss: LossReason | None = None
         self._last_number = -1

@@ -150,6 +150,13 @@ class Tabs:
         if tab is not None:
             tab.close()
 
+    def dropped(self) -> dict[str, int]:
+        """Pictures that tabs did not get, by name; those of the same name together."""
+        counts: dict[str, int] = {}
+        for place in self._places.values():
+            counts[place.tab.name] = counts.get(place.tab.name, 0) + place.tab.dropped
+        return counts
+
     async def serve(self, websocket: WebSocket) -> None:
         """The socket of a tab, until either end leaves."""
         key = websocket.path_params["key"]
@@ -224,7 +231,9 @@ class Tabs:
                         message["others"] = [
                             seen_from_afar(name, one.telemetry) for name, one in others.items()
                         ]
-                    await websocket.send_json(message)
+                    began_at = agent.now
+                    await websocket.send_json(message)  # waits for a page that takes nothing
+                    tab.dropped += int((agent.now - began_at) / LIVE_INTERVAL)
                     await asyncio.sleep(LIVE_INTERVAL)
                 else:
                     # Else the page could not tell a silent agent from a silent station.

@@ -86,10 +86,14 @@ class StationMetrics(Collector):
 
     Args:
         bridge: The agents, and who is connected.
+        dropped_by_tabs: Pictures that tabs of the console did not get, by their name.
     """
 
-    def __init__(self, bridge: Bridge) -> None:
+    def __init__(
+        self, bridge: Bridge, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
+    ) -> None:
         self._bridge = bridge
+        self._dropped_by_tabs = dropped_by_tabs
 
     def collect(self) -> Iterator[Metric]:
         """All families, each with its samples."""
@@ -197,6 +201,14 @@ class StationMetrics(Collector):
         for client in clients:
             dropped.add_metric([client.name], client.dropped)
         yield dropped
+        pictures = CounterMetricFamily(
+            "m100_console_dropped_pictures",
+            "Pictures of telemetry that a tab of the console did not get because it is slow",
+            labels=["tab"],
+        )
+        for name, count in self._dropped_by_tabs().items():
+            pictures.add_metric([name], count)
+        yield pictures
 
 
 def _state_of(agent: AgentClient) -> str:
@@ -205,10 +217,12 @@ def _state_of(agent: AgentClient) -> str:
     return "silent" if agent.is_silent else agent.state.connection
 
 
-def metrics_app(bridge: Bridge, settings: Settings) -> Gate:
+def metrics_app(
+    bridge: Bridge, settings: Settings, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
+) -> Gate:
     """``/metrics`` and ``/dashboard.json``, behind the gate of the station."""
     registry = CollectorRegistry()
-    registry.register(StationMetrics(bridge))
+    registry.register(StationMetrics(bridge, dropped_by_tabs))
 
     async def metrics(request: Request) -> Response:
         if "application/openmetrics-text" in request.headers.get("accept", ""):

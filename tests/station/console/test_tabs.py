@@ -30,6 +30,7 @@ class Page:
         self._inbox.put_nowait({"type": "websocket.connect"})
         self.sent: list[dict[str, Any]] = []
         self._count = 0
+        self.takes = 0.0  # seconds for each message
         scope = {
             "type": "websocket",
             "path_params": {"key": self.key},
@@ -40,6 +41,7 @@ class Page:
         self.work = asyncio.create_task(tabs.serve(WebSocket(scope, receive, self._send)))
 
     async def _send(self, message: Any) -> None:
+        await asyncio.sleep(self.takes)
         self.sent.append(message)
 
     def say(self) -> None:
@@ -76,6 +78,22 @@ async def test_a_tab_gets_instruments_until_it_leaves(rig: Rig) -> None:
     again = Page(rig, tabs, key=page.key)
     await anyio.sleep(0.1)
     assert again.is_open
+
+
+async def test_what_a_slow_page_does_not_get_is_counted_for_its_tab(rig: Rig) -> None:
+    tabs = Tabs({"m100": rig.front})
+    fast, slow = Page(rig, tabs), Page(rig, tabs)
+    assert fast.tab is not None
+    assert slow.tab is not None
+    fast.tab.name, slow.tab.name = "fast", "slow"
+    await anyio.sleep(0.1)
+    assert tabs.dropped() == {"fast": 0, "slow": 0}
+    slow.takes = 20.5 * module.LIVE_INTERVAL
+    await anyio.sleep(100 * module.LIVE_INTERVAL)
+    assert tabs.dropped() == {"fast": 0, "slow": 80}
+    slow.leave()
+    await slow.work
+    assert tabs.dropped() == {"fast": 0}
 
 
 async def test_a_socket_is_for_a_tab_that_was_opened_and_for_one_at_a_time(rig: Rig) -> None:
