@@ -220,7 +220,9 @@ class Link(asyncio.Protocol):
         Raises:
             LinkLost, LinkClosed: There is no line.
         """
-        self._check_open()
+        # Fifty times a second, and nearly always as it should be: no call is made to find that out.
+        if self._failure or self._transport is None or _get_running_loop() is not self._loop:
+            self._check_open()
         if not self._is_writable:
             self._dropped_writes += 1
             return False
