@@ -349,6 +349,27 @@ async def test_a_neutral_that_never_went_out_is_owed_and_one_that_did_is_not(rig
     assert [setpoint for _, setpoint in rig.frames] == [NORTH, STILL]
 
 
+async def test_what_the_line_did_not_take_was_not_sent_and_goes_out_when_it_does(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.setpoints.set(NORTH, lifetime=10.0, period=1.0)
+    await asyncio.sleep(0.1)
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.setpoints, "_send", lambda _: False)
+        rig.setpoints.set(EAST, lifetime=10.0, period=1.0)
+        await asyncio.sleep(0.1)
+        assert rig.setpoints.sent == len(rig.frames) == 1
+    await asyncio.sleep(1.1 * PERIOD)
+    assert [setpoint for _, setpoint in rig.frames] == [NORTH, EAST]
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.setpoints, "_send", lambda _: False)
+        rig.setpoints.neutralise()
+        await asyncio.sleep(1.0)
+    rig.setpoints.pay()
+    assert [setpoint for _, setpoint in rig.frames] == [NORTH, EAST, STILL]
+    assert rig.setpoints.sent == 3
+
+
 @pytest.mark.parametrize("after", [0.0, 0.011, 0.105, 0.111])
 async def test_behind_a_halt_there_is_silence(rig: Rig, after: float) -> None:
     rig.setpoints.set(NORTH, lifetime=10.0, period=0.5)
