@@ -166,10 +166,10 @@ async def test_a_silent_line_is_named_as_the_likely_cause() -> None:
     with pytest.raises(AckTimeout) as caught:
         await link.request(b"x", timeout=0.1, tries=1)
     assert "ignores the command" in caught.value.cause
-    await asyncio.sleep(4.9)
+    await asyncio.sleep(0.9)
     with pytest.raises(AckTimeout) as caught:
         await link.request(b"x", timeout=0.1, tries=1)
-    assert "nothing has come from the aircraft for 5.1 s" in caught.value.cause
+    assert "nothing has come from the aircraft for 1.1 s" in caught.value.cause
     await link.close()
 
 
