@@ -16,6 +16,7 @@ from tests.browser.operator import (
     NOT_TAKEN,
     airborne,
     hold,
+    hold_until,
     is_still,
     look_at,
     press,
@@ -85,8 +86,11 @@ async def test_a_click_is_flown_to_and_a_plan_is_drawn_kept_and_flown(
         path = await _draw_and_keep(page, tmp_path)
         await press(page, "mission_upload")
         await shows(page, "#plan-uploaded", "Uploaded")
-        await hold(page, "mission_start")
-        await shows(page, "#mission", "to waypoint")
+
+        async def is_under_way() -> bool:
+            return "to waypoint" in await page.inner_text("#mission")
+
+        await hold_until(page, "mission_start", is_under_way)
         await press(page, "mission_stop")
         await shows(page, "#mission", "no mission")
         await until(lambda: is_still(console))

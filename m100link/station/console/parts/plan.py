@@ -283,7 +283,10 @@ class PlanPart:
         units = self._deck.wording.settings.units
         self._chart.options.update(profile_options(profile(draft.points), units))
         self._chart.update()
-        _run(f"map.draw({json.dumps(drawing(draft, found, self._chosen))})")
+        with (
+            self._rows
+        ):  # the row that was pressed is another one by now, and no place for a script
+            _run(f"map.draw({json.dumps(drawing(draft, found, self._chosen))})")
 
     def _show_rows(self) -> None:
         self._rows.clear()
