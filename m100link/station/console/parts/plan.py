@@ -283,9 +283,8 @@ class PlanPart:
         units = self._deck.wording.settings.units
         self._chart.options.update(profile_options(profile(draft.points), units))
         self._chart.update()
-        with (
-            self._rows
-        ):  # the row that was pressed is another one by now, and no place for a script
+        # The row that was pressed is another one by now, and no place for a script to run in.
+        with self._rows:
             _run(f"map.draw({json.dumps(drawing(draft, found, self._chosen))})")
 
     def _show_rows(self) -> None:
