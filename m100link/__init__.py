@@ -399,7 +399,7 @@ _OF_PLANS = frozenset(
 )
 
 # Rooms for users, not looked into for public names: those of the first are the same again.
-_OTHER_ROOMS = ("doctor", "missions", "sync", "sim", "patterns")
+_OTHER_ROOMS = ("doctor", "log", "missions", "sync", "sim", "patterns")
 
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name

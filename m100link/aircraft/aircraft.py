@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from m100link.activation import ActivationProgress, activate
@@ -83,6 +83,7 @@ class Aircraft:
         self.gimbal = AircraftGimbal(self._requests, self._telemetry)
         self.camera = AircraftCamera(self._requests)
         self.link = link
+        self._at_end: list[Callable[[], Awaitable[None]]] = []  # such as of a log, after the line
         self.authority.subscribe(self._on_authority)
         self._missions = MissionWatch(link.loop.time)
         parts = link, self._requests, self.authority, self.state
@@ -117,6 +118,8 @@ class Aircraft:
             await self._claim.close()
         finally:
             await self.link.close()
+            for end in self._at_end:
+                await end()
 
     @property
     def is_connected(self) -> bool:

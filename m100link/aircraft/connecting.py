@@ -3,17 +3,43 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Generator
+import math
+from collections.abc import Callable, Coroutine, Generator, Iterable
+from dataclasses import asdict
+from enum import Enum
 from functools import partial
+from os import PathLike
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import UsageError
-from m100link.link import Link, Tap, open_link
+from m100link.link import Direction, Link, Tap, open_link
 from m100link.protocol.firmware import FirmwareProfile, profile
 
 __all__ = ["Connecting", "connect"]
+
+
+Told = tuple[str, dict[str, Any]]
+"""A topic of a flight log, and what is said on it."""
+
+
+class Recording(Protocol):
+    """What keeps a flight: :class:`m100link.log.Recorder`."""
+
+    def tap(self, direction: Direction, data: bytes, now: float) -> None:
+        """See :data:`m100link.link.Tap`."""
+
+    def watch(
+        self,
+        link: Link,
+        firmware: Callable[[], FirmwareProfile],
+        look: Callable[[], Iterable[Told]],
+    ) -> None:
+        """What is known of a connection besides its bytes."""
+
+    async def aclose(self) -> None:
+        """End it, after the line has."""
 
 
 class Connecting:
@@ -75,6 +101,7 @@ def connect(
     baud_rate: int | None = None,
     timeout: float = 3.0,
     tap: Tap | None = None,
+    record: str | PathLike[str] | Recording | None = None,
 ) -> Connecting:
     """Connect to an aircraft for the time of a block.
 
@@ -95,6 +122,8 @@ def connect(
         tap: Called with the bytes of every read and write, which way they went and when, on the
             event loop's clock: see :data:`m100link.link.Tap`. The activation carries the app id in
             clear.
+        record: File for a flight log, or a folder for one that is named by the time; or a
+            :class:`m100link.log.Recorder`. Needs the extra ``log``.
 
     Raises (when it is entered or awaited):
         BadURL, UsageError: A wrong string or profile name; no asyncio, but trio; a tap on a link.
@@ -102,7 +131,15 @@ def connect(
         SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
     """
     name = line if isinstance(line, str) else line.name
-    opening = partial(_open, line, firmware=firmware, baud_rate=baud_rate, timeout=timeout, tap=tap)
+    opening = partial(
+        _open,
+        line,
+        firmware=firmware,
+        baud_rate=baud_rate,
+        timeout=timeout,
+        tap=tap,
+        record=record,
+    )
     return Connecting(opening, name)
 
 
@@ -113,22 +150,81 @@ async def _open(
     baud_rate: int | None,
     timeout: float,
     tap: Tap | None,
+    record: str | PathLike[str] | Recording | None,
 ) -> Aircraft:
     _require_asyncio()
     forced = None if firmware is None else profile(firmware)
-    if isinstance(line, Link) and tap is not None:
+    if isinstance(line, Link) and (tap is not None or record is not None):
         raise UsageError(
-            f"{line.name} is open already, and cannot be tapped",
+            f"{line.name} is open already, and can be neither tapped nor recorded",
             remedy="give the tap to open_link(), or the URL to connect()",
         )
-    link = line if isinstance(line, Link) else await open_link(line, baud_rate=baud_rate, tap=tap)
+    recorder = None if record is None else _recorder(record)
+    try:
+        if isinstance(line, Link):
+            link = line
+        else:
+            link = await open_link(line, baud_rate=baud_rate, tap=_both(tap, recorder))
+    except BaseException:
+        if recorder is not None:
+            await recorder.aclose()
+        raise
     aircraft = Aircraft(link, firmware=forced)
+    if recorder is not None:
+        recorder.watch(link, lambda: aircraft.firmware, _observer(aircraft))
+        aircraft._at_end.append(recorder.aclose)
     try:
         await aircraft._requests.find_aircraft(timeout)
     except BaseException:
         await aircraft.aclose()
         raise
     return aircraft
+
+
+def _recorder(record: str | PathLike[str] | Recording) -> Recording:
+    from m100link.log.recorder import Recorder  # few programs record
+
+    return Recorder(record) if isinstance(record, str | PathLike) else record
+
+
+def _both(tap: Tap | None, recorder: Recording | None) -> Tap | None:
+    if tap is None or recorder is None:
+        return tap if recorder is None else recorder.tap
+    write, also = recorder.tap, tap
+
+    def hear(direction: Direction, data: bytes, now: float) -> None:
+        write(direction, data, now)
+        also(direction, data, now)
+
+    return hear
+
+
+def _observer(aircraft: Aircraft) -> Callable[[], list[Told]]:
+    """What a flight log is told besides bytes: events as they come, counters once a second."""
+    events = aircraft.events()
+    counted_at = -math.inf
+
+    def look() -> list[Told]:
+        nonlocal counted_at
+        told: list[Told] = []
+        while (event := events.get_nowait()) is not None:
+            kind = type(event).__name__.removesuffix("Event").lower()
+            values = {name: _plain(value) for name, value in event._asdict().items()}
+            told.append(("/m100/event", {"event": kind, **values}))
+        now = aircraft.link.loop.time()
+        if now - counted_at >= 1.0:
+            counted_at = now
+            counters = asdict(aircraft.statistics())
+            told.append(("/m100/link", {"firmware": aircraft.firmware.name, **counters}))
+        return told
+
+    return look
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Enum):
+        return value.value
+    return value if value is None or isinstance(value, bool) else str(value)
 
 
 def _require_asyncio() -> None:

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from os import PathLike
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from m100link import aircraft as aio
 from m100link.activation import ActivationProgress
+from m100link.aircraft.connecting import Recording
 from m100link.aircraft.events import AuthorityEvent, ConnectionEvent
 from m100link.errors import CommandRefused, LinkError
 from m100link.flight.authority import Authority
@@ -392,6 +394,7 @@ def connect(
     baud_rate: int | None = None,
     timeout: float = 3.0,
     tap: Tap | None = None,
+    record: str | PathLike[str] | Recording | None = None,
 ) -> Aircraft:
     """Connect to an aircraft for the time of a block.
 
@@ -412,6 +415,8 @@ def connect(
         tap: Called with the bytes of every read and write, which way they went and when, on the
             event loop's clock: see :data:`m100link.link.Tap`. The activation carries the app id in
             clear.
+        record: File for a flight log, or a folder for one that is named by the time; or a
+            :class:`m100link.log.Recorder`. Needs the extra ``log``.
 
     Raises:
         BadURL, UsageError: A wrong string or profile name; a tap on a link.
@@ -422,7 +427,14 @@ def connect(
     try:
         aircraft = portal.wait(
             lambda _: _connected(
-                aio.connect(line, firmware=firmware, baud_rate=baud_rate, timeout=timeout, tap=tap)
+                aio.connect(
+                    line,
+                    firmware=firmware,
+                    baud_rate=baud_rate,
+                    timeout=timeout,
+                    tap=tap,
+                    record=record,
+                )
             )
         )
     except BaseException:

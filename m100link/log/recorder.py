@@ -1,0 +1,409 @@
+"""Writes a flight log beside a connection that flies.
+
+The event loop only notes what it heard and when. A thread makes the file of it: it decodes,
+compresses, writes and waits for the disk, so that a disk that is slow or full costs the log and
+nothing else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import json
+import logging
+import math
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from m100link.errors import UsageError
+from m100link.link import Direction, Link
+from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX
+from m100link.log.redaction import Redaction
+from m100link.log.witness import Told, Witness
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.wire import Cipher
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
+
+__all__ = ["Recorder", "mcap_module"]
+
+_logger = logging.getLogger(__name__)
+
+BATCH_S = 0.1
+"""What the loop notes goes to the thread so often: reads of so long are one message."""
+
+FLUSH_S = 0.5
+"""A process that is killed loses what it noted for so long, and a batch."""
+
+FSYNC_S = 5.0
+"""A computer that loses its power loses so much."""
+
+LINK_S = 1.0
+"""Between two records of the counters of the link."""
+
+MAX_WAITING = 16_000_000
+"""Bytes that wait for a disk that stands still; what comes then is dropped and counted."""
+
+END_TIMEOUT_S = 5.0
+"""How long closing waits for the disk."""
+
+_CHUNK_SIZE = 1 << 20
+
+
+def mcap_module(name: str) -> Any:
+    """A module of the package that reads and writes the files.
+
+    Raises:
+        UsageError: It is not installed.
+    """
+    try:
+        return import_module(f"mcap.{name}")
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"a flight log needs {error.name}, which is not installed",
+            remedy="pip install 'm100link[log]'",
+        ) from None
+
+
+@dataclass
+class _Batch:
+    """What the loop heard since the last batch, and what was known then."""
+
+    chunks: list[tuple[Direction, bytes, float]] = field(default_factory=list)
+    told: list[tuple[float, Told]] = field(default_factory=list)
+    cipher: Cipher | None = None
+    profile: FirmwareProfile | None = None
+    dropped: int = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes that were heard."""
+        return sum(len(data) for _, data, _ in self.chunks)
+
+
+class Recorder:
+    """Writes one connection into one file. ``connect(url, record=…)`` makes and ends one.
+
+    Args:
+        path: The file, which must not be there yet; a folder gets one that is named by the time.
+        rate_hz: Decoded telemetry at most so often, Hz; 0: every package. The bytes of every
+            package are in the file whatever it is.
+
+    Attributes:
+        path: The file.
+        failure: Why recording ended before the connection did; None while it did not.
+        dropped: Bytes that are not in the file because the disk did not keep up.
+
+    Raises:
+        UsageError: The file is there already or cannot be written, or the extra ``log`` is not
+            installed.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, rate_hz: float = 10.0) -> None:
+        if not 0 <= rate_hz < math.inf:
+            raise UsageError(f"{rate_hz} Hz is not a rate", remedy="0 for every package")
+        writer = mcap_module("writer").Writer
+        self.path = _place_of(path)
+        try:
+            stream = self.path.open("xb")
+        except FileExistsError:
+            raise UsageError(
+                f"{self.path} is there already; nothing was recorded",
+                remedy="another name, or the folder: a new file is named by the time",
+            ) from None
+        except OSError as error:
+            raise UsageError(
+                f"{self.path} cannot be written: {error.strerror}",
+                remedy="name a file in a folder that is there and may be written",
+            ) from error
+        self.dropped = 0
+        self._clock = time.monotonic
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._look: Callable[[], Iterable[Told]] = tuple
+        self._known: Callable[[], tuple[Cipher | None, FirmwareProfile | None]] = _nothing
+        self._batch = _Batch()
+        self._timer: asyncio.TimerHandle | None = None
+        self._waiting = 0  # bytes that the thread has not taken; one more than it is costs nothing
+        self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
+        self._scribe = _Scribe(writer, stream, self.path, rate_hz)
+        self._thread = threading.Thread(target=self._write, name=f"log {self.path}", daemon=True)
+        self._thread.start()
+        atexit.register(self._end)
+
+    @property
+    def failure(self) -> Exception | None:
+        """Why recording ended before the connection did."""
+        return self._scribe.failure
+
+    # -- on the event loop -------------------------------------------------------------------------
+
+    def tap(self, direction: Direction, data: bytes, now: float) -> None:
+        """Note what a line carried: see :data:`m100link.link.Tap`."""
+        if self._timer is None:
+            self._loop = asyncio.get_running_loop()
+            self._scribe.utc_offset_s = time.time() - now
+            self._timer = self._loop.call_later(BATCH_S, self._tick)
+        self._batch.chunks.append((direction, data, now))
+
+    def watch(
+        self,
+        link: Link,
+        firmware: Callable[[], FirmwareProfile],
+        look: Callable[[], Iterable[Told]],
+    ) -> None:
+        """What is known of a connection besides its bytes.
+
+        Args:
+            link: Whose key decrypts.
+            firmware: By which telemetry and movement are read.
+            look: Called ten times a second; what it tells is written.
+        """
+        self._known = lambda: (link.cipher, firmware())
+        self._look = look
+
+    async def aclose(self) -> None:
+        """End the file; waits up to five seconds for the disk. May be called again."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._hand_over()
+        self._queue.put(None)
+        await asyncio.to_thread(self._thread.join, END_TIMEOUT_S)
+        atexit.unregister(self._end)
+        if self._thread.is_alive():
+            _logger.warning("%s: the disk did not take the end of the log", self.path)
+
+    def _tick(self) -> None:
+        assert self._loop is not None
+        self._hand_over()
+        self._timer = self._loop.call_later(BATCH_S, self._tick)
+
+    def _hand_over(self) -> None:
+        batch, self._batch = self._batch, _Batch()
+        if self._scribe.failure is not None:
+            return
+        if self._loop is not None:
+            now = self._loop.time()
+            batch.told = [(now, told) for told in self._look()]
+        batch.cipher, batch.profile = self._known()
+        size = batch.size
+        if self._waiting + size > MAX_WAITING:
+            self.dropped += size
+            return
+        batch.dropped = self.dropped
+        self._waiting += size
+        self._queue.put(batch)
+
+    # -- in the thread ----------------------------------------------------------------------------
+
+    def _write(self) -> None:
+        scribe, pending = self._scribe, self._queue
+        try:
+            while True:
+                try:
+                    batch = pending.get(timeout=FLUSH_S)
+                except queue.Empty:
+                    scribe.flush()
+                    continue
+                if batch is None:
+                    break
+                self._waiting -= batch.size
+                scribe.write(batch)
+                scribe.flush_in_time()
+            scribe.finish()
+        except Exception as error:  # noqa: BLE001 - whatever it is ends the log and nothing else
+            scribe.failure = error
+            _logger.warning(
+                "%s: recording ended, the flight goes on: %s; what was written can be read, and "
+                "mended by: m100link log recover",
+                self.path,
+                error,
+            )
+            scribe.close()
+
+    def _end(self) -> None:
+        """The interpreter ends and nobody closed: what was noted is written."""
+        self._hand_over()
+        self._queue.put(None)
+        self._thread.join(END_TIMEOUT_S)
+
+
+def _nothing() -> tuple[None, None]:
+    return None, None
+
+
+def _place_of(path: str | os.PathLike[str]) -> Path:
+    place = Path(path).expanduser()
+    if not place.is_dir():
+        return place
+    stem = time.strftime("m100link-%Y%m%d-%H%M%S")
+    names = (f"{stem}{mark}.mcap" for mark in ("", *(f"-{n}" for n in range(2, 1000))))
+    return next(place / name for name in names if not (place / name).exists())
+
+
+class _Scribe:
+    """Makes messages of batches. Runs in the thread of the recorder alone.
+
+    Attributes:
+        utc_offset_s: What makes POSIX time of the event loop's, once: a wall clock that is set in
+            flight must not bend the log.
+        failure: What ended it.
+    """
+
+    def __init__(self, writer: type[Writer], stream: IO[bytes], path: Path, rate_hz: float) -> None:
+        self.utc_offset_s = 0.0
+        self.failure: Exception | None = None
+        self._stream = stream
+        self._path = path
+        self._redaction = Redaction()
+        self._witness = Witness(rate_hz)
+        self._writer: Any = writer(stream, chunk_size=_CHUNK_SIZE)  # not all of it is typed
+        self._channels: dict[str, int] = {}
+        self._sequences: dict[str, int] = {}
+        # What was read and may end within a secret, until more of it comes.
+        self._held: list[tuple[bytes, float]] = []
+        self._flushed_at = self._synced_at = time.monotonic()
+        self._is_begun = False
+
+    def write(self, batch: _Batch) -> None:
+        if not self._is_begun:
+            if not (batch.chunks or batch.told):
+                return
+            self._begin()
+        for direction in Direction:
+            chunks = [(data, now) for way, data, now in batch.chunks if way is direction]
+            if direction is Direction.RECEIVED:
+                chunks = [*self._held, *chunks]
+                self._held = []
+                joined = b"".join(data for data, _ in chunks)
+                if self._redaction.is_within(joined):
+                    self._held = chunks
+                    continue
+            self._raw(direction, chunks)
+        # In their order, for an answer follows what was asked.
+        if batch.profile is not None:
+            for way, data, now in batch.chunks:
+                if way is Direction.SENT:
+                    told = self._witness.sent(data, batch.cipher, batch.profile)
+                else:
+                    told = self._witness.received(data, now, batch.cipher, batch.profile)
+                for topic, content in told:
+                    self._json(topic, content, now)
+        for now, (topic, content) in batch.told:
+            extra = {"log_dropped_bytes": batch.dropped} if topic == LINK else {}
+            self._json(topic, {**content, **extra}, now)
+
+    def flush_in_time(self) -> None:
+        now = time.monotonic()
+        if now - self._flushed_at >= FLUSH_S:
+            self.flush()
+
+    def flush(self) -> None:
+        if not self._is_begun:
+            return
+        self._writer.flush()
+        now = self._flushed_at = time.monotonic()
+        if now - self._synced_at >= FSYNC_S:
+            os.fsync(self._stream.fileno())
+            self._synced_at = now
+
+    def finish(self) -> None:
+        if not self._is_begun:  # the port could not even be opened: nothing is left behind
+            self._stream.close()
+            self._path.unlink()
+            return
+        self._raw(Direction.RECEIVED, self._held)
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+
+    def close(self) -> None:
+        try:
+            self._stream.close()
+        except OSError as error:  # it holds what the disk did not take
+            _logger.debug("%s: %s", self._path, error)
+
+    def _begin(self) -> None:
+        self._is_begun = True
+        here = version("m100link")
+        self._writer.start(profile="", library=f"m100link {here}")
+        about = {
+            "version": here,
+            "utc_offset_s": repr(self.utc_offset_s),
+            "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        }
+        self._writer.add_metadata("m100link", about)
+
+    def _raw(self, direction: Direction, chunks: list[tuple[bytes, float]]) -> None:
+        if not chunks:
+            return
+        first = chunks[0][1]
+        if direction is Direction.SENT:
+            # Each write is some whole frames, so that each may be looked at for itself.
+            pieces = [self._redaction.sent(data) for data, _ in chunks]
+        else:
+            joined = self._redaction.received(b"".join(data for data, _ in chunks))
+            pieces, at = [], 0
+            for data, _ in chunks:  # what is blanked is as long as it was
+                pieces.append(joined[at : at + len(data)])
+                at += len(data)
+        topic = RX if direction is Direction.RECEIVED else TX
+        self._add(topic, b"".join(pieces), first)
+        told = {
+            "direction": direction.value,
+            "offset_us": [round((now - first) * 1e6) for _, now in chunks],
+            "length": [len(piece) for piece in pieces],
+        }
+        self._json(CHUNKS, told, first)
+
+    def _json(self, topic: str, content: dict[str, Any], now: float) -> None:
+        if topic == FIX:
+            at = self._nanoseconds(now)
+            content = {
+                "timestamp": {"sec": at // 10**9, "nsec": at % 10**9},
+                **content,
+            }
+        self._add(topic, json.dumps(_finite(content), separators=(",", ":")).encode(), now)
+
+    def _add(self, topic: str, data: bytes, now: float) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._channel(topic)
+        sequence = self._sequences[topic] = self._sequences.get(topic, -1) + 1
+        self._writer.add_message(
+            channel_id=channel,
+            log_time=self._nanoseconds(now),
+            publish_time=max(0, round(now * 1e9)),
+            sequence=sequence,
+            data=data,
+        )
+
+    def _channel(self, topic: str) -> int:
+        schema = SCHEMAS.get(topic)
+        if schema is None:
+            return int(self._writer.register_channel(topic, "application/octet-stream", 0))
+        number = self._writer.register_schema(schema.name, "jsonschema", schema.text.encode())
+        return int(self._writer.register_channel(topic, "json", number))
+
+    def _nanoseconds(self, now: float) -> int:
+        return max(0, round((now + self.utc_offset_s) * 1e9))
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity: null stands for them."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return value

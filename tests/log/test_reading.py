@@ -1,0 +1,97 @@
+"""Logs are read back: whole ones, those that were cut off anywhere, and what is none."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from mcap.reader import SeekingReader
+
+from m100link import Attitude, Position
+from m100link.errors import UsageError
+from m100link.log import read, recover
+from m100link.log.channels import RX
+from tests.log.flight import URL, fly
+
+pytestmark = pytest.mark.anyio
+
+SEED = 20261122
+
+
+async def test_a_cut_anywhere_raises_nothing_and_keeps_what_was_whole(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    seen = await fly(path)
+    whole = path.read_bytes()
+    messages = list(read(path).messages())
+    chance = random.Random(SEED)
+    print(f"seed {SEED}")  # noqa: T201 - shown when it fails
+    last = 0
+    for length in sorted(chance.randrange(8, len(whole)) for _ in range(60)):
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(whole[:length])
+        kept = list(read(cut).messages())
+        assert kept == messages[: len(kept)]
+        assert len(kept) >= last, "a longer file holds less"
+        last = len(kept)
+        assert not read(cut).summary().is_whole or length > len(whole) - 10
+        mended = tmp_path / "mended.mcap"
+        assert recover(cut, mended) == len(kept)
+        with mended.open("rb") as stream:  # as Foxglove does, which takes no file without an index
+            found = SeekingReader(stream).iter_messages(log_time_order=False)
+            assert [record.data for _, _, record in found] == [one.data for one in kept]
+        assert sum(1 for _ in read(mended).samples(firmware="1.0")) <= len(seen) + 100
+        mended.unlink()
+
+
+async def test_junk_behind_the_beginning_raises_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    whole = bytearray(path.read_bytes())
+    chance = random.Random(SEED)
+    print(f"seed {SEED}")  # noqa: T201 - shown when it fails
+    for _ in range(40):
+        spoilt = bytearray(whole)
+        for _ in range(chance.randrange(1, 20)):
+            spoilt[chance.randrange(8, len(spoilt))] = chance.randrange(256)
+        bad = tmp_path / "bad.mcap"
+        bad.write_bytes(spoilt)
+        summary = read(bad).summary()
+        assert summary.bytes_received >= 0
+        assert sum(1 for _ in read(bad).samples(firmware="1.0")) >= 0
+
+
+async def test_tables_have_the_columns_of_the_library(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    seen = await fly(path)
+    table = read(path).table(Position, Attitude)
+    assert len(table) >= len(seen)
+    assert table.names[:3] == ("received_at", "utc", "position.latitude_rad")
+    utc, at = table.column("utc"), table.column("received_at")
+    assert {round(one - other, 4) for one, other in zip(utc, at, strict=True)} == {
+        round(utc[0] - at[0], 4)
+    }
+
+
+async def test_what_is_lost_on_the_line_is_lost_again_when_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    seen = await fly(path, URL + "&loss=0.05")
+    samples = list(read(path).samples())
+    assert [one.value for one in samples[-len(seen) :]] == [one.value for one in seen]
+
+
+async def test_what_is_no_log_is_refused_with_what_it_is(tmp_path: Path) -> None:
+    text = tmp_path / "notes.txt"
+    text.write_text("none")
+    for path, why in (
+        (tmp_path / "missing.mcap", "No such file"),
+        (tmp_path, "Is a directory"),
+        (text, "not a flight log"),
+    ):
+        with pytest.raises(UsageError, match=why):
+            read(path)
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    with pytest.raises(UsageError, match="cannot be written"):
+        recover(path, path)
+    assert list(read(path).messages(RX))

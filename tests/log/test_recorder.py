@@ -1,0 +1,222 @@
+"""What is recorded, what it must not hold, and what a bad disk does to the flight: nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import logging
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from m100link import Position, connect
+from m100link.errors import PortNotFound, UsageError
+from m100link.link import Direction
+from m100link.log import Recorder, read, recorder
+from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX
+from tests.log.flight import APP_ID, KEY, URL, fly
+
+pytestmark = pytest.mark.anyio
+
+
+def files_in(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir())
+
+
+async def test_every_byte_of_the_flight_is_in_its_log(tmp_path: Path) -> None:
+    heard: dict[Direction, list[bytes]] = {one: [] for one in Direction}
+    path = tmp_path / "flight.mcap"
+    seen = await fly(path, tap=lambda way, data, _: heard[way].append(data))
+    log = read(path)
+    for direction, topic in ((Direction.RECEIVED, RX), (Direction.SENT, TX)):
+        joined = b"".join(message.data for message in log.messages(topic))
+        whole = b"".join(heard[direction])
+        assert len(joined) == len(whole)
+        chunks = [one.data for one in log.chunks() if one.direction is direction]
+        assert len(chunks) > 20
+        assert b"".join(chunks) == joined
+        if direction is Direction.RECEIVED:
+            assert joined == whole
+    samples = list(log.samples())[-len(seen) :]
+    assert [one.value for one in samples] == [one.value for one in seen]
+    assert [one.received_at for one in samples] == pytest.approx(
+        [one.received_at for one in seen], abs=2e-6
+    )
+    assert max(log.table(Position).column("position.height_m")) > 1.5
+
+
+async def test_what_was_commanded_is_told_with_its_answer(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    told = [message.content() for message in read(path).messages(COMMAND)]
+    names = [(one["command"], one["is_ack"]) for one in told]
+    for name in ("get_version", "activate", "request_authority", "start_task"):
+        assert (name, False) in names
+        assert (name, True) in names
+    tasks = [one["task"] for one in told if one["command"] == "start_task" and not one["is_ack"]]
+    assert tasks == ["take_off", "land"]
+    moves = [one for one in told if one["command"] == "move"]
+    assert len(moves) > 50
+    assert all(one["direction"] == "tx" for one in moves)
+    assert max(one["movement"]["roll_or_x"] for one in moves) > 1.0  # to the north
+    events = [message.content() for message in read(path).messages(EVENT)]
+    after = [one["after"] for one in events if one["event"] == "authority"]
+    assert after == ["obtaining", "held", "releasing", "none"]
+    assert events[-1]["event"] == "connection"
+    assert events[-1]["is_connected"] is False
+
+
+async def test_neither_app_id_nor_key_is_in_the_file_in_any_form(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    log = read(path)
+    inside = b"\n".join(message.data for message in log.messages())
+    plain = path.read_bytes() + inside
+    forms = {
+        APP_ID.to_bytes(4, "little"),
+        APP_ID.to_bytes(4, "big"),
+        str(APP_ID).encode(),
+        f"{APP_ID:x}".encode(),
+        bytes.fromhex(KEY),
+        KEY.encode(),
+        KEY.upper().encode(),
+    }
+    assert [form for form in forms if form in plain] == []
+    told = [message.content() for message in log.messages(COMMAND)]
+    asked = [one for one in told if one["command"] == "activate" and not one["is_ack"]]
+    assert asked
+    assert all(one["redacted"] for one in asked)
+
+
+async def test_telemetry_is_thinned_and_counters_come_once_a_second(tmp_path: Path) -> None:
+    counts = {}
+    for rate in (10.0, 0.0):
+        record = Recorder(tmp_path / f"{rate}.mcap", rate_hz=rate)
+        await fly(record)
+        summary = read(record.path).summary()
+        counts[rate] = summary.messages[TELEMETRY]
+        assert summary.is_whole
+        assert summary.firmware == "1.0"
+        assert summary.messages[LINK] == pytest.approx(summary.duration_s, abs=2)
+        assert summary.messages[FIX] == counts[rate]
+    assert counts[0.0] > 9 * counts[10.0]
+
+
+async def test_json_of_a_log_is_json(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is not JSON")
+
+    for message in read(path).messages(COMMAND, EVENT, FIX, LINK, TELEMETRY):
+        json.loads(message.data, parse_constant=refuse)
+
+
+async def test_a_full_disk_ends_the_log_with_one_warning_and_not_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    calls = 0
+
+    def flush(self: object) -> None:
+        nonlocal calls
+        calls += 1
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Writer, "flush", flush)
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    record = Recorder(tmp_path / "flight.mcap")
+    seen = await fly(record)
+    assert len(seen) > 500
+    assert isinstance(record.failure, OSError)
+    assert calls == 1
+    [warning] = [one for one in caplog.records if one.name == "m100link.log.recorder"]
+    assert warning.levelno == logging.WARNING
+    assert "the flight goes on" in warning.message
+
+
+async def test_a_disk_that_stands_still_delays_nothing_and_what_is_lost_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goes_on = threading.Event()
+    whole = Writer.add_message
+
+    def add_message(self: Writer, *args: object, **more: object) -> None:
+        assert goes_on.wait(60)
+        whole(self, *args, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Writer, "add_message", add_message)
+    monkeypatch.setattr(recorder, "MAX_WAITING", 20_000)
+    record = Recorder(tmp_path / "flight.mcap")
+    async with connect(URL, record=record) as aircraft:
+        await asyncio.sleep(10.0)  # by the virtual clock: the thread writes nothing meanwhile
+        assert aircraft.state.newest_age is not None
+        assert aircraft.state.newest_age < 0.1
+        received = aircraft.statistics().bytes_received
+        goes_on.set()
+    assert received > 100_000
+    assert received - 40_000 < record.dropped < received
+    kept = sum(len(message.data) for message in read(record.path).messages(RX, TX))
+    sent = sum(len(message.data) for message in read(record.path).messages(TX))
+    assert kept + record.dropped == pytest.approx(received + sent, abs=3000)
+
+
+async def test_files_that_cannot_be_are_refused_before_a_port_is_opened(tmp_path: Path) -> None:
+    there = tmp_path / "there.mcap"
+    there.write_bytes(b"mine")
+    for path, why in (
+        (there, "is there already"),
+        (tmp_path / "no" / "such.mcap", "No such file or directory"),
+    ):
+        with pytest.raises(UsageError, match=why):
+            await connect("/dev/no-such-port", record=path)
+    assert there.read_bytes() == b"mine"
+    with pytest.raises(UsageError, match="not a rate"):
+        Recorder(tmp_path / "x.mcap", rate_hz=-1)
+    with pytest.raises(PortNotFound):
+        await connect("/dev/no-such-port", record=tmp_path / "empty.mcap")
+    assert files_in(tmp_path) == [there]  # where nothing was heard, nothing is left
+
+
+async def test_a_folder_gets_a_file_for_each_flight(tmp_path: Path) -> None:
+    for _ in range(3):
+        async with connect("sim://", record=tmp_path):
+            await asyncio.sleep(0.3)
+    files = files_in(tmp_path)
+    assert len(files) == 3
+    assert all(read(file).summary().is_whole for file in files)
+
+
+@pytest.mark.pty  # in real time, for who is killed has no other
+def test_a_process_that_is_killed_loses_a_second_at_most(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-c", FLIES_ON, str(path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        told = [process.stdout.readline() for _ in range(100)]
+        process.kill()
+        lived = float([*told, *process.stdout.read().split()][-1])
+    log = read(path)
+    lost = lived - max(chunk.utc for chunk in log.chunks())
+    # On a machine that does other things the thread that writes comes later, too.
+    assert lost < 1.0 + 4.0
+    assert not log.summary().is_whole
+
+
+FLIES_ON = """
+import asyncio, sys, time, m100link
+
+async def main():
+    async with m100link.connect("sim://", record=sys.argv[1]):
+        while True:
+            await asyncio.sleep(0.02)
+            print(time.time(), flush=True)
+
+asyncio.run(main())
+"""
