@@ -91,6 +91,14 @@ VERBS = {
         "mission:app",
         "Let the aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
     ),
+    "record": (
+        "log:record",
+        "Record what goes over the line, until Ctrl-C: every byte, and what the bytes say.",
+    ),
+    "log": (
+        "log:app",
+        "Look at flight logs, make tables of them, mend what was cut off; no aircraft is needed.",
+    ),
     "decode": (
         "decode:decode",
         "Decode frames from hex: one stream per argument, or per line of standard input.",

@@ -1,0 +1,177 @@
+"""``m100link record`` and ``m100link log``: write flight logs, and read what was written."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import csv as csv_module
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import cyclopts
+from cyclopts import Parameter
+
+from m100link.aircraft import connect
+from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
+from m100link.cli.options import Above0, Firmware, offered
+from m100link.cli.outcome import ExitCode, complain, print_json
+from m100link.cli.values import items_named
+from m100link.errors import UsageError
+from m100link.log import FlightLog, Recorder, read, recover
+from m100link.protocol.items import BY_NAME
+
+__all__ = ["app", "record"]
+
+app = cyclopts.App(
+    name="log",
+    help="Look at flight logs, make tables of them, mend what was cut off; no aircraft is needed.",
+    version_flags=(),
+)
+
+Log = Path
+"""A file that ``m100link record`` or ``connect(record=…)`` wrote."""
+
+
+def record(
+    url: Url = None,
+    /,
+    *,
+    link: LinkOptions | None = None,
+    output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path(),
+    rate: float = 10.0,
+    duration: Annotated[float | None, Above0] = None,
+) -> int:
+    """Record what goes over the line, until Ctrl-C: every byte, and what the bytes say.
+
+    It asks for the version once, and sends nothing else.
+
+    Args:
+        url: Where the aircraft is.
+        link: How to talk to it.
+        output: A file that is not there yet, or a folder for one that is named by the time; by
+            default a file in the folder where you are.
+        rate: Decoded telemetry at most so often, Hz; 0 for every package. The bytes of every
+            package are recorded whatever it is.
+        duration: Seconds until it ends by itself.
+    """
+    return run_async(_record((link or LinkOptions()).place(url), output, rate, duration))
+
+
+async def _record(place: Place, output: Path, rate: float, duration: float | None) -> int:
+    recorder = Recorder(output, rate_hz=rate)
+    try:
+        async with connect(place.url, record=recorder, **place.arguments()) as aircraft:
+            err.print(f"recording {place.url} into {recorder.path}; Ctrl-C ends it")
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(duration):
+                    await aircraft.wait_closed()
+    finally:
+        await recorder.aclose()
+        if recorder.path.exists():  # where nothing was heard, nothing is left
+            err.print(f"{recorder.path}: {recorder.path.stat().st_size:,} bytes")
+    if recorder.failure is not None:
+        return complain(UsageError(f"recording ended early: {recorder.failure}"))
+    return ExitCode.OK
+
+
+@app.command
+def info(file: Log, /, *, json: bool = False) -> int:
+    """Say what a log holds: when, how long, of which firmware, how much of what.
+
+    Args:
+        file: The log.
+        json: One JSON object.
+    """
+    flight = read(file)
+    summary = flight.summary()
+    if json:
+        print_json(asdict(summary))
+        return ExitCode.OK
+    began = summary.began_utc
+    when = "never" if began is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(began))
+    out.print(f"{file}: began {when}, {summary.duration_s:.1f} s")
+    out.print(f"firmware {summary.firmware or 'unknown'}")
+    out.print(f"{summary.bytes_received:,} bytes received, {summary.bytes_sent:,} sent")
+    for topic, count in sorted(summary.messages.items()):
+        out.print(f"  {count:>8}  {topic}")
+    if not summary.is_whole:
+        out.print(
+            "cut off: the process was killed, or it is written still; to mend it: "
+            f"m100link log recover {file}"
+        )
+    return ExitCode.OK
+
+
+@app.command
+def csv(
+    file: Log,
+    /,
+    *items: Annotated[str, offered(BY_NAME)],
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    firmware: Firmware | None = None,
+) -> int:
+    """Print telemetry as CSV: every package, decoded from its bytes.
+
+    Columns are those of ``m100link echo --csv``; what a package does not have is empty.
+
+    Args:
+        file: The log.
+        items: Item names, such as position; all without one.
+        output: A file instead of standard output.
+        firmware: Profile to read it by; by default that of the flight.
+    """
+    flight = read(file)
+    records = items_named(items)
+    table = flight.table(*records, firmware=firmware)
+    with contextlib.ExitStack() as stack:
+        stream = sys.stdout
+        if output is not None:
+            try:
+                stream = stack.enter_context(output.open("x", newline="", encoding="utf-8"))
+            except OSError as error:
+                raise UsageError(f"{output} cannot be written: {error.strerror}") from error
+        writer = csv_module.writer(stream, lineterminator="\n")
+        writer.writerow(table.names)
+        for row in table.rows:
+            writer.writerow("" if value != value else round(value, 9) for value in row)
+    return ExitCode.OK
+
+
+@app.command
+def events(file: Log, /) -> int:
+    """Print what happened, a JSON object on a line: commands, answers, authority, connection.
+
+    Args:
+        file: The log.
+    """
+    for one in _told(read(file)):
+        print_json(one)
+    return ExitCode.OK
+
+
+def _told(flight: FlightLog) -> Iterator[dict[str, Any]]:
+    for message in flight.messages("/m100/command", "/m100/event"):
+        yield {"utc": round(message.utc, 6), "at": round(message.at, 6), **message.content()}
+
+
+@app.command(name="recover")
+def recover_file(
+    file: Log,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+) -> int:
+    """Write a whole file from one that was cut off; the old one stays as it is.
+
+    Args:
+        file: The log.
+        output: The new file; by default FILE with ``-recovered`` before its suffix.
+    """
+    target = output or file.with_stem(f"{file.stem}-recovered")
+    saved = recover(file, target)
+    out.print(f"{saved} messages saved in {target}")
+    return ExitCode.OK

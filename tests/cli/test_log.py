@@ -1,0 +1,77 @@
+"""``m100link record`` and ``m100link log`` as people type them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from m100link.cli.outcome import ExitCode
+from tests.cli.conftest import CommandLine
+
+pytest.importorskip("mcap", reason="the extra `log` is not installed")
+
+
+@pytest.fixture
+def flight(cli: CommandLine, tmp_path: Path) -> Path:
+    """Half a second of a virtual aircraft."""
+    path = tmp_path / "flight.mcap"
+    outcome = cli("record", "sim://", "-o", str(path), "--duration", "0.5")
+    assert outcome.status == ExitCode.OK
+    assert outcome.out == ""
+    assert f"into {path}" in "".join(outcome.err.split("\n"))
+    return path
+
+
+def test_a_log_is_recorded_and_told(cli: CommandLine, flight: Path) -> None:
+    outcome = cli("log", "info", str(flight), "--json")
+    [told] = outcome.objects
+    assert told["is_whole"] is True
+    assert told["firmware"] == "1.0"
+    assert told["messages"]["/m100/raw/rx"] > 2
+    text = cli("log", "info", str(flight)).out
+    assert "firmware 1.0" in text
+    assert "recover" not in text
+
+
+def test_its_telemetry_is_a_table(cli: CommandLine, flight: Path, tmp_path: Path) -> None:
+    out = cli("log", "csv", str(flight), "position").out
+    rows = list(csv.DictReader(out.splitlines()))
+    assert len(rows) > 20
+    assert float(rows[0]["position.latitude_deg"]) == pytest.approx(22.5431, abs=1e-6)
+    table = tmp_path / "table.csv"
+    assert cli("log", "csv", str(flight), "position", "-o", str(table)).status == ExitCode.OK
+    assert table.read_text(encoding="utf-8") == out
+    again = cli("log", "csv", str(flight), "-o", str(table))
+    assert again.status == ExitCode.USAGE
+    assert "cannot be written" in again.err
+
+
+def test_what_happened_is_a_line_each(cli: CommandLine, flight: Path) -> None:
+    told = cli("log", "events", str(flight)).objects
+    assert [one["command"] for one in told if "command" in one][:2] == ["get_version"] * 2
+    assert told[-1]["event"] == "connection"
+
+
+def test_what_was_cut_off_is_told_and_mended(cli: CommandLine, flight: Path) -> None:
+    cut = flight.with_name("cut.mcap")
+    cut.write_bytes(flight.read_bytes()[:-400])
+    assert "log recover" in "".join(cli("log", "info", str(cut)).out.split("\n"))
+    assert cli("log", "recover", str(cut)).status == ExitCode.OK
+    [told] = cli("log", "info", str(flight.with_name("cut-recovered.mcap")), "--json").objects
+    assert told["is_whole"] is True
+    again = cli("log", "recover", str(cut))
+    assert again.status == ExitCode.USAGE
+
+
+def test_typing_errors_are_told(cli: CommandLine, flight: Path, tmp_path: Path) -> None:
+    for words, why in (
+        (("log", "info", str(tmp_path / "none.mcap")), "No such file"),
+        (("log", "csv", str(flight), "positon"), "position"),
+        (("record", "sim://", "-o", str(flight)), "is there already"),
+        (("record", "sim://", "-o", str(tmp_path), "--rate", "-1"), "rate"),
+    ):
+        outcome = cli(*words)
+        assert outcome.status == ExitCode.USAGE, words
+        assert why in " ".join(outcome.err.split()), words
