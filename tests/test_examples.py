@@ -176,6 +176,14 @@ def test_position_loop(run: Run, url: str) -> None:
     assert 3 <= int(seconds) <= 15
 
 
+def test_record_a_flight(run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="the extra `log` is not installed")
+    lines = run("record_a_flight", "sim://", str(tmp_path / "flight.mcap")).splitlines()
+    assert "firmware 1.0" in lines[0]
+    assert float(lines[1].split()[1]) > 1.8
+    assert [line.split()[-1] for line in lines[2:]] == ["take_off", "land"]
+
+
 @each_firmware
 def test_telemetry_to_csv(run: Run, url: str) -> None:
     rows = list(csv.DictReader(io.StringIO(run("telemetry_to_csv", url))))
