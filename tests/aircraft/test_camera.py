@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from m100link import CommandNotSupported, LinkClosed, LinkError, NotActivated
+from m100link import CommandNotSupported, LineBlocked, LinkClosed, NotActivated
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import rig
 
@@ -46,7 +46,7 @@ async def test_what_would_be_lost_in_silence_is_refused() -> None:
 async def test_a_line_that_does_not_drain_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     async with rig(firmware="3.1") as flown:
         monkeypatch.setattr(flown.aircraft.link, "push", lambda *_, **__: False)
-        with pytest.raises(LinkError, match="does not drain"):
+        with pytest.raises(LineBlocked, match="take_photo was not sent: the line takes no more"):
             await flown.aircraft.camera.take_photo()
         monkeypatch.undo()
         await flown.aircraft.aclose()
