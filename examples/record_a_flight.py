@@ -1,10 +1,10 @@
 """Record a short flight, then say from its log what was flown.
 
-With the virtual aircraft it flies at once. A real one takes off: propellers, people and the pilot's
-mode switch first. Needs the extra ``log``.
+It takes off. The file is in the folder where you are, unless a second argument says where. Needs
+the extra ``log``.
 
-python examples/record_a_flight.py                     # into the folder where you are
-python examples/record_a_flight.py sim:// flight.mcap  # into a file that is not there yet
+python examples/record_a_flight.py                          # a virtual aircraft
+python examples/record_a_flight.py /dev/ttyUSB0 today.mcap  # another one, or a real one
 """
 
 import asyncio
