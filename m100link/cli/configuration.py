@@ -169,7 +169,7 @@ def read_configuration(path: Path | None = None) -> Configuration:
                 remedy='give it a url, such as url = "/dev/ttyUSB0"',
             )
     default = defaults.pop("aircraft", None)
-    if default is not None and default not in aircraft:
+    if default is not None and (not isinstance(default, str) or default not in aircraft):
         raise UsageError(
             f"{shown(path)} [defaults]: there is no aircraft {default!r}",
             remedy=_near(str(default), aircraft) or f"there are: {', '.join(aircraft) or 'none'}",

@@ -135,8 +135,7 @@ def _read_telemetry(data: bytes) -> None:
             package = TelemetryPacket(data, profile)
         except LayoutMismatch:
             continue
-        values = package.row()
-        assert values
+        package.row()
         repr([package.attitude, package.position, package.remote_control, package.control_device])
 
 

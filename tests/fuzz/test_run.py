@@ -51,3 +51,10 @@ def test_changes_follow_from_the_seed_and_have_a_limit() -> None:
 
 def test_words_of_a_language_are_written_as_the_other_engine_reads_them() -> None:
     assert quoted((b'"\\', b"", b"op")) == '"\\x22\\x5c"\n"\\x6f\\x70"\n'
+
+
+def test_a_table_as_the_default_aircraft_is_refused_as_promised() -> None:
+    target = TARGETS["configuration"]
+    with pytest.raises(target.refuses, match="there is no aircraft"):
+        target.read(b"[defaults]\naircraft.aud = 23\n")
+    TARGETS["telemetry"].read(bytes(2))  # a package of nothing is one
