@@ -82,7 +82,7 @@ async def press_until(
         pressed: How it is pressed.
         mend: What is done while the button is grey, for what makes it grey.
     """
-    problem = ""
+    problem = before = ""
 
     async def is_done() -> bool:
         result = done()
@@ -91,6 +91,8 @@ async def press_until(
     async def answered() -> bool:
         nonlocal problem
         problem = await page.inner_text("#problem")
+        if problem == before:  # of an earlier press, until this one has arrived
+            problem = ""
         return bool(problem) or await is_done()
 
     async def is_offered() -> bool:
@@ -104,6 +106,7 @@ async def press_until(
         await until(is_offered, what=name)
         if await is_done():
             return
+        before = await page.inner_text("#problem")
         await pressed(page, name)
         with suppress(AssertionError):
             await until(answered, within=PATIENCE / ATTEMPTS)
