@@ -278,16 +278,17 @@ class _Scribe:
             if not (batch.chunks or batch.told):
                 return
             self._begin()
-        for direction in Direction:
+        # What was sent first: an echo of it stands in the same batch.
+        for direction in (Direction.SENT, Direction.RECEIVED):
             chunks = [(data, now) for way, data, now in batch.chunks if way is direction]
             if direction is Direction.RECEIVED:
                 chunks = [*self._held, *chunks]
                 self._held = []
                 joined = b"".join(data for data, _ in chunks)
-                if self._redaction.is_within(joined):
+                if chunks and self._redaction.is_within(joined, chunks[0][1]):
                     self._held = chunks
                     continue
-            self._raw(direction, chunks)
+            self._raw(direction, chunks, self._redaction.received)
         # In their order, for an answer follows what was asked.
         if batch.profile is not None:
             for way, data, now in batch.chunks:
@@ -320,7 +321,7 @@ class _Scribe:
             self._stream.close()
             self._path.unlink()
             return
-        self._raw(Direction.RECEIVED, self._held)
+        self._raw(Direction.RECEIVED, self._held, self._redaction.last)
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
@@ -343,15 +344,20 @@ class _Scribe:
         }
         self._writer.add_metadata("m100link", about)
 
-    def _raw(self, direction: Direction, chunks: list[tuple[bytes, float]]) -> None:
+    def _raw(
+        self,
+        direction: Direction,
+        chunks: list[tuple[bytes, float]],
+        redact: Callable[[bytes, float], bytes],
+    ) -> None:
         if not chunks:
             return
         first = chunks[0][1]
         if direction is Direction.SENT:
             # Each write is some whole frames, so that each may be looked at for itself.
-            pieces = [self._redaction.sent(data) for data, _ in chunks]
+            pieces = [self._redaction.sent(data, now) for data, now in chunks]
         else:
-            joined = self._redaction.received(b"".join(data for data, _ in chunks))
+            joined = redact(b"".join(data for data, _ in chunks), first)
             pieces, at = [], 0
             for data, _ in chunks:  # what is blanked is as long as it was
                 pieces.append(joined[at : at + len(data)])

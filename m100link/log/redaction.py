@@ -6,21 +6,31 @@ bytes would be found by trying.
 
 from __future__ import annotations
 
+import math
+
 from m100link.wire import encode_frame
+from m100link.wire.crc import header_crc16
 from m100link.wire.frame import CRC32_SIZE, HEADER_SIZE, MAX_SESSION, OVERHEAD, SOF
 
-__all__ = ["Redaction"]
+__all__ = ["ECHO_S", "Redaction"]
 
 _ACTIVATION = b"\x00\x01"  # set and id
 _IS_ACK, _SEALED = 0x20, 0xE0  # bits of the fourth and of the fifth byte
 _SHORTEST = 4  # bytes of an app id
+_TELLING = 3  # of them not zero: such four bytes do not come by chance
+
+
+ECHO_S = 30.0
+"""What was sent may come back for so long, s."""
 
 
 class Redaction:
     """Takes app ids out of what was sent, and out of what comes back of it.
 
-    A line that is joined with itself brings our own activation back. So what was once taken out is
-    looked for in what is received, too.
+    A line that is joined with itself brings our own activation back, whole or with bytes lost. So
+    for a time the app id and the checksum of what was taken out are looked for in what is
+    received, too. An app id of few bytes that are not zero is looked for beside its neighbours
+    alone, for telemetry is full of such numbers.
 
     Attributes:
         count: Places where something was taken out.
@@ -28,41 +38,61 @@ class Redaction:
 
     def __init__(self) -> None:
         self.count = 0
-        # Whole frames as they were sent, and as they are written down.
+        self._sent_at = -math.inf
+        # What must not be written down, the longest first, and what is written in its place.
         self._secrets: dict[bytes, bytes] = {}
 
-    def sent(self, data: bytes) -> bytes:
+    def sent(self, data: bytes, now: float) -> bytes:
         """A write, which is some whole frames, without the app id."""
         if _ACTIVATION not in data:
             return data
         at = 0
         pieces = []
-        while len(data) - at >= HEADER_SIZE and data[at] == SOF:
-            size = data[at + 1] | (data[at + 2] & 3) << 8
-            if size < HEADER_SIZE:
-                break
-            frame = data[at : at + size]
-            pieces.append(self._without(frame))
-            at += size
-        return b"".join((*pieces, data[at:]))
+        while at < len(data):
+            start = at
+            size = _size_of_frame(data, at)
+            at += size or 1
+            pieces.append(self._without(data[start:at], now) if size else data[start:at])
+        return b"".join(pieces)
 
-    def received(self, data: bytes) -> bytes:
+    def received(self, data: bytes, now: float) -> bytes:
         """Bytes that were read; they must not end within a secret, see :meth:`is_within`."""
+        if self._is_over(now):
+            return data
         for secret, blank in self._secrets.items():
             if secret in data:
                 self.count += data.count(secret)
                 data = data.replace(secret, blank)
         return data
 
-    def is_within(self, data: bytes) -> bool:
+    def is_within(self, data: bytes, now: float) -> bool:
         """Whether the rest of a secret may follow these bytes."""
-        return any(
-            data.endswith(secret[:length])
-            for secret in self._secrets
-            for length in range(1, min(len(secret), len(data) + 1))
-        )
+        return bool(self._begun(data, now))
 
-    def _without(self, frame: bytes) -> bytes:
+    def last(self, data: bytes, now: float) -> bytes:
+        """Bytes that were read, after which none come: a secret that began is not shown either."""
+        data = self.received(data, now)
+        begun = self._begun(data, now)
+        return data[: len(data) - begun] + bytes(begun)
+
+    def _begun(self, data: bytes, now: float) -> int:
+        """How many of the last bytes may be the beginning of a secret."""
+        if self._is_over(now):
+            return 0
+        lengths = (
+            length
+            for secret in self._secrets
+            for length in range(min(len(secret) - 1, len(data)), 0, -1)
+            if data.endswith(secret[:length])
+        )
+        return max(lengths, default=0)
+
+    def _is_over(self, now: float) -> bool:
+        if now - self._sent_at > ECHO_S:
+            self._secrets.clear()
+        return not self._secrets
+
+    def _without(self, frame: bytes, now: float) -> bytes:
         body = frame[HEADER_SIZE:-CRC32_SIZE]
         is_plain = not (frame[3] & _IS_ACK or frame[4] & _SEALED)
         is_whole = len(frame) >= OVERHEAD + len(_ACTIVATION) + _SHORTEST
@@ -74,5 +104,26 @@ class Redaction:
             sequence=int.from_bytes(frame[8:10], "little"),
         )
         self.count += 1
-        self._secrets[frame] = blank
+        self._is_over(now)
+        self._sent_at = now
+        app_id, after = body[2:6], body[6:8]
+        secrets = {frame: blank, frame[-CRC32_SIZE:]: blank[-CRC32_SIZE:]}
+        if len(app_id) - app_id.count(0) >= _TELLING:
+            secrets[app_id] = bytes(len(app_id))
+        else:
+            secrets[_ACTIVATION + app_id] = _ACTIVATION + bytes(len(app_id))
+            secrets[app_id + after] = bytes(len(app_id)) + after
+        together = self._secrets | secrets
+        self._secrets = {one: together[one] for one in sorted(together, key=len, reverse=True)}
         return blank
+
+
+def _size_of_frame(data: bytes, at: int) -> int:
+    """Of the frame that begins there; 0 when none does."""
+    header = data[at : at + HEADER_SIZE]
+    if len(header) < HEADER_SIZE or header[0] != SOF:
+        return 0
+    if header_crc16(header[:-2]) != int.from_bytes(header[-2:], "little"):
+        return 0
+    size = header[1] | (header[2] & 3) << 8
+    return size if size >= HEADER_SIZE else 0

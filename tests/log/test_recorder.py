@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import itertools
 import json
 import logging
 import subprocess
@@ -19,6 +20,7 @@ from m100link.errors import PortNotFound, UsageError
 from m100link.link import Direction
 from m100link.log import Recorder, read, recorder
 from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX
+from m100link.wire import encode_frame
 from tests.log.flight import APP_ID, KEY, URL, fly
 
 pytestmark = pytest.mark.anyio
@@ -91,6 +93,28 @@ async def test_neither_app_id_nor_key_is_in_the_file_in_any_form(tmp_path: Path)
     asked = [one for one in told if one["command"] == "activate" and not one["is_ack"]]
     assert asked
     assert all(one["redacted"] for one in asked)
+
+
+@pytest.mark.parametrize("cuts", [(), (16,), (3, 15, 17, 40), (61,)])
+@pytest.mark.parametrize("pause", [0.0, 0.25])
+async def test_a_line_joined_with_itself_does_not_show_the_app_id(
+    tmp_path: Path, cuts: tuple[int, ...], pause: float
+) -> None:
+    secret = APP_ID.to_bytes(4, "little")
+    activation = encode_frame(b"\x00\x01" + secret + bytes(range(40)), session=2, sequence=1)
+    path = tmp_path / "flight.mcap"
+    record = Recorder(path)
+    clock = asyncio.get_running_loop()
+    record.tap(Direction.SENT, activation, clock.time())
+    edges = (0, *cuts, len(activation))
+    for begin, end in itertools.pairwise(edges):
+        await asyncio.sleep(pause)
+        record.tap(Direction.RECEIVED, activation[begin:end], clock.time())
+    await record.aclose()
+    raw = {topic: b"".join(one.data for one in read(path).messages(topic)) for topic in (RX, TX)}
+    assert raw[RX] == raw[TX]
+    assert len(raw[RX]) == len(activation)
+    assert secret not in raw[RX]
 
 
 async def test_telemetry_is_thinned_and_counters_come_once_a_second(tmp_path: Path) -> None:
