@@ -27,6 +27,9 @@ Told = tuple[str, dict[str, Any]]
 class Recording(Protocol):
     """What keeps a flight: :class:`m100link.log.Recorder`."""
 
+    def begin(self) -> None:
+        """Be the log of one connection, or raise UsageError."""
+
     def tap(self, direction: Direction, data: bytes, now: float) -> None:
         """See :data:`m100link.link.Tap`."""
 
@@ -160,6 +163,8 @@ async def _open(
             remedy="give the tap to open_link(), or the URL to connect()",
         )
     recorder = None if record is None else _recorder(record)
+    if recorder is not None:
+        recorder.begin()
     try:
         if isinstance(line, Link):
             link = line

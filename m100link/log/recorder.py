@@ -132,7 +132,9 @@ class Recorder:
         self._known: Callable[[], tuple[Cipher | None, FirmwareProfile | None]] = _nothing
         self._batch = _Batch()
         self._timer: asyncio.TimerHandle | None = None
-        self._waiting = 0  # bytes that the thread has not taken; one more than it is costs nothing
+        self._is_taken = False  # by a connection
+        self._is_ended = False
+        self._given = self._taken = 0  # bytes, each counted by one side alone: loop, thread
         self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
         self._scribe = _Scribe(writer, stream, self.path, rate_hz)
         self._thread = threading.Thread(target=self._write, name=f"log {self.path}", daemon=True)
@@ -146,8 +148,24 @@ class Recorder:
 
     # -- on the event loop -------------------------------------------------------------------------
 
+    def begin(self) -> None:
+        """Be the log of one connection.
+
+        Raises:
+            UsageError: It is that of another, or ended: a log is of one line and one clock.
+        """
+        if self._is_taken or self._is_ended:
+            raise UsageError(
+                f"{self.path} is the log of another connection",
+                cause="a Recorder writes one connection into one file",
+                remedy="a Recorder for each; or the folder: each gets a file of its own",
+            )
+        self._is_taken = True
+
     def tap(self, direction: Direction, data: bytes, now: float) -> None:
         """Note what a line carried: see :data:`m100link.link.Tap`."""
+        if self._is_ended:
+            return
         if self._timer is None:
             self._loop = asyncio.get_running_loop()
             self._scribe.utc_offset_s = time.time() - now
@@ -175,6 +193,7 @@ class Recorder:
         if self._timer is not None:
             self._timer.cancel()
         self._hand_over()
+        self._is_ended = True
         self._queue.put(None)
         await asyncio.to_thread(self._thread.join, END_TIMEOUT_S)
         atexit.unregister(self._end)
@@ -195,11 +214,11 @@ class Recorder:
             batch.told = [(now, told) for told in self._look()]
         batch.cipher, batch.profile = self._known()
         size = batch.size
-        if self._waiting + size > MAX_WAITING:
+        if self._given - self._taken + size > MAX_WAITING:
             self.dropped += size
             return
         batch.dropped = self.dropped
-        self._waiting += size
+        self._given += size
         self._queue.put(batch)
 
     # -- in the thread ----------------------------------------------------------------------------
@@ -215,7 +234,7 @@ class Recorder:
                     continue
                 if batch is None:
                     break
-                self._waiting -= batch.size
+                self._taken += batch.size
                 scribe.write(batch)
                 scribe.flush_in_time()
             scribe.finish()

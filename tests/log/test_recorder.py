@@ -207,6 +207,30 @@ async def test_files_that_cannot_be_are_refused_before_a_port_is_opened(tmp_path
     assert files_in(tmp_path) == [there]  # where nothing was heard, nothing is left
 
 
+async def test_a_recorder_is_of_one_connection(tmp_path: Path) -> None:
+    record = Recorder(tmp_path / "flight.mcap")
+    async with connect("sim://", record=record):
+        with pytest.raises(UsageError, match="is the log of another connection"):
+            await connect("sim://", record=record)
+        await asyncio.sleep(2.0)
+    with pytest.raises(UsageError, match="is the log of another connection"):
+        await connect("sim://", record=record)
+    summary = read(record.path).summary()  # the refused did not end it
+    assert summary.is_whole
+    assert summary.duration_s == pytest.approx(2.0, abs=0.3)
+
+
+async def test_a_recorder_that_is_ended_early_notes_nothing_more(tmp_path: Path) -> None:
+    record = Recorder(tmp_path / "flight.mcap")
+    async with connect("sim://", record=record) as aircraft:
+        await asyncio.sleep(1.0)
+        await record.aclose()
+        await asyncio.sleep(5.0)
+        assert aircraft.statistics().bytes_received > 10_000
+        assert record._batch.size == 0
+    assert read(record.path).summary().duration_s == pytest.approx(1.0, abs=0.3)
+
+
 async def test_a_folder_gets_a_file_for_each_flight(tmp_path: Path) -> None:
     for _ in range(3):
         async with connect("sim://", record=tmp_path):
