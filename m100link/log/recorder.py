@@ -202,17 +202,21 @@ class Recorder:
 
     def _tick(self) -> None:
         assert self._loop is not None
+        self._timer = self._loop.call_later(BATCH_S, self._tick)  # first: it goes on, come what may
         self._hand_over()
-        self._timer = self._loop.call_later(BATCH_S, self._tick)
 
     def _hand_over(self) -> None:
         batch, self._batch = self._batch, _Batch()
         if self._scribe.failure is not None:
             return
-        if self._loop is not None:
-            now = self._loop.time()
-            batch.told = [(now, told) for told in self._look()]
-        batch.cipher, batch.profile = self._known()
+        try:
+            if self._loop is not None:
+                now = self._loop.time()
+                batch.told = [(now, told) for told in self._look()]
+            batch.cipher, batch.profile = self._known()
+        except Exception:
+            _logger.exception("%s: from here on only bytes are recorded", self.path)
+            self._look, self._known = tuple, _nothing
         size = batch.size
         if self._given - self._taken + size > MAX_WAITING:
             self.dropped += size

@@ -20,6 +20,7 @@ from m100link.errors import PortNotFound, UsageError
 from m100link.link import Direction
 from m100link.log import Recorder, read, recorder
 from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX
+from m100link.log.witness import Told
 from m100link.wire import encode_frame
 from tests.log.flight import APP_ID, KEY, URL, fly
 
@@ -229,6 +230,50 @@ async def test_a_recorder_that_is_ended_early_notes_nothing_more(tmp_path: Path)
         assert aircraft.statistics().bytes_received > 10_000
         assert record._batch.size == 0
     assert read(record.path).summary().duration_s == pytest.approx(1.0, abs=0.3)
+
+
+async def test_what_cannot_be_asked_costs_its_records_and_not_the_bytes(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    record = Recorder(tmp_path / "flight.mcap")
+    asked = 0
+
+    def look() -> list[Told]:
+        nonlocal asked
+        asked += 1
+        raise RuntimeError("not today")
+
+    async with connect("sim://", record=record) as aircraft:
+        await asyncio.sleep(1.0)
+        record.watch(aircraft.link, lambda: aircraft.firmware, look)
+        await asyncio.sleep(5.0)
+    assert asked == 1
+    [said] = [one for one in caplog.records if one.name == "m100link.log.recorder"]
+    assert "only bytes are recorded" in said.message
+    summary = read(record.path).summary()
+    assert summary.is_whole
+    assert summary.duration_s == pytest.approx(6.0, abs=0.3)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+async def test_an_interrupt_while_it_is_noted_does_not_end_the_log(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    record = Recorder(tmp_path / "flight.mcap")
+
+    def look() -> list[Told]:
+        raise error
+
+    loop = asyncio.get_running_loop()
+    record._look = look
+    record.tap(Direction.SENT, b"before", loop.time())
+    with pytest.raises(error):
+        record._tick()
+    record._look = tuple
+    record.tap(Direction.SENT, b"after", loop.time())
+    await asyncio.sleep(0.3)
+    assert record._batch.size == 0  # handed over: the timer goes on
+    await record.aclose()
 
 
 async def test_a_folder_gets_a_file_for_each_flight(tmp_path: Path) -> None:
