@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import UsageError
 from m100link.link import Direction, Link, Tap, open_link
+from m100link.link.tap import Listener
 from m100link.protocol.firmware import FirmwareProfile, profile
 
 __all__ = ["Connecting", "connect"]
@@ -195,11 +196,11 @@ def _recorder(record: str | PathLike[str] | Recording) -> Recording:
 def _both(tap: Tap | None, recorder: Recording | None) -> Tap | None:
     if tap is None or recorder is None:
         return tap if recorder is None else recorder.tap
-    write, also = recorder.tap, tap
+    write, also = recorder.tap, Listener(tap)
 
     def hear(direction: Direction, data: bytes, now: float) -> None:
         write(direction, data, now)
-        also(direction, data, now)
+        also.hear(direction, data, now)
 
     return hear
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Any, cast
 
-__all__ = ["Direction", "Tap", "TappedProtocol"]
+__all__ = ["Direction", "Listener", "Tap", "TappedProtocol"]
 
 _logger = logging.getLogger(__name__)
 
@@ -32,25 +32,24 @@ called again; the line goes on.
 """
 
 
-class _Listener:
+class Listener:
     """Calls a tap until it raises.
 
     Args:
         tap: What to call.
-        clock: The event loop's clock.
     """
 
-    __slots__ = ("_clock", "_tap")
+    __slots__ = ("_tap",)
 
-    def __init__(self, tap: Tap, clock: Callable[[], float]) -> None:
+    def __init__(self, tap: Tap) -> None:
         self._tap: Tap | None = tap  # None once it raised
-        self._clock = clock
 
-    def hear(self, direction: Direction, data: bytes) -> None:
+    def hear(self, direction: Direction, data: bytes, now: float) -> None:
+        """Tell it of a read or a write."""
         if self._tap is None:
             return
         try:
-            self._tap(direction, data, self._clock())
+            self._tap(direction, data, now)
         except Exception:
             _logger.exception("the tap of a line raised; it is not called again")
             self._tap = None
@@ -59,14 +58,17 @@ class _Listener:
 class _TappedTransport(asyncio.Transport):
     """A transport whose writes are heard."""
 
-    def __init__(self, transport: asyncio.Transport, listener: _Listener) -> None:
+    def __init__(
+        self, transport: asyncio.Transport, listener: Listener, clock: Callable[[], float]
+    ) -> None:
         super().__init__()
         self._transport = transport
         self._listener = listener
+        self._clock = clock
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
         # Heard first: what raises here must not leave bytes on the line that no log knows.
-        self._listener.hear(Direction.SENT, bytes(data))
+        self._listener.hear(Direction.SENT, bytes(data), self._clock())
         self._transport.write(data)
 
     def get_write_buffer_size(self) -> int:
@@ -108,16 +110,18 @@ class TappedProtocol(asyncio.Protocol):
 
     def __init__(self, protocol: asyncio.Protocol, tap: Tap, clock: Callable[[], float]) -> None:
         self._protocol = protocol
-        self._listener = _Listener(tap, clock)
+        self._listener = Listener(tap)
+        self._clock = clock
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """The transport is attached."""
-        tapped = _TappedTransport(cast(asyncio.Transport, transport), self._listener)
+        line = cast(asyncio.Transport, transport)
+        tapped = _TappedTransport(line, self._listener, self._clock)
         self._protocol.connection_made(tapped)
 
     def data_received(self, data: bytes) -> None:
         """Bytes from the line."""
-        self._listener.hear(Direction.RECEIVED, data)
+        self._listener.hear(Direction.RECEIVED, data, self._clock())
         self._protocol.data_received(data)
 
     def pause_writing(self) -> None:

@@ -276,6 +276,18 @@ async def test_an_interrupt_while_it_is_noted_does_not_end_the_log(
     await record.aclose()
 
 
+async def test_a_tap_that_raises_costs_the_log_nothing(tmp_path: Path) -> None:
+    def fails(*_: object) -> None:
+        raise ValueError("a bad tap")
+
+    path = tmp_path / "flight.mcap"
+    async with connect("sim://", record=path, tap=fails) as aircraft:
+        await asyncio.sleep(2.0)
+        received = aircraft.statistics().bytes_received
+    assert read(path).summary().bytes_received == pytest.approx(received, rel=0.1)
+    assert received > 10_000
+
+
 async def test_a_folder_gets_a_file_for_each_flight(tmp_path: Path) -> None:
     for _ in range(3):
         async with connect("sim://", record=tmp_path):
