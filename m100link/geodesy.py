@@ -38,6 +38,7 @@ DJI_EARTH_RADIUS_M = 6_378_137.0
 _E2 = WGS84_FLATTENING * (2.0 - WGS84_FLATTENING)
 _MAXIMUM_FRAME_LATITUDE_DEG = 89.0
 _SERIES_REACH_M = 200_000.0
+_POLAR_REACH = 0.3  # of the distance in which meridians meet, beyond which no step gets nearer
 
 
 def normalize_degrees(angle: float) -> float:
@@ -76,6 +77,7 @@ class LocalFrame:
         "_n",
         "_nee",
         "_nn",
+        "_reach_m",
         "latitude_deg",
         "longitude_deg",
     )
@@ -115,6 +117,8 @@ class LocalFrame:
         third = to_degrees / (across**3 * cosine)
         self._longitude_nne = third * (1.0 + 3.0 * tangent * tangent) / 3.0
         self._eee = -third * tangent * tangent / 3.0
+        meeting = across / abs(tangent) if tangent else math.inf
+        self._reach_m = min(_SERIES_REACH_M, _POLAR_REACH * meeting)
 
     def to_geodetic(self, north: float, east: float) -> tuple[float, float]:
         """Latitude and longitude in degrees of a point given in metres from the origin."""
@@ -139,13 +143,14 @@ class LocalFrame:
         """Metres north and east of the origin of a point in degrees: the inverse, to a micrometre.
 
         Newton steps with the first-order coefficients: each shrinks the error by about the ratio
-        of distance to the Earth's radius, so three or four are the rule. Beyond 200 km, where the
-        series means nothing any more: distance and direction of the shortest line.
+        of distance to the Earth's radius, so three or four are the rule. Beyond 200 km (33 km at 89
+        degrees of latitude), where the series means nothing any more: distance and direction of the
+        shortest line.
         """
         east_of_origin = normalize_degrees(longitude_deg - self.longitude_deg)
         north = (latitude_deg - self.latitude_deg) / self._n
         east = east_of_origin / self._longitude_e
-        if math.hypot(north, east) > _SERIES_REACH_M:
+        if math.hypot(north, east) > self._reach_m:
             distance, bearing = geodesic(
                 self.latitude_deg, self.longitude_deg, latitude_deg, longitude_deg
             )

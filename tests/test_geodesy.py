@@ -93,6 +93,16 @@ def test_every_place_on_earth_lies_somewhere(
         assert distance == pytest.approx(real, rel=1e-3, abs=0.1)
 
 
+@pytest.mark.parametrize("latitude", [88.0, 89.0, -89.0])
+def test_near_a_pole_places_are_as_far_as_they_are(latitude: float) -> None:
+    """Meridians meet there, and the steps of the series led ever further away."""
+    frame = LocalFrame(latitude, 0.0)
+    for other in (latitude, math.copysign(88.0, latitude), math.copysign(89.9, latitude)):
+        for longitude in range(-180, 181, 3):
+            distance = math.hypot(*frame.to_local(other, longitude))
+            assert distance == pytest.approx(distance_m(latitude, 0.0, other, longitude), rel=0.05)
+
+
 def test_the_antimeridian_is_no_edge() -> None:
     frame = LocalFrame(10.0, 179.999)
     latitude, longitude = frame.to_geodetic(0.0, 1000.0)
