@@ -15,6 +15,7 @@ import logging
 import os
 import socket
 from collections.abc import Awaitable, Callable
+from weakref import WeakValueDictionary
 
 import serial
 import serial_asyncio
@@ -47,6 +48,9 @@ _HOST_GONE_MS = 10_000
 """Without a sign of a host that was sent something, or that takes nothing: the line is lost."""
 
 _CAN_WATCH_PORTS = os.name == "posix"
+
+_opened: WeakValueDictionary[str, SerialTransport] = WeakValueDictionary()
+"""The last connection of this program to a port, by its device."""
 
 
 class _PolledTransport(serial_asyncio.SerialTransport):
@@ -122,11 +126,13 @@ async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) ->
         polled.set_write_buffer_limits(high=HIGH_WATER)
         return polled
     try:
-        return SerialTransport(loop, protocol, port)
+        transport = SerialTransport(loop, protocol, port)
     except BaseException:
         loop.remove_reader(port.fileno())
         port.close()
         raise
+    _keep(device, transport)
+    return transport
 
 
 async def _kept_or_closed(opening: asyncio.Future[serial.Serial]) -> serial.Serial:
@@ -156,6 +162,19 @@ def _expanded(path: str) -> str:
     return str(Path(path).expanduser())
 
 
+def _keep(device: str, transport: SerialTransport) -> None:
+    _opened[os.path.realpath(device)] = transport
+
+
+def _is_ours(device: str) -> bool:
+    """Whether a connection of this program has the port.
+
+    Its process may have it for other reasons: as a terminal, or to be a simulator at its other end.
+    """
+    transport = _opened.get(os.path.realpath(device))
+    return transport is not None and not transport.is_closing()
+
+
 def _translate(device: str, address: ConnectionString, error: Exception) -> LinkError:
     number = _errno_of(error)
     if number == errno.ENOENT:
@@ -176,7 +195,7 @@ def _translate(device: str, address: ConnectionString, error: Exception) -> Link
     if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
         owners = port_owners(device)
         names = ", ".join(f"{name} (process {pid})" for pid, name in owners)
-        if any(pid == os.getpid() for pid, _ in owners):
+        if _is_ours(device):
             return PortBusy(
                 f"{device} is in use by this program itself",
                 owners=owners,

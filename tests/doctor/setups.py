@@ -32,7 +32,7 @@ from tests.doctor.bench import CONSOLE, GPS, TELEMETRY, Bench, FakeMachine, mavl
 
 APP = Credentials(DEMO_APP_ID, DEMO_KEY)
 OTHER_KEY = Credentials(DEMO_APP_ID, "11" * 32)
-OTHER_APP = Credentials(4242, DEMO_KEY)
+OTHER_APP = Credentials(2_942_424_217, DEMO_KEY)
 ITEMS = (
     *("time", "quaternion", "acceleration", "velocity", "angular_velocity", "position"),
     *("magnetometer", "rc", "gimbal", "flight_status", "battery", "control_device"),
