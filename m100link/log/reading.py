@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from m100link.errors import LayoutMismatch, UsageError
 from m100link.link import Direction
@@ -284,7 +284,7 @@ def recover(path: str | os.PathLike[str], target: str | os.PathLike[str]) -> int
             elif kind == "Channel":
                 if record.id not in channels:
                     channels[record.id] = writer.register_channel(
-                        record.topic, record.message_encoding, schemas[record.schema_id]
+                        record.topic, record.message_encoding, schemas.get(record.schema_id, 0)
                     )
             elif kind == "Metadata":
                 writer.add_metadata(record.name, record.metadata)
@@ -315,9 +315,10 @@ def _records(path: Path) -> Iterator[Any]:
         LookupError,
     )
     reading = mcap_module("stream_reader")
+    is_told = False  # by the end of the file, which channels there are
     with path.open("rb") as stream:
         records = reading.StreamReader(
-            stream, emit_chunks=True, record_size_limit=_MAX_RECORD
+            _Bounded(stream), emit_chunks=True, record_size_limit=_MAX_RECORD
         ).records
         while True:
             try:
@@ -328,7 +329,46 @@ def _records(path: Path) -> Iterator[Any]:
                 yield record
                 continue
             try:
+                _check_size(record)
                 inside = reading.breakup_chunk(record, validate_crc=True)
-            except damage:
-                continue  # the next one may be whole
+            except damage:  # the next one may be whole
+                if not is_told:  # the names of what follows may have stood in this one alone
+                    is_told = True
+                    yield from _channels_at_end(path, damage)
+                continue
             yield from inside
+
+
+def _channels_at_end(path: Path, damage: tuple[type[Exception], ...]) -> list[Any]:
+    """Schemas and channels as the end of a whole file repeats them."""
+    with path.open("rb") as stream:
+        try:
+            summary = (
+                mcap_module("reader")
+                .SeekingReader(_Bounded(stream), record_size_limit=_MAX_RECORD)
+                .get_summary()
+            )
+        except damage:
+            return []
+    return [] if summary is None else [*summary.schemas.values(), *summary.channels.values()]
+
+
+def _check_size(chunk: Any) -> None:
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        size = max(size, import_module("zstandard").frame_content_size(chunk.data))
+    if size > _MAX_RECORD:
+        raise ValueError(f"a part of {size} bytes")
+
+
+class _Bounded:
+    """A file never read by more at once than a record may have: lengths are damaged, too."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self.seek, self.tell = stream.seek, stream.tell
+
+    def read(self, size: int = -1) -> bytes:
+        if size > _MAX_RECORD:
+            raise ValueError(f"a record of {size} bytes")
+        return self._stream.read(size)

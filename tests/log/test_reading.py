@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from mcap.reader import SeekingReader
 
 from m100link import Attitude, Position
 from m100link.errors import UsageError
-from m100link.log import read, recover
+from m100link.log import read, recorder, recover
 from m100link.log.channels import RX
 from tests.log.flight import URL, fly
 
@@ -59,6 +60,51 @@ async def test_junk_behind_the_beginning_raises_nothing(tmp_path: Path) -> None:
         summary = read(bad).summary()
         assert summary.bytes_received >= 0
         assert sum(1 for _ in read(bad).samples(firmware="1.0")) >= 0
+
+
+async def test_a_damaged_length_does_not_ask_for_memory(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    whole = path.read_bytes()
+    begin = first_part(whole)
+    # Of the part, of what it is unpacked to, of its name of a compression, and of its data.
+    for at in (begin + 1, begin + 9 + 16, begin + 9 + 28, begin + 9 + 36):
+        for byte in range(8):
+            bad = tmp_path / "bad.mcap"
+            bad.write_bytes(whole[: at + byte] + b"\xfe" + whole[at + byte + 1 :])
+            tracemalloc.start()
+            try:
+                read(bad).summary()
+                assert tracemalloc.get_traced_memory()[1] < 80e6
+            finally:
+                tracemalloc.stop()
+
+
+async def test_a_first_part_that_is_damaged_costs_itself_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    whole = path.read_bytes()
+    spoilt = bytearray(whole)
+    spoilt[first_part(whole) + 100] ^= 1
+    bad, mended = tmp_path / "bad.mcap", tmp_path / "mended.mcap"
+    bad.write_bytes(spoilt)
+    kept = list(read(bad).messages())
+    every = list(read(path).messages())
+    assert kept == every[-len(kept) :]
+    assert 0.5 * len(every) < len(kept) < len(every)
+    assert recover(bad, mended) == len(kept)
+    assert list(read(mended).messages()) == kept
+
+
+def first_part(whole: bytes) -> int:
+    """Where the first chunk of messages begins."""
+    at = 8
+    while whole[at] != 6:
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    return at
 
 
 async def test_tables_have_the_columns_of_the_library(tmp_path: Path) -> None:
