@@ -112,19 +112,7 @@ class Recorder:
         if not 0 <= rate_hz < math.inf:
             raise UsageError(f"{rate_hz} Hz is not a rate", remedy="0 for every package")
         writer = mcap_module("writer").Writer
-        self.path = _place_of(path)
-        try:
-            stream = self.path.open("xb")
-        except FileExistsError:
-            raise UsageError(
-                f"{self.path} is there already; nothing was recorded",
-                remedy="another name, or the folder: a new file is named by the time",
-            ) from None
-        except OSError as error:
-            raise UsageError(
-                f"{self.path} cannot be written: {error.strerror}",
-                remedy="name a file in a folder that is there and may be written",
-            ) from error
+        self.path, stream = _new_file(Path(path).expanduser())
         self.dropped = 0
         self._clock = time.monotonic
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -263,13 +251,25 @@ def _nothing() -> tuple[None, None]:
     return None, None
 
 
-def _place_of(path: str | os.PathLike[str]) -> Path:
-    place = Path(path).expanduser()
-    if not place.is_dir():
-        return place
-    stem = time.strftime("m100link-%Y%m%d-%H%M%S")
-    names = (f"{stem}{mark}.mcap" for mark in ("", *(f"-{n}" for n in range(2, 1000))))
-    return next(place / name for name in names if not (place / name).exists())
+def _new_file(place: Path) -> tuple[Path, IO[bytes]]:
+    names = [place]
+    if place.is_dir():
+        stem = time.strftime("m100link-%Y%m%d-%H%M%S")
+        names = [place / f"{stem}{mark}.mcap" for mark in ("", *(f"-{n}" for n in range(2, 1000)))]
+    for path in names:
+        try:
+            return path, path.open("xb")
+        except FileExistsError:  # by another process perhaps, in this very moment
+            continue
+        except OSError as error:
+            raise UsageError(
+                f"{path} cannot be written: {error.strerror}",
+                remedy="name a file in a folder that is there and may be written",
+            ) from error
+    raise UsageError(
+        f"{names[-1]} is there already; nothing was recorded",
+        remedy="another name, or the folder: a new file is named by the time",
+    )
 
 
 class _Scribe:

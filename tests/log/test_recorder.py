@@ -10,6 +10,7 @@ import logging
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -206,6 +207,19 @@ async def test_files_that_cannot_be_are_refused_before_a_port_is_opened(tmp_path
     with pytest.raises(PortNotFound):
         await connect("/dev/no-such-port", record=tmp_path / "empty.mcap")
     assert files_in(tmp_path) == [there]  # where nothing was heard, nothing is left
+
+
+async def test_two_processes_that_begin_in_one_second_get_a_file_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "strftime", lambda *_: "m100link-20261122-101500")
+    other = tmp_path / "m100link-20261122-101500.mcap"
+    other.write_bytes(b"theirs")
+    monkeypatch.setattr(Path, "exists", lambda _: False)  # it came between looking and opening
+    record = Recorder(tmp_path)
+    assert record.path.name == "m100link-20261122-101500-2.mcap"
+    await record.aclose()
+    assert other.read_bytes() == b"theirs"
 
 
 async def test_a_recorder_is_of_one_connection(tmp_path: Path) -> None:
