@@ -268,36 +268,46 @@ def recover(path: str | os.PathLike[str], target: str | os.PathLike[str]) -> int
         raise UsageError(
             f"{target} cannot be written: {error.strerror}", remedy="name a new file"
         ) from error
-    with stream:
-        writer = mcap_module("writer").Writer(stream)
-        writer.start(library="m100link log recover")
-        channels: dict[int, int] = {}
-        schemas = {0: 0}
-        saved = 0
-        for record in _records(source.path):
-            kind = type(record).__name__
-            if kind == "Schema":
-                if record.id not in schemas:
-                    schemas[record.id] = writer.register_schema(
-                        record.name, record.encoding, record.data
-                    )
-            elif kind == "Channel":
-                if record.id not in channels:
-                    channels[record.id] = writer.register_channel(
-                        record.topic, record.message_encoding, schemas.get(record.schema_id, 0)
-                    )
-            elif kind == "Metadata":
-                writer.add_metadata(record.name, record.metadata)
-            elif kind == "Message" and record.channel_id in channels:
-                writer.add_message(
-                    channel_id=channels[record.channel_id],
-                    log_time=record.log_time,
-                    publish_time=record.publish_time,
-                    sequence=record.sequence,
-                    data=record.data,
+    try:
+        with stream:
+            return _copy(source, stream)
+    except OSError as error:
+        raise UsageError(
+            f"{target} could not be written to its end: {error.strerror}",
+            remedy="make room there, or name a new file elsewhere",
+        ) from error
+
+
+def _copy(source: FlightLog, stream: IO[bytes]) -> int:
+    writer = mcap_module("writer").Writer(stream)
+    writer.start(library="m100link log recover")
+    channels: dict[int, int] = {}
+    schemas = {0: 0}
+    saved = 0
+    for record in _records(source.path):
+        kind = type(record).__name__
+        if kind == "Schema":
+            if record.id not in schemas:
+                schemas[record.id] = writer.register_schema(
+                    record.name, record.encoding, record.data
                 )
-                saved += 1
-        writer.finish()
+        elif kind == "Channel":
+            if record.id not in channels:
+                channels[record.id] = writer.register_channel(
+                    record.topic, record.message_encoding, schemas.get(record.schema_id, 0)
+                )
+        elif kind == "Metadata":
+            writer.add_metadata(record.name, record.metadata)
+        elif kind == "Message" and record.channel_id in channels:
+            writer.add_message(
+                channel_id=channels[record.channel_id],
+                log_time=record.log_time,
+                publish_time=record.publish_time,
+                sequence=record.sequence,
+                data=record.data,
+            )
+            saved += 1
+    writer.finish()
     return saved
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import random
 import tracemalloc
 from pathlib import Path
 
 import pytest
 from mcap.reader import SeekingReader
+from mcap.writer import Writer
 
 from m100link import Attitude, Position
 from m100link.errors import UsageError
@@ -141,3 +143,17 @@ async def test_what_is_no_log_is_refused_with_what_it_is(tmp_path: Path) -> None
     with pytest.raises(UsageError, match="cannot be written"):
         recover(path, path)
     assert list(read(path).messages(RX))
+
+
+async def test_a_full_disk_ends_mending_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+
+    def finish(_: Writer) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Writer, "finish", finish)
+    with pytest.raises(UsageError, match="No space left on device"):
+        recover(path, tmp_path / "mended.mcap")
