@@ -26,7 +26,7 @@ from typing import IO, TYPE_CHECKING, Any
 from m100link.errors import UsageError
 from m100link.link import Direction, Link
 from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX
-from m100link.log.redaction import Redaction
+from m100link.log.redaction import Redaction, may_hold_secret
 from m100link.log.witness import Told, Witness
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.wire import Cipher
@@ -207,7 +207,9 @@ class Recorder:
             self._look, self._known = tuple, _nothing
         size = batch.size
         if self._given - self._taken + size > MAX_WAITING:
-            self.dropped += size
+            # But not what an echo must be compared with, lest it shows an app id.
+            self._batch.chunks = [one for one in batch.chunks if may_hold_secret(*one[:2])]
+            self.dropped += size - self._batch.size
             return
         batch.dropped = self.dropped
         self._given += size

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 
+from m100link.link import Direction
 from m100link.wire import encode_frame
 from m100link.wire.crc import header_crc16
 from m100link.wire.frame import CRC32_SIZE, HEADER_SIZE, MAX_SESSION, OVERHEAD, SOF
 
-__all__ = ["ECHO_S", "Redaction"]
+__all__ = ["ECHO_S", "Redaction", "may_hold_secret"]
 
 _ACTIVATION = b"\x00\x01"  # set and id
 _IS_ACK, _SEALED = 0x20, 0xE0  # bits of the fourth and of the fifth byte
@@ -22,6 +23,11 @@ _TELLING = 3  # of them not zero: such four bytes do not come by chance
 
 ECHO_S = 30.0
 """What was sent may come back for so long, s."""
+
+
+def may_hold_secret(direction: Direction, data: bytes) -> bool:
+    """Whether these bytes may be an activation of ours."""
+    return direction is Direction.SENT and _ACTIVATION in data
 
 
 class Redaction:

@@ -27,6 +27,8 @@ from tests.log.flight import APP_ID, KEY, URL, fly
 
 pytestmark = pytest.mark.anyio
 
+VERSION = encode_frame(b"\x00\x00\x00", session=2, sequence=78)
+
 
 def files_in(folder: Path) -> list[Path]:
     return sorted(folder.iterdir())
@@ -117,6 +119,26 @@ async def test_a_line_joined_with_itself_does_not_show_the_app_id(
     assert raw[RX] == raw[TX]
     assert len(raw[RX]) == len(activation)
     assert secret not in raw[RX]
+
+
+async def test_an_activation_that_the_disk_did_not_take_is_not_shown_by_its_echo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    secret = APP_ID.to_bytes(4, "little")
+    activation = encode_frame(b"\x00\x01" + secret + bytes(range(40)), session=2, sequence=1)
+    record = Recorder(tmp_path / "flight.mcap")
+    clock = asyncio.get_running_loop()
+    with monkeypatch.context() as stands_still:
+        stands_still.setattr(recorder, "MAX_WAITING", 0)
+        record.tap(Direction.SENT, activation + VERSION, clock.time())
+        record.tap(Direction.SENT, VERSION, clock.time())
+        await asyncio.sleep(0.15)
+    assert record.dropped == len(VERSION)
+    record.tap(Direction.RECEIVED, activation, clock.time())
+    await record.aclose()
+    raw = b"".join(one.data for one in read(record.path).messages(RX, TX))
+    assert len(raw) == 2 * len(activation) + len(VERSION)
+    assert secret not in raw
 
 
 async def test_telemetry_is_thinned_and_counters_come_once_a_second(tmp_path: Path) -> None:
