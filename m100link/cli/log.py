@@ -20,7 +20,7 @@ from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
 from m100link.cli.options import Above0, Firmware, offered
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import items_named
-from m100link.errors import UsageError
+from m100link.errors import LinkError, UsageError
 from m100link.log import FlightLog, Recorder, read, recover
 from m100link.protocol.items import BY_NAME
 
@@ -63,18 +63,21 @@ def record(
 
 async def _record(place: Place, output: Path, rate: float, duration: float | None) -> int:
     recorder = Recorder(output, rate_hz=rate)
+    lost: LinkError | None = None
     try:
         async with connect(place.url, record=recorder, **place.arguments()) as aircraft:
             err.print(f"recording {place.url} into {recorder.path}; Ctrl-C ends it")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(duration):
-                    await aircraft.wait_closed()
+                    lost = await aircraft.wait_closed()
     finally:
         await recorder.aclose()
         if recorder.path.exists():  # where nothing was heard, nothing is left
             err.print(f"{recorder.path}: {recorder.path.stat().st_size:,} bytes")
     if recorder.failure is not None:
         return complain(UsageError(f"recording ended early: {recorder.failure}"))
+    if lost is not None:
+        return complain(lost)
     return ExitCode.OK
 
 

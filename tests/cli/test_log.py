@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from m100link import Aircraft
 from m100link.cli.outcome import ExitCode
+from m100link.errors import LinkError, LinkLost
+from m100link.log import read
 from tests.cli.conftest import CommandLine
 
 pytest.importorskip("mcap", reason="the extra `log` is not installed")
@@ -63,6 +66,20 @@ def test_what_was_cut_off_is_told_and_mended(cli: CommandLine, flight: Path) -> 
     assert told["is_whole"] is True
     again = cli("log", "recover", str(cut))
     assert again.status == ExitCode.USAGE
+
+
+def test_a_cable_that_is_pulled_ends_the_recording_and_is_told(
+    cli: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def wait_closed(_: Aircraft) -> LinkError:
+        return LinkLost("the cable is gone")
+
+    monkeypatch.setattr(Aircraft, "wait_closed", wait_closed)
+    path = tmp_path / "flight.mcap"
+    outcome = cli("record", "sim://", "-o", str(path))
+    assert outcome.status == ExitCode.NO_LINK
+    assert "the cable is gone" in outcome.err
+    assert read(path).summary().is_whole
 
 
 def test_typing_errors_are_told(cli: CommandLine, flight: Path, tmp_path: Path) -> None:
