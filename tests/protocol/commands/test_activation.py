@@ -185,6 +185,8 @@ def test_rates_are_codes_in_item_order_and_what_is_left_out_keeps_its_rate() -> 
         *(0, 1, keep, 3, keep, keep, keep, keep, keep, keep, keep, 4),
         *(0, 0, 0, 0),
     ]
+    assert rates.fields() == {"rates_hz": rates.rates_hz}
+    assert SetTelemetryRates.parse(rates.value(FIRMWARE), FIRMWARE).fields() == rates.fields()
 
 
 def test_a_rate_or_an_item_that_does_not_exist_is_refused() -> None:

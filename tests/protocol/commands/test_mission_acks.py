@@ -111,5 +111,17 @@ def test_the_speed_in_force_stands_behind_its_code() -> None:
     assert WaypointGetIdleSpeed.ack_fields(answer)["idle_speed_m_s"] == 4.5
 
 
+def test_what_nobody_would_send_stands_behind_the_code_of_a_download_and_is_named() -> None:
+    size = WaypointDownloadPoint.ANSWER.size()
+    zeros = WaypointDownloadPoint.parse_ack(bytes(1 + size))
+    ones = WaypointDownloadPoint.parse_ack(b"\0" + b"\xff" * size)
+    assert WaypointDownloadPoint.ack_problems(ones) == ones.record.problems()
+    assert {one.field for one in WaypointDownloadPoint.ack_problems(ones)} > {
+        one.field for one in WaypointDownloadPoint.ack_problems(zeros)
+    }
+    assert WaypointPoint.ack_problems(WaypointPoint.parse_ack(b"\0\2")) == []
+    assert WaypointDownloadPoint.ack_problems(MissionCode.AUTHORITY_NEEDED) == []
+
+
 def test_an_unconfirmed_command_that_is_answered_all_the_same_is_answered_by_a_code() -> None:
     assert HotpointSetRadius.parse_ack(b"\xc2") is MissionCode.BAD_RADIUS

@@ -18,6 +18,10 @@ def test_uninitialised_bits_of_djis_programs_mean_nothing() -> None:
     assert VirtualRcSettings.parse(b"\xfd", FIRMWARE) == VirtualRcSettings(
         is_on=True, falls_back=False
     )
+    assert VirtualRcSettings.parse(b"\x72", FIRMWARE).fields() == {
+        "is_on": False,
+        "falls_back": True,
+    }
 
 
 def test_channels_have_the_names_of_the_document() -> None:
