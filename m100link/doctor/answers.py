@@ -84,7 +84,7 @@ async def look_at_aircraft(
     except AckTimeout as error:
         yield await _unanswered(stage, aircraft, error)
     except M100Error as error:
-        yield failed(stage, error, "m100link info shows the counters of the line")
+        yield failed(stage, error, "m100link info PORT shows the counters of the line")
     finally:
         await aircraft.aclose()
 
@@ -140,7 +140,7 @@ async def _unanswered(stage: Stage, aircraft: Aircraft, error: AckTimeout) -> Fi
         ),
         (
             "check plugs and ground wire; lower the telemetry rates in the PC assistant",
-            "m100link info shows the counters of the line",
+            "m100link info PORT shows the counters of the line",
         ),
         {"acks": counted.acks, "repeats": counted.repeats, "late_acks": counted.late_acks},
         error,
@@ -177,7 +177,9 @@ def _firmware(aircraft: Aircraft, version: Version, *, is_forced: bool) -> Findi
             ("leave --firmware out",)
             if is_forced
             else tuple(
-                f"m100link doctor --firmware {name}" for name in PROFILES if name != profile.name
+                f"m100link doctor PORT --firmware {name}"
+                for name in PROFILES
+                if name != profile.name
             ),
             details,
         )
@@ -217,7 +219,7 @@ async def _activation(
         Verdict.FAILED,
         "it is not activated: telemetry comes, and no command is obeyed",
         ("nobody activated it since it was switched on",),
-        ("m100link activate --app-id ID --key-file FILE", "m100link docs activate"),
+        ("m100link activate PORT --app-id ID --key-file FILE", "m100link docs activate"),
     )
 
 
@@ -238,7 +240,7 @@ async def _key(aircraft: Aircraft, credentials: Credentials | None) -> Finding:
             ),
             (
                 "compare the key file with the enc key of the app at developer.dji.com",
-                "for certainty: m100link doctor --authority",
+                "for certainty: m100link doctor PORT --app-id ID --key-file FILE --authority",
             ),
             error=error,
         )

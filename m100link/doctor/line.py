@@ -319,5 +319,5 @@ def _telemetry(heard: Heard) -> Finding:
         Verdict.DOUBTFUL,
         "answers come, and no telemetry",
         ("all telemetry rates are 0 in the PC assistant",),
-        ("set them in the PC assistant; with firmware 3.1: m100link rates",),
+        ("set them in the PC assistant; with firmware 3.1: m100link rates PORT attitude=50",),
     )
