@@ -82,6 +82,8 @@ class ConnectableAircraft(VirtualAircraft):
     Time passes for it from the first :meth:`connect` on, by the clock of the event loop.
     """
 
+    __slots__ = ("_driver",)
+
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         self._driver: Driver | None = None

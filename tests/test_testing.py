@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import serial
 
+from m100link import AuthorityLost, GuardRefused, LinkLost, M100Error, TelemetryStalled
 from m100link.protocol import Setpoint
-from m100link.sim import VirtualClockEventLoop
+from m100link.sim import LineFaults, VirtualClockEventLoop
 from m100link.testing import ConnectableAircraft, VirtualClock, VirtualPort, VirtualSerialPair
 from tests.waiting import PATIENCE
 
@@ -84,6 +87,63 @@ async def test_virtual_aircraft_flies_with_the_library(
             await control.land()
     assert virtual_aircraft.position[0] > 6.0
     assert virtual_aircraft.height == 0.0
+
+
+def pilot_leaves(aircraft: ConnectableAircraft) -> None:
+    aircraft.leave_f()
+
+
+def gps_fades(aircraft: ConnectableAircraft) -> None:
+    aircraft.gps_health = 1
+
+
+def battery_runs_low(aircraft: ConnectableAircraft) -> None:
+    aircraft.battery_percent = 12
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("by_ticks", [True, False])
+@pytest.mark.parametrize(
+    ("happens", "seen"),
+    [
+        (pilot_leaves, AuthorityLost),
+        (ConnectableAircraft.app_takes_control, AuthorityLost),
+        (ConnectableAircraft.rc_lost, AuthorityLost),
+        (gps_fades, GuardRefused),
+        (battery_runs_low, GuardRefused),
+        (ConnectableAircraft.unplug, LinkLost),
+        (ConnectableAircraft.reboot, TelemetryStalled),
+        (lambda one: one.set_faults(LineFaults(loss=1.0)), TelemetryStalled),
+        (lambda one: one.set_faults(LineFaults(loss=0.05)), None),
+        (lambda one: one.set_wind(north=2.0, east=0.0), None),
+    ],
+)
+async def test_what_happens_to_the_aircraft_is_what_the_manual_says_a_program_sees(
+    virtual_aircraft: ConnectableAircraft,
+    happens: Callable[[ConnectableAircraft], object],
+    seen: type[M100Error] | None,
+    by_ticks: bool,
+) -> None:
+    told = contextlib.nullcontext() if seen is None else pytest.raises(seen)
+    async with virtual_aircraft.connect() as aircraft:
+        await aircraft.activate(virtual_aircraft.credentials)
+        with told:
+            async with aircraft.control() as control:
+                await control.take_off()
+                asyncio.get_running_loop().call_later(3.0, happens, virtual_aircraft)
+                if not by_ticks:
+                    await control.fly_to(north=40.0, east=0.0, up=2.0)
+                    return
+                async for tick in control.ticks():
+                    if tick.elapsed > 10.0:
+                        break
+                    control.send(Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0))
+
+
+@pytest.mark.parametrize("name", ["wind", "battery", "battery_percents"])
+def test_what_the_aircraft_does_not_have_cannot_be_set(name: str) -> None:
+    with pytest.raises(AttributeError):
+        setattr(ConnectableAircraft(), name, 12)
 
 
 def test_virtual_serial_pair_carries_bytes_both_ways(

@@ -58,6 +58,19 @@ class VirtualAircraft:
         seed: As given.
     """
 
+    # Without a dictionary `virtual.wind = 3` is refused: a test of wind would pass in a calm.
+    __slots__ = (
+        "__weakref__",
+        "app",
+        "autopilot",
+        "credentials",
+        "line",
+        "remote",
+        "seed",
+        "server",
+        "vehicle",
+    )
+
     def __init__(
         self,
         *,
