@@ -5,8 +5,10 @@
 Ten simulated minutes are flown three times: by the aircraft alone, which receives movement at 50 Hz
 and makes telemetry at 100 Hz without an event loop; with a host at the other end of a cable in
 memory, whose program takes every package by ``async for``, on virtual time; and with a host that
-sends movement and listens to nothing. A hundred aircraft are in the air in real time, for the share
-of a CPU. Memory is what an hour on virtual time adds, by tracemalloc, measured once.
+sends movement and listens to nothing. What a test pays is ten minutes of a program that flies a
+closed loop of its own over ``ticks()``, beside one that is connected and waits. A hundred aircraft
+are in the air in real time, for the share of a CPU. Memory is what an hour on virtual time adds, by
+tracemalloc, measured once.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from random import Random
 
 import m100link
 from benchmarks.program import main
-from benchmarks.rows import Program, Row, Setting, Side, at_most, times
+from benchmarks.rows import Program, Row, Setting, Side, at_most, ratio, times
 from m100link.link import Link
 from m100link.protocol import profile
 from m100link.sim import (
@@ -35,9 +37,11 @@ from m100link.sim import (
 from m100link.wire import encode_frame
 
 MOVE = encode_frame(bytes.fromhex("010348" + "0000803f" + 12 * "00"), session=0, sequence=1)
+DEMO = m100link.Credentials(app_id=10086, key=bytes(range(32)))
 FLIGHT_S = 600
 MANY = 100
 ALONE, HOST = "ten minutes, aircraft alone", "ten minutes, with host and async for"
+FLOWN, IDLE = "ten minutes, flown by a program's loop", "ten minutes, connected and waiting"
 CABLE = "ten minutes, steered over a cable in memory"
 REAL = f"{MANY} aircraft in real time, share of a CPU"
 MEMORY = "memory that a simulated hour adds, kB"
@@ -87,6 +91,42 @@ async def with_host(seconds: int) -> float:
                 break
         spent = time.thread_time() - began
     driver.stop()
+    return spent
+
+
+async def waiting(seconds: int) -> float:
+    """CPU time of both ends, with a program that is connected, activated, and waits."""
+    async with m100link.connect("sim://?seed=1") as aircraft:
+        await aircraft.activate(DEMO)
+        began = time.thread_time()
+        await asyncio.sleep(seconds)
+        return time.thread_time() - began
+
+
+async def flown(seconds: int) -> float:
+    """CPU time of both ends, with a program that steers by position at 50 Hz, to and fro."""
+    async with m100link.connect("sim://?seed=1") as aircraft:
+        await aircraft.activate(DEMO)
+        async with aircraft.control() as control:
+            await control.take_off()
+            home = control.local_frame()
+            began = time.thread_time()
+            async for tick in control.ticks(rate_hz=50):
+                if tick.elapsed >= seconds:
+                    break
+                position = aircraft.state.position
+                assert position is not None
+                north, east = home.to_local(position.latitude_deg, position.longitude_deg)
+                away = 20.0 * (int(tick.elapsed) // 10 % 2) - north
+                control.send(
+                    m100link.Setpoint.velocity(
+                        north=max(-5.0, min(5.0, 0.5 * away)),
+                        east=max(-5.0, min(5.0, -0.5 * east)),
+                        up=0.0,
+                        yaw_rate_deg_s=0.0,
+                    )
+                )
+            spent = time.thread_time() - began
     return spent
 
 
@@ -154,6 +194,8 @@ def ours(setting: Setting, stack: ExitStack) -> Iterable[Side]:
     measured_once = cache(lambda: on_virtual_time(lambda: memory(minutes)))
     yield Side(ALONE, lambda: alone(flight))
     yield Side(HOST, lambda: on_virtual_time(lambda: with_host(flight)))
+    yield Side(IDLE, lambda: on_virtual_time(lambda: waiting(flight)))
+    yield Side(FLOWN, lambda: on_virtual_time(lambda: flown(flight)))
     yield Side(CABLE, lambda: on_virtual_time(lambda: over_cable(flight)))
     yield Side(REAL, lambda: asyncio.run(in_real_time(number, seconds)), is_time=False)
     yield Side(MEMORY, measured_once, is_time=False)
@@ -164,6 +206,7 @@ PROGRAM = Program(
     rows=(
         Row("ten simulated minutes, aircraft alone, CPU", times(ALONE, 1.0), at_most(0.8), "s"),
         Row("the same with host and async for, CPU", times(HOST, 1.0), at_most(1.5), "s"),
+        Row("ten simulated minutes flown at 50 Hz ÷ waited through", ratio(FLOWN, IDLE)),
     ),
     ours=ours,
     rounds=5,
