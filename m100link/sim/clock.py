@@ -117,6 +117,13 @@ class VirtualClockEventLoop(asyncio.SelectorEventLoop):
         """Virtual seconds since the loop was made."""
         return self._jumping.now
 
+    async def shutdown_default_executor(self, timeout: float | None = None) -> None:
+        """Wait for the executor's threads, however long they take.
+
+        They work in real time: virtual time would jump over the limit (Python 3.13) at once.
+        """
+        await super().shutdown_default_executor()
+
 
 class _LockstepSelector(_JumpingSelector):
     """Jumps while somebody waits for what will be; otherwise it sleeps until somebody does."""

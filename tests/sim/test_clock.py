@@ -78,6 +78,22 @@ def test_virtual_time_waits_for_a_thread_when_there_is_no_timer() -> None:
         assert runner.run(main()) == 42
 
 
+def test_the_end_waits_for_a_thread_in_real_time() -> None:
+    may_end, has_ended = threading.Event(), threading.Event()
+
+    def work() -> None:
+        may_end.wait()
+        has_ended.set()
+
+    async def main() -> None:
+        asyncio.get_running_loop().run_in_executor(None, work)
+        threading.Timer(0.2, may_end.set).start()
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        runner.run(main())
+    assert has_ended.is_set()
+
+
 def test_virtual_timeouts_time_out() -> None:
     async def main() -> float:
         with pytest.raises(TimeoutError):
