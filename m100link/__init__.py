@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from m100link import flight as flight
     from m100link import geodesy as geodesy
     from m100link import link as link
+    from m100link import log as log
     from m100link import missions as missions
     from m100link import notifications as notifications
     from m100link import patterns as patterns
