@@ -21,7 +21,7 @@ _TYPED = {
     "connect(..., firmware='3.1')": "--firmware 3.1",
     "control(guards=Guards(envelope=Envelope(max_height_m=…)))": "--max-height",
     "control(guards=Guards(envelope=Envelope(max_radius_m=…)))": "--max-radius",
-    "a target inside, or control(guards=Guards(envelope=Envelope(max_speed_m_s=…)))": "fly slower",
+    "fly slower, or control(guards=Guards(envelope=Envelope(max_speed_m_s=…)))": "fly slower",
     "docs: howto/silent-line": "m100link docs silent-line",
 }
 """What remedies ask a program to do, and what a person types for it."""

@@ -86,10 +86,18 @@ class Envelope:
         Raises:
             GuardRefused: Outside, with the target and what widens the envelope.
         """
-        for value, limit, unit, seen, name in (
-            (height, self.max_height_m, "m", "a height of {:.1f} m", "max_height_m"),
-            (far, self.max_radius_m, "m", "{:.0f} m from the start", "max_radius_m"),
-            (speed, self.max_speed_m_s, "m/s", "a speed of {:.1f} m/s", "max_speed_m_s"),
+        inside = "a target inside"
+        for value, limit, unit, seen, better, name in (
+            (height, self.max_height_m, "m", "a height of {:.1f} m", inside, "max_height_m"),
+            (far, self.max_radius_m, "m", "{:.0f} m from the start", inside, "max_radius_m"),
+            (
+                speed,
+                self.max_speed_m_s,
+                "m/s",
+                "a speed of {:.1f} m/s",
+                "fly slower",
+                "max_speed_m_s",
+            ),
         ):
             if value is not None and value > limit + 1e-9:
                 widen = f"control(guards=Guards(envelope=Envelope({name}=…)))"
@@ -99,7 +107,7 @@ class Envelope:
                     guard="envelope",
                     measured=value,
                     limit=limit,
-                    remedy=f"a target inside, or {widen}",
+                    remedy=f"{better}, or {widen}",
                 )
 
 
