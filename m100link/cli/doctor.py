@@ -19,6 +19,7 @@ from m100link import __version__
 from m100link.cli.common import AppOptions, LinkOptions, Place, Url, err, out
 from m100link.cli.options import offered
 from m100link.cli.outcome import ExitCode, finite, print_json
+from m100link.cli.terminal import read_line
 from m100link.doctor import Finding, Machine, Report, Stage, Verdict, diagnose
 from m100link.doctor.diagnosis import ignore
 from m100link.doctor.udev import RULES_FILE, rule
@@ -142,7 +143,7 @@ def _diagnosed(patient: _Patient, *, authority: bool, as_json: bool) -> Report:
     if as_json:
         return asyncio.run(patient.diagnose(ignore, authority=authority))
     found = asyncio.run(patient.diagnose(_tell, authority=authority))
-    if found.findings[-1].details.get("may_be_tried") and _agrees():
+    if found.findings[-1].details.get("may_be_tried") and asyncio.run(_agrees()):
         # A second time, because a person may take long, and an open port is nobody else's.
         found = asyncio.run(patient.diagnose(ignore, authority=True))
         _tell(found.findings[-1])
@@ -177,8 +178,11 @@ def _conclude(found: Report) -> None:
         out.print("[green]nothing is wrong as far as this looked[/]")
 
 
-def _agrees() -> bool:
-    """Whether the person at the terminal wants control authority to be tried."""
+async def _agrees() -> bool:
+    """Whether the person at the terminal wants control authority to be tried.
+
+    Asked where the loop runs: a Ctrl-C as soon as the question stands there finds it in place.
+    """
     if not sys.stdin.isatty():
         return False
     out.print(
@@ -187,11 +191,10 @@ def _agrees() -> bool:
         end="",
         markup=False,
     )
-    try:
-        return input().strip().lower() in ("y", "yes")
-    except EOFError:
+    answer = await read_line()
+    if not answer:  # Ctrl-D leaves the cursor behind the question
         out.print()
-        return False
+    return answer.lower() in ("y", "yes")
 
 
 def _write_report(path: Path, described: dict[str, Any]) -> None:

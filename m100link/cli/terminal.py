@@ -19,6 +19,8 @@ from typing import TextIO, cast
 
 __all__ = ["ReaderGone", "read_line", "speak_to_anybody"]
 
+_LOOK_S = 0.2
+
 _BRAILLE = range(0x2800, 0x2900)
 _UPPER, _LOWER = 0x1B, 0xE4
 """Dots of a braille character's upper and lower two rows."""
@@ -153,6 +155,10 @@ async def read_line() -> str:
 
     loop.add_reader(descriptor, on_readable)
     try:
-        return (await line).decode(errors="replace").strip()
+        while not line.done():
+            # Python looks for signals when the wait ends: a Ctrl-C just before it began would be
+            # taken with the next key, and nothing would end.
+            await asyncio.wait([line], timeout=_LOOK_S)
+        return line.result().decode(errors="replace").strip()
     finally:
         loop.remove_reader(descriptor)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import os
 import re
+import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
 from m100link.cli.outcome import ExitCode
-from m100link.cli.terminal import ReaderGone, speak_to_anybody
+from m100link.cli.terminal import ReaderGone, read_line, speak_to_anybody
 from tests.cli.conftest import ROOT, Simulator
 from tests.cli.terminal import terminal
 from tests.waiting import PATIENCE
@@ -189,3 +192,27 @@ def test_40_columns_are_enough(arguments: tuple[str, ...], parts: tuple[str, ...
     for part in parts:
         assert part in shown
     assert "\u2026" not in shown.replace("\u2026  ", "")  # nothing is cut off
+
+
+def test_ctrl_c_that_interrupts_no_wait_ends_a_question_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # In another thread it is marked and wakes nobody, as one does that comes just before the wait.
+    reading, writing = os.pipe()
+    asked = threading.Event()
+
+    def strike() -> None:
+        asked.wait(PATIENCE)
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+
+    async def ask() -> None:
+        asyncio.get_running_loop().call_later(0.2, asked.set)
+        await read_line()
+
+    striking = threading.Thread(target=strike)
+    with os.fdopen(reading) as stdin, os.fdopen(writing, "w"):
+        monkeypatch.setattr(sys, "stdin", stdin)
+        striking.start()
+        with pytest.raises(KeyboardInterrupt):
+            asyncio.run(ask())
+    striking.join()
