@@ -28,6 +28,9 @@ __all__ = [
 ]
 
 FRESH_S = 0.5
+
+STOOD_STILL_S = 0.25
+"""A loop that ticks so late stood still itself; what arrived meanwhile is read only now."""
 """Seconds after which what was measured is too old to steer by."""
 
 _SETTLED_S = 0.5
@@ -217,12 +220,21 @@ class Guidance:
     ) -> Arrival:
         """Send what ``step`` computes at each tick until its error settles within tolerance."""
         clock = asyncio.get_running_loop().time
-        began_at = clock()
+        began_at = ticked_at = reading_until = clock()
         settling = _Settling(self._state)
         self.flying, self._task, self._is_interrupted = name, asyncio.current_task(), False
         try:
             async for _ in Ticker():
-                setpoint, found = step()
+                now = clock()
+                if now - ticked_at > STOOD_STILL_S:
+                    reading_until = now + FRESH_S
+                ticked_at = now
+                try:
+                    setpoint, found = step()
+                except TelemetryStalled:
+                    if now >= reading_until:
+                        raise
+                    continue  # nothing is sent by what is old
                 elapsed = clock() - began_at
                 found = replace(found, elapsed=elapsed)
                 if progress is not None:

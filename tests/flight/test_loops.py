@@ -524,3 +524,19 @@ async def test_a_frame_belongs_to_an_offset() -> None:
         with pytest.raises(UsageError, match="neither from here nor above take-off"):
             await control.fly_to(north=1, east=1, up=1, height=3.0, frame=home)
         assert len(flown.moves) == 0
+
+
+@pytest.mark.parametrize("stands_still", [0.3, 0.9, 3.0])
+async def test_a_program_that_stood_still_reads_what_arrived_before_it_calls_it_old(
+    stands_still: float,
+) -> None:
+    async with flying() as (_, control):
+        loop = asyncio.get_running_loop()
+
+        def stand_still() -> None:
+            loop._jumping.now += stands_still  # type: ignore[attr-defined]
+
+        for after in (0.5, 0.503, 0.511):
+            loop.call_later(after, stand_still)
+            arrival = await control.fly_to(north=3.0, east=0.0, up=0.0)
+            assert arrival.distance_m < 1.0
