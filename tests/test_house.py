@@ -195,6 +195,7 @@ TESTED_ELSEWHERE = {
     "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
     "aircraft/events.py": ("aircraft/test_aircraft.py", "two names and what they carry"),
     "aircraft/connecting.py": ("aircraft/test_aircraft.py", "whoever tests it connects first"),
+    "aircraft/observer.py": ("log/test_recorder.py", "what it tells is read in the log"),
     "doctor/answers.py": ("doctor/test_diagnosis.py", "stages are seen in a whole diagnosis"),
     "doctor/findings.py": ("doctor/test_diagnosis.py", "names and attributes, nothing to run"),
     "doctor/line.py": ("doctor/test_diagnosis.py", "stages are seen in a whole diagnosis"),

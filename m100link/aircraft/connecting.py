@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Coroutine, Generator, Iterable
-from dataclasses import asdict
-from enum import Enum
 from functools import partial
 from os import PathLike
 from types import TracebackType
@@ -18,11 +15,10 @@ from m100link.link import Direction, Link, Tap, open_link
 from m100link.link.tap import Listener
 from m100link.protocol.firmware import FirmwareProfile, profile
 
+if TYPE_CHECKING:
+    from m100link.log.channels import Told
+
 __all__ = ["Connecting", "connect"]
-
-
-Told = tuple[str, dict[str, Any]]
-"""A topic of a flight log, and what is said on it."""
 
 
 class Recording(Protocol):
@@ -177,7 +173,9 @@ async def _open(
         raise
     aircraft = Aircraft(link, firmware=forced)
     if recorder is not None:
-        recorder.watch(link, lambda: aircraft.firmware, _observer(aircraft))
+        from m100link.aircraft.observer import observer
+
+        recorder.watch(link, lambda: aircraft.firmware, observer(aircraft))
         aircraft._at_end.append(recorder.aclose)
     try:
         await aircraft._requests.find_aircraft(timeout)
@@ -203,34 +201,6 @@ def _both(tap: Tap | None, recorder: Recording | None) -> Tap | None:
         also.hear(direction, data, now)
 
     return hear
-
-
-def _observer(aircraft: Aircraft) -> Callable[[], list[Told]]:
-    """What a flight log is told besides bytes: events as they come, counters once a second."""
-    events = aircraft.events()
-    counted_at = -math.inf
-
-    def look() -> list[Told]:
-        nonlocal counted_at
-        told: list[Told] = []
-        while (event := events.get_nowait()) is not None:
-            kind = type(event).__name__.removesuffix("Event").lower()
-            values = {name: _plain(value) for name, value in event._asdict().items()}
-            told.append(("/m100/event", {"event": kind, **values}))
-        now = aircraft.link.loop.time()
-        if now - counted_at >= 1.0:
-            counted_at = now
-            counters = asdict(aircraft.statistics())
-            told.append(("/m100/link", {"firmware": aircraft.firmware.name, **counters}))
-        return told
-
-    return look
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Enum):
-        return value.value
-    return value if value is None or isinstance(value, bool) else str(value)
 
 
 def _require_asyncio() -> None:

@@ -22,6 +22,7 @@ from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import items_named
 from m100link.errors import LinkError, UsageError
 from m100link.log import FlightLog, Recorder, read, recover
+from m100link.log.channels import COMMAND, EVENT
 from m100link.protocol.items import BY_NAME
 
 __all__ = ["app", "record"]
@@ -157,7 +158,7 @@ def events(file: Log, /) -> int:
 
 
 def _told(flight: FlightLog) -> Iterator[dict[str, Any]]:
-    for message in flight.messages("/m100/command", "/m100/event"):
+    for message in flight.messages(COMMAND, EVENT):
         yield {"utc": round(message.utc, 6), "at": round(message.at, 6), **message.content()}
 
 

@@ -19,6 +19,7 @@ __all__ = [
     "TELEMETRY",
     "TX",
     "Schema",
+    "Told",
 ]
 
 RX, TX = "/m100/raw/rx", "/m100/raw/tx"
@@ -29,6 +30,9 @@ CHUNKS = "/m100/raw/chunks"
 
 FIX, TELEMETRY = "/m100/fix", "/m100/telemetry"
 COMMAND, EVENT, LINK = "/m100/command", "/m100/event", "/m100/link"
+
+Told = tuple[str, dict[str, Any]]
+"""A topic, and what is said on it."""
 
 
 class Schema(NamedTuple):

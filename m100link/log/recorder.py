@@ -25,9 +25,9 @@ from typing import IO, TYPE_CHECKING, Any
 
 from m100link.errors import UsageError
 from m100link.link import Direction, Link
-from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX
+from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Told
 from m100link.log.redaction import Redaction, may_hold_secret
-from m100link.log.witness import Told, Witness
+from m100link.log.witness import Witness
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.wire import Cipher
 
@@ -46,9 +46,6 @@ FLUSH_S = 0.5
 
 FSYNC_S = 5.0
 """A computer that loses its power loses so much."""
-
-LINK_S = 1.0
-"""Between two records of the counters of the link."""
 
 MAX_WAITING = 16_000_000
 """Bytes that wait for a disk that stands still; what comes then is dropped and counted."""
@@ -114,7 +111,6 @@ class Recorder:
         writer = mcap_module("writer").Writer
         self.path, stream = _new_file(Path(path).expanduser())
         self.dropped = 0
-        self._clock = time.monotonic
         self._loop: asyncio.AbstractEventLoop | None = None
         self._look: Callable[[], Iterable[Told]] = tuple
         self._known: Callable[[], tuple[Cipher | None, FirmwareProfile | None]] = _nothing

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from m100link.errors import BadAck, LayoutMismatch
-from m100link.log.channels import COMMAND, FIX, TELEMETRY
+from m100link.log.channels import COMMAND, FIX, TELEMETRY, Told
 from m100link.protocol.command import Acknowledged, Command, Unrecognised
 from m100link.protocol.commands.activation import Activate
 from m100link.protocol.commands.monitor import PushTelemetry
@@ -17,12 +17,14 @@ from m100link.protocol.records import Position
 from m100link.telemetry.sample import Sample
 from m100link.wire import Cipher, Frame, FrameDecoder
 
-__all__ = ["Told", "Witness"]
-
-Told = tuple[str, dict[str, Any]]
-"""A topic, and what is said on it."""
+__all__ = ["Witness", "is_telemetry"]
 
 _TELEMETRY = bytes(PushTelemetry.ADDRESS)
+
+
+def is_telemetry(frame: Frame) -> bool:
+    """Whether the frame is a package of telemetry, whose value stands behind two bytes."""
+    return frame.data.startswith(_TELEMETRY) and not frame.is_ack
 
 
 class Witness:
@@ -52,7 +54,7 @@ class Witness:
         """What the bytes of a read say."""
         self._received.cipher = cipher
         for frame in self._received.feed(data):
-            if frame.data.startswith(_TELEMETRY) and not frame.is_ack:
+            if is_telemetry(frame):
                 if now - self._telemetry_at >= self._interval * 0.999:
                     yield from self._telemetry(frame.data[2:], now, profile)
             else:

@@ -20,8 +20,7 @@ from m100link import Position, connect
 from m100link.errors import PortNotFound, UsageError
 from m100link.link import Direction
 from m100link.log import Recorder, read, recorder
-from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX
-from m100link.log.witness import Told
+from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX, Told
 from m100link.wire import encode_frame
 from tests.log.flight import APP_ID, KEY, URL, fly
 
