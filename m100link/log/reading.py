@@ -17,7 +17,7 @@ from m100link.errors import LayoutMismatch, UsageError
 from m100link.link import Direction
 from m100link.log.channels import CHUNKS, LINK, RX, TX
 from m100link.log.recorder import mcap_module
-from m100link.protocol.commands.monitor import PushTelemetry
+from m100link.log.witness import is_telemetry
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.telemetry.columns import Columns, Table
 from m100link.telemetry.sample import Sample
@@ -27,7 +27,6 @@ __all__ = ["Chunk", "FlightLog", "Message", "Summary", "read", "recover"]
 
 _MAX_RECORD = 64 << 20  # bytes; a damaged length must not ask for gigabytes
 _MAGIC = b"\x89MCAP0\r\n"
-_TELEMETRY = bytes(PushTelemetry.ADDRESS)
 
 
 class Message(NamedTuple):
@@ -179,7 +178,7 @@ class FlightLog:
             if chunk.direction is not Direction.RECEIVED:
                 continue
             for frame in decoder.feed(chunk.data):
-                if frame.data.startswith(_TELEMETRY) and not frame.is_ack:
+                if is_telemetry(frame):
                     try:
                         yield Sample(frame.data[2:], chosen, chunk.at)
                     except LayoutMismatch:
