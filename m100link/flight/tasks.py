@@ -6,12 +6,13 @@ import asyncio
 import logging
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import cycle, islice
 from typing import TYPE_CHECKING
 
 from m100link.errors import (
     AckTimeout,
+    BadAck,
     CommandRefused,
     NotObserved,
     TaskFailed,
@@ -34,10 +35,25 @@ __all__ = ["Commander", "TaskListener", "TaskProgress", "run_task"]
 _logger = logging.getLogger(__name__)
 
 _POLL_S = 0.25
+_SHOWN_POLL_S = 0.02
+_SHOWN_WITHIN_S = 1.2  # more than one period of an item that is sent once a second
 _QUERY_INTERVAL_S = 1.0
 _TAKEN_OFF_HEIGHT_M = 1.0
 _SETTLED_S = 1.0
 _SETTLED_M_S = 0.15
+_DOWN = (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
+_PHASES: dict[tuple[Task, TaskResultCode], tuple[FlightPhase | None, ...]] = {
+    (Task.TAKE_OFF, TaskResultCode.EXECUTING): (FlightPhase.TAKING_OFF, FlightPhase.IN_AIR, None),
+    (Task.LAND, TaskResultCode.EXECUTING): (*_DOWN, None),
+    (Task.GO_HOME, TaskResultCode.EXECUTING): (FlightPhase.IN_AIR, *_DOWN, None),
+    (Task.TAKE_OFF, TaskResultCode.SUCCEEDED): (FlightPhase.IN_AIR,),
+    (Task.LAND, TaskResultCode.SUCCEEDED): (FlightPhase.STANDBY,),
+    (Task.GO_HOME, TaskResultCode.SUCCEEDED): (FlightPhase.STANDBY,),
+}
+"""What telemetry shows of a task that is flown or was; None: nothing."""
+
+_MOST_UNANSWERED = 4  # orders of a task that are asked for; the aircraft knows its newest one
+
 _UNANSWERED = 3  # queries in a row, after which what telemetry shows must do
 
 TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
@@ -55,6 +71,7 @@ class Commander:
         state: Newest telemetry.
         missions: Which mission flies it, as the aircraft tells.
         task_sequences: A number for each task: see :func:`task_sequences`.
+        unanswered: Numbers of the orders of a task that brought no answer: one may be flown.
     """
 
     link: Link
@@ -63,6 +80,7 @@ class Commander:
     state: AircraftState
     missions: MissionWatch
     task_sequences: Iterator[int]
+    unanswered: dict[Task, tuple[int, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,22 +134,71 @@ async def run_task(
     Raises:
         TaskRefused, TaskFailed, NotObserved, AckTimeout: See :meth:`Control.take_off`.
     """
-    sequence = next(commander.task_sequences)
-    code = await commander.requests.execute(
-        StartTask(sequence, task), timeout=0.5, tries=3, refusal=TaskRefused
-    )
-    if code != TaskStartCode.STARTED:
-        situation = commander.state.situation()
-        raise TaskRefused(
-            f"{task_name(task)} was refused: {code.meaning} (code 0x{code:04X}; "
-            f"{describe_situation(situation)})",
-            command=task_name(task),
-            code=int(code),
-            situation=situation,
-            cause=code.cause,
-            remedy=code.remedy,
-        )
+    sequence = await _begin(commander, task)
     await _Watch(commander, task, sequence, progress).run(timeout or TIMEOUTS_S[task])
+
+
+async def _begin(commander: Commander, task: Task) -> int:
+    """Order a task; returns the number under which it is flown.
+
+    An answer that was lost, or a repeat that the aircraft took for another order because it forgot
+    what it had answered, does not make an order that is flown a refused one: it is asked by number.
+    """
+    sequence = next(commander.task_sequences)
+    numbers = (*commander.unanswered.pop(task, ()), sequence)[-_MOST_UNANSWERED:]
+    try:
+        code = await commander.requests.execute(
+            StartTask(sequence, task), timeout=0.5, tries=3, refusal=TaskRefused
+        )
+    except AckTimeout:
+        flown = await _flown_of(commander, task, numbers)
+        if flown is None:
+            commander.unanswered[task] = numbers
+            raise
+        return flown
+    if code == TaskStartCode.STARTED:
+        return sequence
+    flown = await _flown_of(commander, task, numbers)
+    if flown is not None:
+        return flown
+    situation = commander.state.situation()
+    raise TaskRefused(
+        f"{task_name(task)} was refused: {code.meaning} (code 0x{code:04X}; "
+        f"{describe_situation(situation)})",
+        command=task_name(task),
+        code=int(code),
+        situation=situation,
+        cause=code.cause,
+        remedy=code.remedy,
+    )
+
+
+async def _flown_of(commander: Commander, task: Task, numbers: tuple[int, ...]) -> int | None:
+    """Which order of a task the aircraft flies or flew; None: none of them, or nobody knows."""
+    for number in reversed(numbers):
+        try:
+            query = QueryTask(number)
+            result = await commander.requests.execute(query, timeout=0.2, tries=2)
+        except (AckTimeout, BadAck, CommandRefused) as error:
+            _logger.debug("nobody knows whether %s is flown: %s", task_name(task), error)
+            return None
+        # Some firmware may answer about whatever it executes, and another program may have used the
+        # number: what is shown has to fit.
+        phases = _PHASES.get((task, result), ())
+        if phases and await _phase_shown(commander.state) in phases:
+            return number
+    return None
+
+
+async def _phase_shown(state: AircraftState) -> FlightPhase | None:
+    """The phase that telemetry shows from here on; None: none. What stands there may be old."""
+    clock = asyncio.get_running_loop().time
+    since = clock()
+    while (status := known(state, FlightStatus, within=clock() - since)) is None:
+        if clock() - since >= _SHOWN_WITHIN_S:
+            return None
+        await asyncio.sleep(_SHOWN_POLL_S)
+    return status.phase
 
 
 class _Watch:

@@ -28,7 +28,7 @@ from m100link.flight.tasks import Commander, run_task, task_sequences
 from m100link.protocol import encode_telemetry, profile
 from m100link.protocol.codes import TaskStartCode
 from m100link.protocol.commands.control import QueryTask, StartTask, Task
-from m100link.sim import LineFaults
+from m100link.sim import AircraftSettings, LineFaults
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from tests.rig import FIRMWARES, Rig, rig
@@ -230,6 +230,59 @@ async def test_no_ack_of_the_start_leaves_the_outcome_unknown() -> None:
         flown.virtual.set_faults()
 
 
+NO_GUARDS = Guards(stale_telemetry_s=None, gps=False, envelope=None, battery_floor_percent=None)
+
+
+async def test_a_take_off_whose_answers_were_lost_is_asked_for_by_its_number() -> None:
+    async with rig() as flown, flown.aircraft.control(guards=NO_GUARDS) as control:
+        flown.virtual.set_faults(LineFaults(loss=1.0), to_aircraft=LineFaults())
+        asyncio.get_running_loop().call_later(1.55, flown.virtual.set_faults)
+        await control.take_off()
+        assert flown.phase is FlightPhase.IN_AIR
+        assert len(started(flown)) == 1
+
+
+@pytest.mark.parametrize("orders", [1, 2])
+async def test_an_order_that_is_given_again_while_the_first_is_flown_is_not_refused(
+    orders: int,
+) -> None:
+    """Nobody knew that it was flown. The aircraft rejects the others, during it and after it."""
+    async with rig() as flown, flown.aircraft.control(guards=NO_GUARDS) as control:
+        flown.virtual.set_faults(LineFaults(loss=1.0), to_aircraft=LineFaults())
+        for _ in range(orders):
+            with pytest.raises(AckTimeout, match="outcome is unknown"):
+                await control.take_off()
+        flown.virtual.set_faults()
+        await control.take_off()
+        assert flown.phase is FlightPhase.IN_AIR
+        assert len(started(flown)) == orders + 1
+        with pytest.raises(TaskRefused, match="received and rejected"):
+            await control.take_off()  # of this one nobody can think that it is flown
+
+
+async def test_a_repeat_that_the_aircraft_took_for_another_order_does_not_refuse_the_first() -> (
+    None
+):
+    async with rig(settings=AircraftSettings(forget_acks_after=0.2)) as flown:
+        async with flown.aircraft.control(guards=NO_GUARDS) as control:
+            flown.virtual.set_faults(LineFaults(loss=1.0), to_aircraft=LineFaults())
+            asyncio.get_running_loop().call_later(0.3, flown.virtual.set_faults)
+            await control.take_off()
+            assert flown.phase is FlightPhase.IN_AIR
+            assert len(started(flown)) == 2
+
+
+async def test_an_aircraft_that_executes_something_else_refused_this_task() -> None:
+    """Some firmware may tell of whatever it executes, whichever number is asked for."""
+    async with rig() as flown, flown.aircraft.control() as control:
+        handlers = flown.virtual.autopilot._commands._handlers
+        handlers[QueryTask] = lambda query: TaskResultCode.EXECUTING
+        with pytest.raises(TaskRefused):
+            await control.land()
+        with pytest.raises(TaskRefused):
+            await control.go_home()
+
+
 @pytest.mark.parametrize("seed", range(12))
 async def test_a_lossy_line_starts_no_task_twice_and_blames_no_key(seed: int) -> None:
     """An answer that does not come after all tries is an unknown outcome, and nothing else."""
@@ -299,7 +352,8 @@ class Told:
 
     async def run(self, task: Task, *, timeout: float) -> None:
         """Begin the task and wait for its end."""
-        parts = SimpleNamespace(requests=self, state=self._state, task_sequences=count())
+        numbers = {"task_sequences": count(), "unanswered": {}}
+        parts = SimpleNamespace(requests=self, state=self._state, **numbers)
         telling = asyncio.create_task(self._tell())
         try:
             await run_task(cast(Commander, parts), task, timeout=timeout)
