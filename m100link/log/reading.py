@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import json
 import os
-import struct
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
+from operator import itemgetter
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from m100link.errors import LayoutMismatch, UsageError
 from m100link.link import Direction
-from m100link.log.channels import CHUNKS, LINK, RX, TX
-from m100link.log.recorder import mcap_module
+from m100link.log.channels import CHUNKS, LINK, RX, SCHEMAS, TX
+from m100link.log.records import (
+    MAGIC,
+    Channel,
+    End,
+    Metadata,
+    RawMessage,
+    Schema,
+    mcap_module,
+    records,
+)
 from m100link.log.witness import is_telemetry
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.telemetry.columns import Columns, Table
@@ -25,8 +34,10 @@ from m100link.wire import FrameDecoder
 
 __all__ = ["Chunk", "FlightLog", "Message", "Summary", "read", "recover"]
 
-_MAX_RECORD = 64 << 20  # bytes; a damaged length must not ask for gigabytes
-_MAGIC = b"\x89MCAP0\r\n"
+
+_APART_S = 1.0  # at most between the two directions of one time in a file
+
+_AT = itemgetter(1)
 
 
 class Message(NamedTuple):
@@ -111,15 +122,13 @@ class FlightLog:
         passed over.
         """
         names: dict[int, str] = {}
-        for record in _records(self.path):
-            kind = type(record).__name__
-            if kind == "Channel":
-                names[record.id] = record.topic
-            elif kind == "Message":
-                topic = names.get(record.channel_id)
-                if topic is not None and (not topics or topic in topics):
+        with self.path.open("rb") as stream:
+            for record in records(stream, topics):
+                if type(record) is RawMessage:
                     at, utc = record.publish_time / 1e9, record.log_time / 1e9
-                    yield Message(topic, at, utc, record.data)
+                    yield Message(names[record.channel_id], at, utc, record.data)
+                elif type(record) is Channel:
+                    names[record.id] = record.topic
 
     def chunks(self) -> Iterator[Chunk]:
         """What was read and written, in order of time within each tenth of a second."""
@@ -135,19 +144,12 @@ class FlightLog:
             raw = raw_by_time.pop((topic, message.at), None)
             if raw is None:  # it stood in a part of the file that is damaged
                 continue
-            at = 0
-            found = []
-            for offset_us, length in zip(told["offset_us"], told["length"], strict=True):
-                after = offset_us / 1e6
-                data = raw.data[at : at + length]
-                found.append(Chunk(direction, raw.at + after, raw.utc + after, data))
-                at += length
-            if ready and found[0].at > ready[-1].at + 1.0:
-                yield from ready
-                ready = []
-            ready = sorted([*ready, *found], key=lambda one: one.at)
-            while len(ready) > 1 and ready[0].at < found[-1].at - 1.0:
-                yield ready.pop(0)
+            ready += _pieces(direction, raw, told["offset_us"], told["length"])
+            ready.sort(key=_AT)  # nearly sorted it is, which takes no time
+            done = bisect_left(ready, message.at - _APART_S, key=_AT)
+            if done:
+                yield from ready[:done]
+                del ready[:done]
         yield from ready
 
     @cached_property
@@ -212,9 +214,13 @@ class FlightLog:
             messages=dict(counts),
             bytes_received=sizes[RX],
             bytes_sent=sizes[TX],
-            is_whole=any(type(one).__name__ == "Footer" for one in _records(self.path)),
+            is_whole=self._is_whole(),
             firmware=None if known is None else known.name,
         )
+
+    def _is_whole(self) -> bool:
+        with self.path.open("rb") as stream:
+            return any(type(one) is End for one in records(stream))
 
     @cached_property
     def _utc_offset_s(self) -> float:
@@ -238,7 +244,7 @@ def read(path: str | os.PathLike[str]) -> FlightLog:
     place = Path(path).expanduser()
     try:
         with place.open("rb") as stream:
-            is_mcap = stream.read(len(_MAGIC)) == _MAGIC
+            is_mcap = stream.read(len(MAGIC)) == MAGIC
     except OSError as error:
         raise UsageError(f"{place} cannot be read: {error.strerror}") from error
     if not is_mcap:
@@ -247,7 +253,7 @@ def read(path: str | os.PathLike[str]) -> FlightLog:
             cause="it does not begin as MCAP files do",
             remedy="name a file that `m100link record` or connect(record=…) wrote",
         )
-    mcap_module("stream_reader")
+    mcap_module("writer")
     return FlightLog(place)
 
 
@@ -277,107 +283,45 @@ def recover(path: str | os.PathLike[str], target: str | os.PathLike[str]) -> int
         ) from error
 
 
+def _pieces(
+    direction: Direction, raw: Message, offsets: list[int], lengths: list[int]
+) -> list[Chunk]:
+    """The reads or writes that one raw message holds."""
+    found = []
+    at, data = 0, raw.data
+    for offset_us, length in zip(offsets, lengths, strict=True):
+        after = offset_us / 1e6
+        found.append(Chunk(direction, raw.at + after, raw.utc + after, data[at : at + length]))
+        at += length
+    return found
+
+
 def _copy(source: FlightLog, stream: IO[bytes]) -> int:
     writer = mcap_module("writer").Writer(stream)
     writer.start(library="m100link log recover")
     channels: dict[int, int] = {}
     schemas = {0: 0}
     saved = 0
-    for record in _records(source.path):
-        kind = type(record).__name__
-        if kind == "Schema":
-            if record.id not in schemas:
-                schemas[record.id] = writer.register_schema(
-                    record.name, record.encoding, record.data
+    with source.path.open("rb") as cut:
+        for record in records(cut):
+            if type(record) is RawMessage:
+                writer.add_message(
+                    channel_id=channels[record.channel_id],
+                    log_time=record.log_time,
+                    publish_time=record.publish_time,
+                    sequence=record.sequence,
+                    data=record.data,
                 )
-        elif kind == "Channel":
-            if record.id not in channels:
-                channels[record.id] = writer.register_channel(
-                    record.topic, record.message_encoding, schemas.get(record.schema_id, 0)
-                )
-        elif kind == "Metadata":
-            writer.add_metadata(record.name, record.metadata)
-        elif kind == "Message" and record.channel_id in channels:
-            writer.add_message(
-                channel_id=channels[record.channel_id],
-                log_time=record.log_time,
-                publish_time=record.publish_time,
-                sequence=record.sequence,
-                data=record.data,
-            )
-            saved += 1
+                saved += 1
+            elif type(record) is Schema and record.id not in schemas:
+                schemas[record.id] = writer.register_schema(*record[1:])
+            elif type(record) is Channel and record.id not in channels:
+                schema = schemas.get(record.schema_id, 0)
+                if not schema and record.topic in SCHEMAS:  # it was in a part that is lost
+                    name, text = SCHEMAS[record.topic]
+                    schema = writer.register_schema(name, "jsonschema", text.encode())
+                channels[record.id] = writer.register_channel(*record[2:], schema)
+            elif type(record) is Metadata:
+                writer.add_metadata(*record)
     writer.finish()
     return saved
-
-
-def _records(path: Path) -> Iterator[Any]:
-    """The records of a file, as far as they are whole."""
-    # What reading a file that ends anywhere, or was changed, was seen to raise.
-    damage = (
-        mcap_module("exceptions").McapError,
-        import_module("zstandard").ZstdError,  # comes with mcap
-        struct.error,
-        ValueError,
-        RuntimeError,
-        EOFError,
-        OverflowError,
-        LookupError,
-    )
-    reading = mcap_module("stream_reader")
-    is_told = False  # by the end of the file, which channels there are
-    with path.open("rb") as stream:
-        records = reading.StreamReader(
-            _Bounded(stream), emit_chunks=True, record_size_limit=_MAX_RECORD
-        ).records
-        while True:
-            try:
-                record = next(records)
-            except (StopIteration, *damage):
-                return
-            if type(record).__name__ != "Chunk":
-                yield record
-                continue
-            try:
-                _check_size(record)
-                inside = reading.breakup_chunk(record, validate_crc=True)
-            except damage:  # the next one may be whole
-                if not is_told:  # the names of what follows may have stood in this one alone
-                    is_told = True
-                    yield from _channels_at_end(path, damage)
-                continue
-            yield from inside
-
-
-def _channels_at_end(path: Path, damage: tuple[type[Exception], ...]) -> list[Any]:
-    """Schemas and channels as the end of a whole file repeats them."""
-    with path.open("rb") as stream:
-        try:
-            summary = (
-                mcap_module("reader")
-                .SeekingReader(_Bounded(stream), record_size_limit=_MAX_RECORD)
-                .get_summary()
-            )
-        except damage:
-            return []
-    return [] if summary is None else [*summary.schemas.values(), *summary.channels.values()]
-
-
-def _check_size(chunk: Any) -> None:
-    size = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        size = max(size, import_module("zstandard").frame_content_size(chunk.data))
-    if size > _MAX_RECORD:
-        raise ValueError(f"a part of {size} bytes")
-
-
-class _Bounded:
-    """A file never read by more at once than a record may have: lengths are damaged, too."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream = stream
-        self.seek, self.tell = stream.seek, stream.tell
-
-    def read(self, size: int = -1) -> bytes:
-        if size > _MAX_RECORD:
-            raise ValueError(f"a record of {size} bytes")
-        return self._stream.read(size)

@@ -18,7 +18,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -26,6 +25,7 @@ from typing import IO, TYPE_CHECKING, Any
 from m100link.errors import UsageError
 from m100link.link import Direction, Link
 from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Told
+from m100link.log.records import mcap_module
 from m100link.log.redaction import Redaction, may_hold_secret
 from m100link.log.witness import Witness
 from m100link.protocol.firmware import FirmwareProfile
@@ -34,7 +34,7 @@ from m100link.wire import Cipher
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
-__all__ = ["Recorder", "mcap_module"]
+__all__ = ["Recorder"]
 
 _logger = logging.getLogger(__name__)
 
@@ -54,21 +54,6 @@ END_TIMEOUT_S = 5.0
 """How long closing waits for the disk."""
 
 _CHUNK_SIZE = 1 << 20
-
-
-def mcap_module(name: str) -> Any:
-    """A module of the package that reads and writes the files.
-
-    Raises:
-        UsageError: It is not installed.
-    """
-    try:
-        return import_module(f"mcap.{name}")
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"a flight log needs {error.name}, which is not installed",
-            remedy="pip install 'm100link[log]'",
-        ) from None
 
 
 @dataclass
@@ -363,6 +348,10 @@ class _Scribe:
             "utc_offset_s": repr(self.utc_offset_s),
             "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         }
+        # Outside of all parts, so that a first part that is damaged costs itself alone.
+        for topic in (RX, TX, *SCHEMAS):
+            self._channels[topic] = self._channel(topic)
+            about[topic] = str(self._channels[topic])
         self._writer.add_metadata("m100link", about)
 
     def _raw(
@@ -402,9 +391,7 @@ class _Scribe:
         self._add(topic, json.dumps(_finite(content), separators=(",", ":")).encode(), now)
 
     def _add(self, topic: str, data: bytes, now: float) -> None:
-        channel = self._channels.get(topic)
-        if channel is None:
-            channel = self._channels[topic] = self._channel(topic)
+        channel = self._channels[topic]
         sequence = self._sequences[topic] = self._sequences.get(topic, -1) + 1
         self._writer.add_message(
             channel_id=channel,

@@ -1,0 +1,122 @@
+"""What is damaged costs itself alone, and what stands behind it is found."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import random
+from pathlib import Path
+
+import pytest
+
+from m100link.log import read, recorder, recover
+from m100link.log.records import RawMessage, records
+from tests.log.flight import fly
+
+pytestmark = pytest.mark.anyio
+
+SEED = 20261123
+PART = 6
+
+
+@pytest.fixture
+async def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bytes:
+    """A flight in many parts."""
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    return path.read_bytes()
+
+
+def parts(whole: bytes) -> list[tuple[int, int]]:
+    """Where each part begins and ends."""
+    found = []
+    at = 8
+    while at + 9 <= len(whole) and not whole.startswith(b"\x89MCAP", at):
+        end = at + 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+        if whole[at] == PART:
+            found.append((at, end))
+        at = end
+    return found
+
+
+def messages(data: bytes) -> list[RawMessage]:
+    return [one for one in records(io.BytesIO(data)) if isinstance(one, RawMessage)]
+
+
+def changed(data: bytes, at: int, value: int | None = None) -> bytes:
+    byte = data[at] ^ 0x55 if value is None else value
+    return data[:at] + bytes((byte,)) + data[at + 1 :]
+
+
+@pytest.mark.parametrize("place", [1, 2, 8, 9 + 16, 9 + 32, 9 + 36, 9 + 40, 60])
+@pytest.mark.parametrize("is_cut", [False, True], ids=["whole", "cut off"])
+async def test_a_part_that_is_damaged_costs_itself_alone(
+    whole: bytes, place: int, is_cut: bool
+) -> None:
+    found = parts(whole)
+    assert len(found) > 5
+    if is_cut:
+        whole = whole[: found[-1][1]]
+    every = messages(whole)
+    for number in (0, 3, len(found) - 1):
+        begin, end = found[number]
+        others = messages(whole[:begin] + whole[end:])
+        kept = messages(changed(whole, begin + place))
+        assert len(kept) >= len(others) > 0.5 * len(every), f"part {number}"
+        assert set(kept) <= set(every)
+
+
+async def test_one_byte_anywhere_costs_one_part_at_most(whole: bytes) -> None:
+    every = messages(whole)
+    begins = [begin for begin, _ in parts(whole)]
+    counts = [len(messages(whole[:begin])) for begin in begins] + [len(every)]
+    largest = max(after - before for before, after in itertools.pairwise(counts))
+    assert largest < 0.2 * len(every)
+    chance = random.Random(SEED)
+    print(f"seed {SEED}")  # noqa: T201 - shown when it fails
+    for at in (chance.randrange(8, len(whole)) for _ in range(80)):
+        kept = messages(changed(whole, at))
+        assert len(kept) >= len(every) - largest, f"byte {at}"
+        assert set(kept) <= set(every)
+
+
+async def test_bytes_of_chance_in_the_middle_cost_what_they_cover(whole: bytes) -> None:
+    found = parts(whole)
+    every = messages(whole)
+    chance = random.Random(SEED)
+    print(f"seed {SEED}")  # noqa: T201 - shown when it fails
+    begin, end = found[2][0], found[4][1]
+    behind = messages(whole[:begin] + whole[end:])
+    for size in (1, 100, end - begin, 3 * (end - begin)):
+        junk = whole[:begin] + chance.randbytes(size) + whole[end:]
+        kept = messages(junk)
+        assert set(kept) <= set(every)
+        assert len(kept) >= len(behind)
+        assert kept[-1] == every[-1]
+
+
+async def test_a_damaged_first_part_of_a_cut_file_is_mended_with_its_schemas(
+    whole: bytes, tmp_path: Path
+) -> None:
+    found = parts(whole)
+    cut, mended = tmp_path / "cut.mcap", tmp_path / "mended.mcap"
+    cut.write_bytes(changed(whole[: found[-1][1]], found[0][0] + 60))
+    saved = recover(cut, mended)
+    assert saved > 0.5 * len(messages(whole))
+    assert list(read(mended).samples()) != []
+    assert read(mended).summary().messages == read(cut).summary().messages
+
+
+async def test_cuts_anywhere_lose_no_part_that_is_whole(whole: bytes) -> None:
+    found = parts(whole)
+    counts = [len(messages(whole[:end])) for _, end in found]
+    chance = random.Random(SEED)
+    print(f"seed {SEED}")  # noqa: T201 - shown when it fails
+    every = messages(whole)
+    for _ in range(150):
+        length = chance.randrange(8, len(whole))
+        kept = messages(whole[:length])
+        done = sum(end <= length for _, end in found)
+        assert len(kept) == (counts[done - 1] if done else 0)
+        assert kept == every[: len(kept)]
