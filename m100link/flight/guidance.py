@@ -28,10 +28,10 @@ __all__ = [
 ]
 
 FRESH_S = 0.5
+"""Seconds after which what was measured is too old to steer by."""
 
 STOOD_STILL_S = 0.25
-"""A loop that ticks so late stood still itself; what arrived meanwhile is read only now."""
-"""Seconds after which what was measured is too old to steer by."""
+"""A loop that ticks so many seconds late stood still: what arrived meanwhile is read only now."""
 
 _SETTLED_S = 0.5
 _SETTLED_M_S = 0.3
