@@ -41,6 +41,7 @@ from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.geodesy import LocalFrame
 from m100link.missions import files
 from m100link.missions.plan import AtEnd, WaypointPlan
+from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.records import FlightPhase, Position
 from m100link.telemetry.subscription import Latest
@@ -94,6 +95,7 @@ def fly(
     place = (link or LinkOptions()).place(url, app)
     envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
     check_envelope(envelope, found)  # before the aircraft is asked anything
+    credentials = place.credentials()
 
     left: list[Callable[[], str]] = []
 
@@ -113,6 +115,7 @@ def fly(
         try:
             return await _with_control(
                 place,
+                credentials,
                 flight,
                 what=None if yes else what,
                 guards=Guards(envelope=envelope),
@@ -271,6 +274,7 @@ def _words(event: MissionEvent) -> str:
 
 async def _with_control(
     place: Place,
+    credentials: Credentials,
     flight: Callable[[Aircraft, Control], Awaitable[object]],
     *,
     what: str | None = None,
@@ -282,13 +286,13 @@ async def _with_control(
 
     Args:
         place: Where the aircraft is.
+        credentials: The app's; what is wrong with them is told before anything is announced.
         flight: What is done with control.
         what: What the person is asked for; None asks nothing.
         guards: Of the control block.
         is_admitted: Raises what would be refused anyway, before anybody is asked.
         is_new: A mission is to begin: refused while one flies, before control is obtained.
     """
-    credentials = place.credentials()
     async with connect(place.url, **place.arguments()) as aircraft:
         if what is not None and not place.is_virtual:
             if is_admitted is not None:
@@ -343,7 +347,7 @@ def stop(
         kind = await control.stop_mission()
         out.print("no mission flies" if kind is MissionKind.NONE else f"stopped: {kind.value}")
 
-    return run_async(_with_control(place, flight))
+    return run_async(_with_control(place, place.credentials(), flight))
 
 
 @app.command
@@ -364,7 +368,7 @@ def pause(
         control.detach_mission()  # giving authority back would break it off
         out.print(f"paused: {kind.value}")
 
-    return run_async(_with_control(place, flight))
+    return run_async(_with_control(place, place.credentials(), flight))
 
 
 @app.command
@@ -392,7 +396,7 @@ def resume(
         out.print(f"resumed: {kind.value}; it flies on by itself")
 
     what = None if yes else "let the mission go on"
-    return run_async(_with_control(place, flight, what=what))
+    return run_async(_with_control(place, place.credentials(), flight, what=what))
 
 
 @app.command

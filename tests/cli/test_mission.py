@@ -155,6 +155,13 @@ def test_flying_wants_to_be_confirmed(later: Simulator, app: list[str], short: s
     assert outcome.status == ExitCode.USAGE
 
 
+def test_nothing_is_announced_to_who_gave_no_app_id(cli: CommandLine, short: str) -> None:
+    outcome = cli("mission", "fly", short, "/dev/no-such-port", "--take-off")
+    assert outcome.status == ExitCode.USAGE
+    assert "app id" in outcome.err
+    assert "waypoints, about" not in outcome.err
+
+
 SIM = "sim://?firmware=3.1"
 
 
