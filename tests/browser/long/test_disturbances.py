@@ -40,6 +40,10 @@ HOVERS_M_S = 0.15
 SETTLE_S = 5.0
 
 
+SAYS_LOST = "document.body.classList.contains('station-lost')"
+"""Every value on the page is shown as old."""
+
+
 class Line(Driver):
     """The aircraft's end of the line; notes when each movement frame came that is not neutral."""
 
@@ -174,7 +178,8 @@ async def console_of(line: Line) -> AsyncIterator[tuple[str, asyncio.subprocess.
     try:
         assert station.stdout is not None
         async with asyncio.timeout(PATIENCE):
-            yield json.loads(await station.stdout.readline())["console"], station
+            told = await station.stdout.readline()
+        yield json.loads(told)["console"], station
     finally:
         fronts = children(station.pid) if station.returncode is None else []
         with contextlib.suppress(ProcessLookupError):
@@ -317,10 +322,15 @@ async def test_front_killed(flight: Flight) -> None:
     async def kill() -> None:
         os.kill(front, signal.SIGKILL)
 
+    # The fronts are started again, and the page comes back: it may have been lost for a second.
+    lost = asyncio.create_task(flight.page.wait_for_function(SAYS_LOST))
     did = await flight.after(kill)
     assert did.steered_s < STEERED_S
     assert did.authority is not Device.ONBOARD
-    await flight.page.wait_for_function("document.body.classList.contains('station-lost')")
+    await lost
+    await until(lambda: flight.front != front, what="the fronts are not started again")
+    await flight.page.wait_for_selector("[data-act=obtain]:not([disabled])")
+    assert flight.speed < HOVERS_M_S, "the page that came back steers"
 
 
 async def test_agent_killed(flight: Flight) -> None:
@@ -333,6 +343,6 @@ async def test_agent_killed(flight: Flight) -> None:
     did = await flight.after(kill)
     assert did.steered_s < STEERED_S
     assert did.authority is Device.ONBOARD
-    await flight.page.wait_for_function("document.body.classList.contains('station-lost')")
+    await flight.page.wait_for_function(SAYS_LOST)
     flight.aircraft.leave_f()
     await until(lambda: flight.aircraft.vehicle.authority.device is not Device.ONBOARD)

@@ -73,6 +73,12 @@ async def position(page: Any) -> tuple[float, float]:
     return latitude, longitude
 
 
+async def beside_aircraft(page: Any, across: float, down: float) -> tuple[float, float]:
+    """A point of the window beside the aircraft, which need not be in the middle of the map."""
+    x, y = await page.evaluate(PIXEL_OF, list(await position(page)))
+    return x + across, y + down
+
+
 async def test_a_click_is_flown_to_and_a_plan_is_drawn_kept_and_flown(
     browser: Any, tmp_path: Path
 ) -> None:
@@ -163,9 +169,10 @@ async def test_handles_on_the_map_set_radius_and_heading_for_whoever_has_control
         await page.click("[data-wish=heading]")
         await page.wait_for_selector(".point.handle.radius", state="detached")
         await page.wait_for_selector(".point.handle.yaw")  # at 0°, ahead of the aircraft
-        await drag(page, ".point.handle.yaw", 54, 54)
+        ahead = 30.0 / await page.evaluate(METRES_PER_PIXEL)
+        await drag(page, ".point.handle.yaw", ahead, ahead)  # from ahead of it to its right
         await page.wait_for_function("Number(document.querySelector('#click-yaw').value) > 20")
-        assert 60 < float(await page.input_value("#click-yaw")) < 120
+        assert float(await page.input_value("#click-yaw")) == pytest.approx(90, abs=4)
         await press(page, "release")
         await page.wait_for_selector(".point.handle.yaw", state="detached")
 
@@ -201,8 +208,9 @@ async def _refused_beside_the_click(page: Any) -> None:
 
 
 async def _draw_and_keep(page: Any, folder: Path) -> Path:
-    for number, (across, down) in enumerate(((60, -60), (160, -60), (160, 60), (60, 60)), 1):
-        spot = await on_map(page, across, down)
+    # 0.28 m for each pixel: inside of the envelope, wherever the aircraft has flown to before.
+    for number, (across, down) in enumerate(((60, 20), (160, 20), (160, 120), (60, 120)), 1):
+        spot = await beside_aircraft(page, across, down)
         await asyncio.sleep(0.3)  # two clicks at once would be a double click
         await page.mouse.click(*spot)
         await page.wait_for_selector(f"[data-point='{number - 1}']")
