@@ -20,7 +20,7 @@ from m100link.agent.guided import GuidedOrder
 from m100link.agent.holding import Holding, HoldingInput, HoldingState
 from m100link.agent.inherited import Inherited
 from m100link.agent.journal import Journal
-from m100link.agent.lease import Lease, LeaseChange, LeaseDesk
+from m100link.agent.lease import Flown, Lease, LeaseChange, LeaseDesk
 from m100link.agent.messages import Topic
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft, AircraftCamera
@@ -70,7 +70,8 @@ class Agent:
         activation: How the aircraft was activated.
         desk: Who may steer.
         holding: Control authority for whoever may.
-        on_lease: Called with the reason and the lease in force, or None, after each change.
+        on_lease: Called with the reason, the lease in force, or None, and what was flown for the
+            one before, after each change.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class Agent:
         self._unclaimed: asyncio.TimerHandle | None = None
         # After STOP nobody's stream of setpoints flies on: whoever sends it has to begin anew.
         self._is_stopped = False
-        self.on_lease: list[Callable[[LeaseChange, Lease | None], None]] = []
+        self.on_lease: list[Callable[[LeaseChange, Lease | None, Flown], None]] = []
         self.connection.on_aircraft.append(self._aircraft_changed)
 
     @property
@@ -144,6 +145,7 @@ class Agent:
             self.desk.advance(self.now)
 
     def _lease_changed(self, why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
+        flown = self.holding.flown
         self.halt("control changed hands")  # before anybody is told
         self._is_stopped = self._is_stopped and new is None
         self._claim()
@@ -154,7 +156,7 @@ class Agent:
         else:
             self.holding.feed(HoldingInput.LET_GO)
         for callback in self.on_lease:
-            callback(why, new)
+            callback(why, new, flown)
         if new is not None:
             whom = f" from {old.name}" if old is not None else ""
             self.journal.note(f"{new.name} has control ({why.value}{whom})")

@@ -13,6 +13,7 @@ from m100link.agent.background import BackgroundTasks
 from m100link.agent.guided import GuidedOrder, name_of
 from m100link.agent.guiding import Guiding
 from m100link.agent.journal import Journal
+from m100link.agent.lease import Flown
 from m100link.agent.messages import Limits
 from m100link.agent.mission import FlyingMission
 from m100link.agent.steering import SETPOINT_LIFETIME
@@ -81,6 +82,20 @@ class Flying:
     def pattern(self) -> str | None:
         """Name of the program that flies the aircraft, or None."""
         return self._pattern[0] if self._pattern is not None else None
+
+    @property
+    def flown(self) -> Flown:
+        """What flies the aircraft now."""
+        if self.task is not None:
+            return Flown(self.task)
+        if self.mission.is_flying:
+            return Flown.MISSION
+        if self.guiding.order is not None:
+            return Flown.GUIDED
+        if self._pattern is not None:
+            return Flown.PROGRAM
+        last = self._last
+        return Flown.NOTHING if last is None or last == last.neutral() else Flown.SETPOINTS
 
     # -- setpoints -------------------------------------------------------------------------------
 

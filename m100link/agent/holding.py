@@ -19,6 +19,7 @@ from m100link.agent.background import BackgroundTasks
 from m100link.agent.flying import Flying, limits_of
 from m100link.agent.guided import GuidedOrder
 from m100link.agent.journal import Journal
+from m100link.agent.lease import Flown
 from m100link.agent.messages import Limits, Topic
 from m100link.agent.mission import MissionListener
 from m100link.aircraft import Aircraft
@@ -187,6 +188,11 @@ class Holding:
     def pattern(self) -> str | None:
         """Name of the program that flies the aircraft, or None."""
         return self.flying.pattern if self.flying is not None else None
+
+    @property
+    def flown(self) -> Flown:
+        """What flies the aircraft now, as far as this side flies it."""
+        return self.flying.flown if self.flying is not None else Flown.NOTHING
 
     @property
     def limits(self) -> Limits:

@@ -19,6 +19,7 @@ from m100link.errors import M100Error
 
 __all__ = [
     "LEASE_LIFETIME",
+    "Flown",
     "Lease",
     "LeaseChange",
     "LeaseDesk",
@@ -72,6 +73,19 @@ class LeaseChange(Enum):
     EXPIRED = "expired"
     TAKEN_OVER = "taken over"
     FRONT_LOST = "its front has gone"
+
+
+class Flown(Enum):
+    """What the aircraft flew for whoever had the lease, as that one ended."""
+
+    NOTHING = "nothing"
+    SETPOINTS = "setpoints"
+    GUIDED = "guided flight"
+    PROGRAM = "program"
+    MISSION = "mission"
+    TAKE_OFF = "take off"
+    LAND = "land"
+    GO_HOME = "go home"
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ from m100link.agent.guided import (
     FlyTo,
     GuidedFlight,
 )
-from m100link.agent.lease import LeaseChange
+from m100link.agent.lease import Flown, LeaseChange
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = [
@@ -64,7 +64,7 @@ __all__ = [
     "Topic",
 ]
 
-VERSION = 7
+VERSION = 8
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 # -- both ways ------------------------------------------------------------------------------------
@@ -258,11 +258,14 @@ class LeaseChanged:
         number: Number of the lease in force, 0 for none.
         name: Who holds it; empty for nobody.
         why: Why it changed hands; None when a front is told for the first time.
+        flown: What was flown for whoever had it before. A task goes on in the autopilot as long as
+            control authority is kept; everything else is stopped.
     """
 
     number: int
     name: str
     why: LeaseChange | None = None
+    flown: Flown = Flown.NOTHING
 
 
 @dataclass(frozen=True, slots=True)

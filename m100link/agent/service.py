@@ -10,7 +10,7 @@ from m100link.agent.carriers import Channel
 from m100link.agent.connection import ConnectionState
 from m100link.agent.fault import Fault, fault_of
 from m100link.agent.front import Front
-from m100link.agent.lease import Lease, LeaseChange
+from m100link.agent.lease import Flown, Lease, LeaseChange
 from m100link.agent.messages import (
     Activating,
     AuthorityTaken,
@@ -122,11 +122,11 @@ class Service:
         if push is not None:
             self._tell(MissionTold(*push))
 
-    def _lease_changed(self, why: LeaseChange, lease: Lease | None) -> None:
+    def _lease_changed(self, why: LeaseChange, lease: Lease | None, flown: Flown) -> None:
         number, name = (lease.number, lease.name) if lease is not None else (0, "")
         for front in self._fronts:
             front.forget_leases(but=number)
-        self._tell(LeaseChanged(number, name, why))
+        self._tell(LeaseChanged(number, name, why, flown))
         self._tell_state()
         if self._plan != PlanTold():
             self._plan_uploaded(PlanTold())

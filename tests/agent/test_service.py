@@ -13,6 +13,7 @@ from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.flying import limits_of
 from m100link.agent.front import MAX_SETPOINT_AGE
 from m100link.agent.guided import FlyTo
+from m100link.agent.lease import Flown, LeaseChange
 from m100link.agent.messages import (
     VERSION,
     Action,
@@ -442,3 +443,51 @@ async def test_a_plan_is_told_to_all_until_its_lease_ends() -> None:
         assert any("pilot uploaded a plan of 2" in one.text for one in watcher.all(Event))
         front.channel.close("gone")
         await rig.until(lambda: watcher.all(PlanTold)[-1] == PlanTold())
+
+
+async def begin(flown: Flown, front: Front, fence: int) -> None:
+    """Let it fly something for the holder of the lease."""
+    rig = front.rig
+    if flown is Flown.SETPOINTS:
+        front.send(Steer(fence, rig.agent.now, 0.5, NORTH))
+    elif flown is Flown.GUIDED:
+        front.send(replace(ahead(rig, 60.0), id=7, fence=fence))
+    elif flown is Flown.PROGRAM:
+        front.send(Ask(7, Action.PATTERN, fence, number=1))
+    elif flown is Flown.LAND:
+        front.send(Ask(7, Action.LAND, fence))
+    elif flown is Flown.MISSION:
+        far = ahead(rig, 80.0)
+        points = [Waypoint(far.latitude_deg, far.longitude_deg + lon, 10) for lon in (0.0, 3e-4)]
+        mission, wire = WaypointPlan(points, speed=4).to_wire()
+        front.send(Ask(20, Action.MISSION_PLAN, fence, data=mission.value(FIRMWARE_3_1)))
+        for number, point in enumerate(wire, 21):
+            front.send(Ask(number, Action.MISSION_POINT, fence, data=point.value(FIRMWARE_3_1)))
+            await front.outcome(number)
+        front.send(Ask(30, Action.MISSION_START, fence))
+        await front.outcome(30)
+    await anyio.sleep(1.0)
+
+
+@pytest.mark.parametrize(
+    "flown",
+    [
+        *(Flown.NOTHING, Flown.SETPOINTS, Flown.GUIDED, Flown.PROGRAM),
+        *(Flown.MISSION, Flown.LAND),
+    ],
+)
+async def test_who_loses_the_lease_is_told_what_was_flown(flown: Flown) -> None:
+    async with Rig(firmware="3.1").running() as rig:
+        rig.agent.desk.release(rig.token, rig.agent.now)
+        service = Service(rig.agent)
+        front, other = Front(rig, service), Front(rig, service)
+        fence = await front.airborne()
+        await begin(flown, front, fence)
+        other.send(LeaseAsk(2, LeaseAction.TAKE_OVER, "other"))
+        other.send(LeaseAsk(3, LeaseAction.CONFIRM, token=other.all(TakeOverOffered)[-1].token))
+        told = front.all(LeaseChanged)[-1]
+        assert (told.name, told.why, told.flown) == ("other", LeaseChange.TAKEN_OVER, flown)
+        await anyio.sleep(6.0)
+        assert speed_of(rig) < 0.1
+        has_landed = not rig.aircraft.vehicle.flight.dynamics.motors_on
+        assert has_landed is (flown is Flown.LAND)

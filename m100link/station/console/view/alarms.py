@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
-from m100link.agent.lease import LeaseChange
+from m100link.agent.lease import Flown, LeaseChange
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
 from m100link.station.console.view.situation import (
@@ -208,6 +208,11 @@ _ENDS = {
 }
 
 
+_TASKS = (Flown.TAKE_OFF, Flown.LAND, Flown.GO_HOME)
+_GOES_ON = {one: f"alarms.flown.{one.value}.goes_on" for one in _TASKS}
+_STOPPED = {one: f"alarms.flown.{one.value}" for one in Flown}
+
+
 def _charge(key: str) -> Callable[[Situation], Text]:
     def text(now: Situation) -> Text:
         charge = say("unit.unknown") if now.battery is None else now.battery
@@ -230,7 +235,12 @@ def _lease_text(now: Situation) -> Text:
     end = now.lease_end
     if end is None or end.why is None:
         return say("alarms.lease_taken")
-    return say(_ENDS.get(end.why, "alarms.lease_taken"), name=end.name)
+    lost = say(_ENDS.get(end.why, "alarms.lease_taken"), name=end.name)
+    is_kept = end.why is LeaseChange.TAKEN_OVER  # control authority, and by it a task
+    if end.flown is Flown.NOTHING and not (is_kept and now.phase is FlightPhase.IN_AIR):
+        return lost
+    key = _GOES_ON if is_kept and end.flown in _TASKS else _STOPPED
+    return say("alarms.lease_taken.flown", lost=lost, flown=Text(key[end.flown]))
 
 
 def _always(key: str) -> Callable[[Situation], Text]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from m100link.agent.lease import LeaseChange
+from m100link.agent.lease import Flown, LeaseChange
 from m100link.agent.messages import LeaseChanged, Limits
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
@@ -334,7 +334,7 @@ def test_who_took_authority_is_said_as_far_as_it_is_known(reason: LossReason, te
 @pytest.mark.parametrize(
     ("end", "text"),
     [
-        (lease_lost(), "Anna took control from you"),
+        (lease_lost(), "Anna took control from you. The aircraft hovers"),
         (
             LeaseChanged(0, "", LeaseChange.EXPIRED),
             "You have lost control: this page was not heard for too long",
@@ -344,6 +344,41 @@ def test_who_took_authority_is_said_as_far_as_it_is_known(reason: LossReason, te
 )
 def test_who_took_the_lease_is_said(end: LeaseChanged, text: str) -> None:
     assert Flight(lease_end=end, has_lease=False).text(N.LEASE_TAKEN) == text
+
+
+T, E = LeaseChange.TAKEN_OVER, LeaseChange.EXPIRED
+
+
+@pytest.mark.parametrize(
+    ("why", "flown", "text"),
+    [
+        (T, Flown.NOTHING, "from you. The aircraft hovers"),
+        (T, Flown.SETPOINTS, "from you. What you steered was stopped: the aircraft brakes and"),
+        (T, Flown.GUIDED, "The flight to where you pointed was stopped"),
+        (T, Flown.PROGRAM, "The simple task was stopped"),
+        (T, Flown.MISSION, "The mission was told to stop: the aircraft brakes and hovers"),
+        (T, Flown.TAKE_OFF, "The take-off goes on"),
+        (T, Flown.LAND, "The landing goes on"),
+        (T, Flown.GO_HOME, "The flight home goes on"),
+        # Control authority goes back, which ends what the autopilot flies, or it does not.
+        (E, Flown.TAKE_OFF, "It was taking off: see whether that goes on"),
+        (E, Flown.LAND, "It was landing: see whether"),
+        (E, Flown.GO_HOME, "It was going home: see whether"),
+        (E, Flown.MISSION, "for too long. The mission was told to stop"),
+    ],
+)
+def test_what_the_end_of_a_lease_stopped_is_said(why: LeaseChange, flown: Flown, text: str) -> None:
+    end = LeaseChanged(0 if why is E else 7, "" if why is E else "Anna", why, flown)
+    flight = Flight(lease_end=end, has_lease=False, phase=FlightPhase.IN_AIR)
+    assert text in flight.text(N.LEASE_TAKEN)
+
+
+def test_an_aircraft_that_stands_or_that_the_pilot_has_does_not_hover() -> None:
+    taken = Flight(lease_end=lease_lost(), has_lease=False, phase=FlightPhase.STANDBY)
+    assert taken.text(N.LEASE_TAKEN) == "Anna took control from you"
+    expired = LeaseChanged(0, "", LeaseChange.EXPIRED)
+    lost = Flight(lease_end=expired, has_lease=False, phase=FlightPhase.IN_AIR)
+    assert "hovers" not in lost.text(N.LEASE_TAKEN)
 
 
 def test_what_only_happens_is_over_when_it_was_seen_and_begins_again() -> None:

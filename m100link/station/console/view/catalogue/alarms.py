@@ -65,6 +65,48 @@ WORDS: dict[str, tuple[str, str]] = {
         "You have lost control: this page was not heard for too long",
         "Sie haben die Steuerung verloren: diese Seite war zu lange nicht zu hören",
     ),
+    "alarms.lease_taken.flown": ("{lost}. {flown}", "{lost}. {flown}"),
+    "alarms.flown.nothing": ("The aircraft hovers", "Das Fluggerät schwebt"),
+    "alarms.flown.setpoints": (
+        "What you steered was stopped: the aircraft brakes and hovers",
+        "Was Sie steuerten, wurde beendet: das Fluggerät bremst und schwebt",
+    ),
+    "alarms.flown.guided flight": (
+        "The flight to where you pointed was stopped: the aircraft brakes and hovers",
+        "Der Flug zum gezeigten Ort wurde beendet: das Fluggerät bremst und schwebt",
+    ),
+    "alarms.flown.program": (
+        "The simple task was stopped: the aircraft brakes and hovers",
+        "Die einfache Aufgabe wurde beendet: das Fluggerät bremst und schwebt",
+    ),
+    "alarms.flown.mission": (
+        "The mission was told to stop: the aircraft brakes and hovers where it is",
+        "Die Mission wurde angehalten: das Fluggerät bremst und schwebt, wo es ist",
+    ),
+    "alarms.flown.take off": (
+        "It was taking off: see whether that goes on",
+        "Es startete: sehen Sie nach, ob das weitergeht",
+    ),
+    "alarms.flown.take off.goes_on": (
+        "The take-off goes on: the aircraft flies it by itself",
+        "Der Start geht weiter: das Fluggerät fliegt ihn von selbst",
+    ),
+    "alarms.flown.land": (
+        "It was landing: see whether that goes on",
+        "Es landete: sehen Sie nach, ob das weitergeht",
+    ),
+    "alarms.flown.land.goes_on": (
+        "The landing goes on: the aircraft flies it by itself",
+        "Die Landung geht weiter: das Fluggerät fliegt sie von selbst",
+    ),
+    "alarms.flown.go home": (
+        "It was going home: see whether that goes on",
+        "Es flog nach Hause: sehen Sie nach, ob das weitergeht",
+    ),
+    "alarms.flown.go home.goes_on": (
+        "The flight home goes on: the aircraft flies it by itself",
+        "Der Heimflug geht weiter: das Fluggerät fliegt ihn von selbst",
+    ),
     "alarms.mission_aborted": ("Mission broken off: {why}", "Mission abgebrochen: {why}"),
     "alarms.guard_near.height": (
         "Near the limit: {value} high of {limit}",
