@@ -120,6 +120,10 @@ VERBS = {
         "station:serve",
         "Own the serial port and share the aircraft: rosbridge v2 for any number of clients.",
     ),
+    "mavlink": (
+        "mavlink:mavlink",
+        "Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.",
+    ),
     "console": (
         "station:console",
         "Serve the console for browsers, beside everything that `serve` serves, and open it.",

@@ -1,0 +1,166 @@
+"""Datagrams in, datagrams out: vehicles of one process, and the peers that they share.
+
+Each datagram is read by itself, whoever sent it. A peer is obeyed and answered after a heartbeat
+of its own, and telemetry goes to those alone, and to addresses that the settings name.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+
+from m100link.agent.client import AgentClient
+from m100link.errors import UsageError
+from m100link.mavlink.codec import Message, Signer, read_datagram, write_frame
+from m100link.mavlink.crew import Crew
+from m100link.mavlink.numbers import AUTOPILOT_PX4
+from m100link.mavlink.peers import Address, Peer, Peers
+from m100link.mavlink.vehicle import Vehicle
+
+__all__ = ["HIGHEST_SYSTEM", "STEP_S", "Bridge"]
+
+STEP_S = 0.02
+"""Seconds between two steps: of setpoints, and of telemetry that is due."""
+
+HIGHEST_SYSTEM = 250
+"""The greatest system id of an aircraft: those above are ground stations."""
+
+_GCS = 6
+_LARGEST = 1400
+"""Bytes of a datagram that no network cuts up."""
+
+_READ_PER_STEP = 65536
+"""Bytes that are read in one step: a flood is dropped, and does not hold up the setpoints."""
+
+_SINCE_2015 = 1_420_070_400
+
+
+class _Craft:
+    """An aircraft: what translates, and what asks the agent."""
+
+    def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
+        self.vehicle = Vehicle(agent, system, autopilot=autopilot)
+        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, lambda _: None)
+        self.sequence = 0
+        agent.on_event.append(self.vehicle.event)
+
+
+class Bridge:
+    """The bridge.
+
+    Args:
+        agents: The agents of the aircraft, by system id, each entered.
+        send: Sends a datagram; never waits.
+        to: Addresses that are spoken to first.
+        signer: Signs what goes out, and refuses what is not signed.
+        autopilot: MAV_AUTOPILOT of the heartbeat.
+
+    Attributes:
+        dropped: Datagrams that were not read because too many came.
+
+    Raises:
+        UsageError: A system id cannot be one of an aircraft.
+    """
+
+    def __init__(
+        self,
+        agents: Mapping[int, AgentClient],
+        send: Callable[[bytes, Address], None],
+        *,
+        to: tuple[Address, ...] = (),
+        signer: Signer | None = None,
+        autopilot: int = AUTOPILOT_PX4,
+    ) -> None:
+        for system in agents:
+            if not 1 <= system <= HIGHEST_SYSTEM:
+                raise UsageError(
+                    f"{system} is not a system id of an aircraft",
+                    remedy=f"choose 1 to {HIGHEST_SYSTEM}; 255 is a ground station's",
+                )
+        self._send = send
+        self._signer = signer
+        self._clock = asyncio.get_running_loop().time
+        self.peers = Peers(to)
+        self._crafts = [_Craft(agent, system, autopilot) for system, agent in agents.items()]
+        self._allowance = _READ_PER_STEP
+        self.dropped = 0
+
+    @property
+    def vehicles(self) -> list[Vehicle]:
+        """The aircraft, as they are translated."""
+        return [craft.vehicle for craft in self._crafts]
+
+    def received(self, data: bytes, address: Address) -> None:
+        """A datagram came."""
+        if len(data) > self._allowance:
+            self.dropped += 1
+            return
+        self._allowance -= len(data)
+        now = self._clock()
+        for message in read_datagram(data, signer=self._signer, now=_signature_time()):
+            self._take(message, Peer(address, message.system, message.component), now)
+        self._flush(now)
+
+    def _take(self, message: Message, peer: Peer, now: float) -> None:
+        if message.system == 0 or any(one.system == message.system for one in self.vehicles):
+            return  # our own words, or nobody's
+        if message.name == "HEARTBEAT":
+            self.peers.heartbeat(peer, now)
+        elif self.peers.knows(peer, now):
+            for vehicle in self.vehicles:
+                vehicle.receive(message, peer, now)
+
+    def step(self) -> None:
+        """Let time pass."""
+        now = self._clock()
+        self._allowance = _READ_PER_STEP
+        for craft in self._crafts:
+            craft.vehicle.advance(now, lambda peer: self.peers.is_lost(peer, now))
+            craft.crew.advance()
+        self._flush(now)
+
+    def _flush(self, now: float) -> None:
+        """Send what waits, as few datagrams as there can be."""
+        everybody = self.peers.addresses(now)
+        packed: dict[Address, bytearray] = {}
+        for craft in self._crafts:
+            waiting, craft.vehicle.outbox = craft.vehicle.outbox, []
+            for message, peer in waiting:
+                frame = self._frame(craft, message)
+                for address in everybody if peer is None else (peer.address,):
+                    self._pack(packed.setdefault(address, bytearray()), frame, address)
+        for address, data in packed.items():
+            if data:
+                self._send(bytes(data), address)
+
+    def _frame(self, craft: _Craft, message: Message) -> bytes:
+        craft.sequence += 1
+        return write_frame(
+            message,
+            system=craft.vehicle.system,
+            sequence=craft.sequence,
+            signer=self._signer,
+            now=_signature_time() if self._signer is not None else 0,
+        )
+
+    def _pack(self, data: bytearray, frame: bytes, address: Address) -> None:
+        if len(data) + len(frame) > _LARGEST:
+            self._send(bytes(data), address)
+            data.clear()
+        data += frame
+
+    async def run(self) -> None:
+        """Step for ever, until cancelled; then whatever is held is given back."""
+        try:
+            while True:
+                self.step()
+                await asyncio.sleep(STEP_S)
+        finally:
+            for craft in self._crafts:
+                await craft.crew.end()
+
+
+def _signature_time() -> int:
+    """Time of signatures: 10 microseconds since 2015."""
+    return int((time.time() - _SINCE_2015) * 1e5)

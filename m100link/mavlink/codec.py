@@ -1,0 +1,307 @@
+"""MAVLink 2 as bytes: a datagram into messages, a message into a frame, with signatures.
+
+A codec of our own because every datagram has to be read by itself: a reader of streams that meets
+a false start byte swallows the valid command behind it. No I/O and no clock: the time of signatures
+is an argument.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from struct import Struct
+from typing import Any
+
+import crcmod
+
+from m100link.mavlink.definitions import DEFINITIONS
+
+__all__ = ["LAYOUTS", "Layout", "Message", "Signer", "read_datagram", "write_frame"]
+
+_crc = crcmod.mkCrcFun(0x11021, initCrc=0xFFFF, rev=True, xorOut=0)
+
+_V1, _V2 = 0xFE, 0xFD
+_HEADER_V1, _HEADER_V2 = Struct("<BBBBBB"), Struct("<BBBBBBBHB")
+_CHECKSUM = Struct("<H")
+_SIGNED = 0x01
+_SIGNATURE = 13
+_SIGNATURE_TIME = 60_000_00  # one minute in the unit of signatures, 10 microseconds
+_MOST_SENDERS = 64
+
+_TYPES = {
+    "u8": ("uint8_t", "B"),
+    "i8": ("int8_t", "b"),
+    "u16": ("uint16_t", "H"),
+    "i16": ("int16_t", "h"),
+    "u32": ("uint32_t", "I"),
+    "i32": ("int32_t", "i"),
+    "u64": ("uint64_t", "Q"),
+    "i64": ("int64_t", "q"),
+    "f32": ("float", "f"),
+    "char": ("char", "s"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message.
+
+    Attributes:
+        name: As in the definitions.
+        fields: Values by name; a text for characters, a tuple for other arrays.
+        system: Who sent it; 0 for what is to be sent.
+        component: Which part of that system.
+    """
+
+    name: str
+    fields: Mapping[str, Any]
+    system: int = 0
+    component: int = 0
+
+    def __getitem__(self, name: str) -> Any:
+        return self.fields[name]
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """A field: name, whether it is text, and how many values it has (0: it is not an array)."""
+
+    name: str
+    is_text: bool
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How a message lies on the wire.
+
+    Attributes:
+        number: Its number.
+        name: Its name.
+        crc_extra: The byte that its checksum ends with: two ends with different definitions do not
+            understand each other.
+        least: Bytes without extensions: what version 1 of the protocol carries.
+    """
+
+    number: int
+    name: str
+    crc_extra: int
+    least: int
+    _struct: Struct
+    _fields: tuple[_Field, ...]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names, in the order of the wire."""
+        return tuple(one.name for one in self._fields)
+
+    @property
+    def size(self) -> int:
+        """Bytes with extensions."""
+        return self._struct.size
+
+    def write(self, values: Mapping[str, Any]) -> bytes:
+        """The payload; what is not named is 0."""
+        flat: list[Any] = []
+        for one in self._fields:
+            value = values.get(one.name)
+            if one.is_text:
+                flat.append(b"" if value is None else value.encode("ascii", "replace"))
+            elif one.count:
+                given = () if value is None else value
+                flat += [*given, *(0,) * (one.count - len(given))]
+            else:
+                flat.append(0 if value is None else value)
+        return self._struct.pack(*flat)
+
+    def read(self, payload: bytes) -> dict[str, Any]:
+        """The fields; zeros at the end may have been left out, and more than we know is ignored."""
+        whole = payload[: self._struct.size].ljust(self._struct.size, b"\0")
+        flat = iter(self._struct.unpack(whole))
+        found: dict[str, Any] = {}
+        for one in self._fields:
+            if one.is_text:
+                found[one.name] = next(flat).split(b"\0", 1)[0].decode("ascii", "replace")
+            elif one.count:
+                found[one.name] = tuple(next(flat) for _ in range(one.count))
+            else:
+                found[one.name] = next(flat)
+        return found
+
+
+def _layout(row: str) -> Layout:
+    number, name, told = re.fullmatch(r"(\d+) (\w+): (.+)", row).groups()  # type: ignore[union-attr]  # a row of ours
+    basic, _, extensions = told.partition(" | ")
+    extra, codes, fields = f"{name} ".encode(), "<", []
+    least = 0
+    for is_extension, part in ((False, basic), (True, extensions)):
+        for one in filter(None, part.split(", ")):
+            kind, called = one.split(" ")
+            base, count = re.fullmatch(r"(\w+?)(?:\[(\d+)\])?", kind).groups()  # type: ignore[union-attr]  # likewise
+            full, code = _TYPES[base]
+            size = int(count or 0)
+            if not is_extension:
+                extra += f"{full} {called} ".encode() + (bytes([size]) if size else b"")
+            codes += f"{size or ''}{code}"
+            fields.append(_Field(called, base == "char", size))
+        if not is_extension:
+            least = Struct(codes).size
+    crc = _crc(extra)
+    return Layout(int(number), name, (crc & 0xFF) ^ (crc >> 8), least, Struct(codes), tuple(fields))
+
+
+LAYOUTS: dict[str, Layout] = {
+    layout.name: layout
+    for layout in map(_layout, DEFINITIONS.replace("\n    ", " ").strip().splitlines())
+}
+"""By name."""
+
+_BY_NUMBER = {layout.number: layout for layout in LAYOUTS.values()}
+
+
+@dataclass
+class Signer:
+    """A secret that both ends know: who has it not is not obeyed.
+
+    A frame is taken once: its time has to be later than that of any frame before it from the same
+    sender, which is noted only when the signature is right.
+
+    Attributes:
+        key: 32 bytes.
+        link: Which of several links signs.
+        refused: Frames that were not taken.
+    """
+
+    key: bytes = field(repr=False)
+    link: int = 0
+    refused: int = 0
+    _newest: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    _sent: int = 0
+
+    def sign(self, frame: bytes, now: int) -> bytes:
+        """What follows the frame.
+
+        Args:
+            frame: From its first byte to its checksum.
+            now: Time in 10 microseconds since 2015.
+        """
+        self._sent = max(self._sent + 1, now)
+        told = bytes([self.link]) + self._sent.to_bytes(6, "little")
+        return told + self._digest(frame + told)
+
+    def takes(self, frame: bytes, sender: tuple[int, int], now: int) -> bool:
+        """Whether the signature at the end is right, and the frame not an old one."""
+        told = frame[-_SIGNATURE:-6]
+        when = int.from_bytes(told[1:], "little")
+        stream = (*sender, told[0])
+        # A sender that is heard first may not be more than a minute behind.
+        newest = self._newest.get(stream, now - _SIGNATURE_TIME)
+        is_right = hmac.compare_digest(self._digest(frame[:-6]), frame[-6:])
+        if not is_right or when <= newest:
+            return False
+        if stream not in self._newest and len(self._newest) >= _MOST_SENDERS:
+            return False
+        self._newest[stream] = when
+        return True
+
+    def _digest(self, data: bytes) -> bytes:
+        return hashlib.sha256(self.key + data).digest()[:6]
+
+
+def write_frame(
+    message: Message, *, system: int, sequence: int, signer: Signer | None = None, now: int = 0
+) -> bytes:
+    """A frame of version 2 from component 1 of a system.
+
+    Args:
+        message: What to send.
+        system: Whose it is, 1 to 255.
+        sequence: Counts frames of that system; modulo 256 on the wire.
+        signer: Signs it.
+        now: Time for the signature.
+    """
+    layout = LAYOUTS[message.name]
+    payload = layout.write(message.fields).rstrip(b"\0") or b"\0"
+    number = layout.number
+    header = _HEADER_V2.pack(
+        *(_V2, len(payload), 0 if signer is None else _SIGNED, 0, sequence & 0xFF),
+        *(system, message.component or 1, number & 0xFFFF, number >> 16),
+    )
+    body = header + payload
+    frame = body + _CHECKSUM.pack(_crc(body[1:] + bytes([layout.crc_extra])))
+    return frame if signer is None else frame + signer.sign(frame, now)
+
+
+def read_datagram(data: bytes, *, signer: Signer | None = None, now: int = 0) -> Iterator[Message]:
+    """The valid messages of a datagram, each searched from the end of the one before.
+
+    With a signer only HEARTBEAT is taken without a signature: it moves nothing.
+    """
+    at, end = 0, len(data)
+    while at < end:
+        if data[at] == _V2:
+            found = _frame_v2(data, at, signer, now)
+        elif data[at] == _V1:
+            found = _frame_v1(data, at, is_signed=signer is not None)
+        else:
+            found = None
+        if found is None:
+            at += 1  # what looked like a start was none: the next byte may be
+            continue
+        message, at = found
+        if message is not None:
+            yield message
+
+
+def _frame_v2(
+    data: bytes, at: int, signer: Signer | None, now: int
+) -> tuple[Message | None, int] | None:
+    if at + _HEADER_V2.size + 2 > len(data):
+        return None
+    _, size, incompatible, _, _, system, component, low, high = _HEADER_V2.unpack_from(data, at)
+    layout = _BY_NUMBER.get(low | high << 16)
+    begin = at + _HEADER_V2.size
+    end = begin + size + 2
+    is_signed = bool(incompatible & _SIGNED)
+    whole = end + (_SIGNATURE if is_signed else 0)
+    if incompatible & ~_SIGNED or whole > len(data) or layout is None:
+        return None
+    if not _is_whole(data, at, end, layout):
+        return None
+    is_owed = signer is not None and (is_signed or layout.name != "HEARTBEAT")
+    if signer is not None and is_owed:
+        sender = system, component
+        if not (is_signed and signer.takes(data[at:whole], sender, now)):
+            signer.refused += 1
+            return None, whole
+    return _message(layout, data[begin : begin + size], system, component), whole
+
+
+def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> tuple[Message | None, int] | None:
+    if at + _HEADER_V1.size + 2 > len(data):
+        return None
+    _, size, _, system, component, number = _HEADER_V1.unpack_from(data, at)
+    layout = _BY_NUMBER.get(number)
+    begin = at + _HEADER_V1.size
+    end = begin + size + 2
+    if layout is None or end > len(data) or not _is_whole(data, at, end, layout):
+        return None
+    if is_signed and layout.name != "HEARTBEAT":
+        return None, end
+    return _message(layout, data[begin : begin + size], system, component), end
+
+
+def _is_whole(data: bytes, at: int, end: int, layout: Layout) -> bool:
+    (told,) = _CHECKSUM.unpack_from(data, end - 2)
+    return bool(told == _crc(data[at + 1 : end - 2] + bytes([layout.crc_extra])))
+
+
+def _message(layout: Layout, payload: bytes, system: int, component: int) -> Message | None:
+    try:
+        return Message(layout.name, layout.read(payload), system, component)
+    except struct.error:
+        return None

@@ -1,0 +1,399 @@
+"""Who flies, and what: wishes of ground stations become orders to the agent, one at a time.
+
+What becomes of a wish stands in the tables of :mod:`m100link.mavlink.modes`. No I/O: orders are
+collected in :attr:`Deck.orders`, the crew carries them out and says how each ended, and the time is
+an argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from m100link.errors import M100Error
+from m100link.mavlink.modes import (
+    ARM_VERDICTS,
+    DISARM_VERDICTS,
+    MODES,
+    RUNNING,
+    VERDICTS,
+    Mode,
+    Phase,
+    Running,
+    Step,
+    Verdict,
+)
+from m100link.mavlink.numbers import Result, Severity
+from m100link.mavlink.orders import (
+    Arm,
+    Disarm,
+    Flight,
+    GoHome,
+    Halt,
+    Land,
+    Order,
+    Steer,
+    TakeOff,
+    running_of,
+)
+from m100link.mavlink.peers import Peer
+from m100link.mavlink.world import World
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = ["IDLE_S", "REMEMBERED_S", "STEER_LIFETIME", "Deck", "Stream", "Wish"]
+
+REMEMBERED_S = 10.0
+"""Seconds that a take-off or mission waits for the aircraft to be armed."""
+
+IDLE_S = 10.0
+"""Seconds armed on the ground without a take-off after which it is disarmed."""
+
+STEER_LIFETIME = 0.25
+"""Seconds that a setpoint lasts on its own: the bridge renews it many times in that."""
+
+_TO_THE_GROUND = (Mode.LAND, Mode.RTL)
+_ENDS = (Mode.HOLD, *_TO_THE_GROUND)
+
+
+class Stream(Protocol):
+    """Where setpoints of a mode come from."""
+
+    def setpoint(self, now: float) -> Setpoint | None:
+        """What to fly now; None when nobody says it any more."""
+
+    def is_fresh(self, now: float) -> bool:
+        """Whether somebody says it."""
+        ...
+
+    def wants_up(self, now: float) -> bool:
+        """Whether it asks to leave the ground."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What somebody wants to be flown.
+
+    Attributes:
+        mode: In which mode.
+        order: What the agent is asked for; None where setpoints fly.
+        peer: Who wants it; None for the bridge itself.
+    """
+
+    mode: Mode
+    order: Order | None
+    peer: Peer | None = None
+
+
+class Deck:
+    """The flight deck of one aircraft.
+
+    Args:
+        world: What is known of it.
+        tell: Takes what people have to know: severity and text.
+        streams: Where setpoints come from, by mode.
+
+    Attributes:
+        orders: What the crew has to carry out, oldest first.
+        operator: Who armed the aircraft, or moved it first after that one was lost.
+        running: What flies.
+        on_armed: Called with whether and why not, when a request for authority has ended.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        tell: Callable[[Severity, str], None],
+        streams: dict[Mode, Stream],
+    ) -> None:
+        self._world = world
+        self._tell = tell
+        self._streams = streams
+        self.orders: list[Order | Steer] = []
+        self.operator: Peer | None = None
+        self.running = Running.NOTHING
+        self.on_armed: Callable[[M100Error | None], None] = lambda _: None
+        # What the aircraft was asked for last, while it is in force.
+        self._mode = Mode.HOLD
+        # The order under way; what ends later than the one that replaced it means nothing.
+        self._current: Order | None = None
+        # Begins when the autopilot's take-off is over.
+        self._waiting: Wish | None = None
+        # Begins when the aircraft is armed, until a time.
+        self._remembered: tuple[Wish, float] | None = None
+        self._idle_since: float | None = None
+
+    # -- where it stands -------------------------------------------------------------------------
+
+    @property
+    def phase(self) -> Phase:
+        """Where the flight stands; a take-off that was ordered counts as flown."""
+        phase = self._world.phase
+        is_flying = self.running not in (Running.NOTHING, Running.STREAM)
+        return Phase.AIRBORNE if phase is Phase.ARMED and is_flying else phase
+
+    @property
+    def mode(self) -> Mode:
+        """What ground stations are shown."""
+        phase = self.phase
+        if phase in (Phase.ARMED, Phase.AIRBORNE) or self._is_interrupting:
+            return Mode.HOLD if self._mode is Mode.GOTO else self._mode
+        if self._remembered is not None and phase in (Phase.DISARMED, Phase.ARMING):
+            return self._remembered[0].mode
+        return self._world.mode_of_others()
+
+    @property
+    def _is_interrupting(self) -> bool:
+        return isinstance(self._current, Land | GoHome | Halt) and self._current.is_interrupting
+
+    def explain(self) -> str:
+        """Why a wish is refused in this phase."""
+        phase = self.phase
+        if phase is Phase.OTHER:
+            return f"{self._world.known.holder.name} has control"
+        if phase is Phase.PILOT:
+            switch = self._world.switch
+            place = "unknown" if switch is None else f"in {switch.name}"
+            return f"the pilot flies: the mode switch is {place}"
+        if phase is Phase.DISARMED or phase is Phase.ARMING:
+            return "on the ground: arm, and take off first"
+        if phase is Phase.ARMED:
+            return "on the ground: take off first"
+        if phase is Phase.FREE:
+            return "control authority is not held: arm first"
+        return str(phase.value)
+
+    # -- wishes ----------------------------------------------------------------------------------
+
+    def wish(self, wish: Wish, now: float) -> Result:
+        """Somebody wants a mode. Refusals are told to everybody, with the reason."""
+        other = self._other_operator(wish.peer)
+        if other is not None and wish.mode not in _ENDS:
+            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, f"{other.name} flies")
+        verdict = VERDICTS[self.phase][wish.mode]
+        if verdict is Verdict.DENY:
+            return self._refuse(wish.mode, Result.DENIED, self.explain())
+        if verdict is Verdict.REJECT:
+            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, self.explain())
+        if verdict is Verdict.NOTHING:
+            self._settle()
+        elif verdict is Verdict.START:
+            return self._start(wish, now)
+        else:
+            self._remembered = wish, now + REMEMBERED_S
+            self._take_operator(wish.peer)
+            if verdict is Verdict.OBTAIN:
+                self._arm(wish.peer)
+        return Result.ACCEPTED
+
+    def _refuse(self, mode: Mode, result: Result, why: str) -> Result:
+        self._tell(Severity.WARNING, f"{mode.value}: {why}")
+        return result
+
+    def _other_operator(self, peer: Peer | None) -> Peer | None:
+        """Who flies, where that is not whoever asks."""
+        is_taken = self.phase in (Phase.ARMING, Phase.ARMED, Phase.AIRBORNE)
+        return self.operator if is_taken and peer not in (None, self.operator) else None
+
+    def _take_operator(self, peer: Peer | None) -> None:
+        if peer is not None and (self.operator is None or self._other_operator(peer) is None):
+            self.operator = peer
+
+    def _settle(self) -> None:
+        """Nothing is wanted on the ground."""
+        self._remembered = self._waiting = None
+        if self.running is Running.STREAM:
+            self.running = Running.NOTHING
+        self._mode = Mode.HOLD
+
+    def _start(self, wish: Wish, now: float) -> Result:
+        step = RUNNING[self.running][wish.mode]
+        is_later = step is Step.WAIT and self._waiting is not None
+        if is_later and self._waiting is not None and self._waiting.mode in _TO_THE_GROUND:
+            step = step if wish.mode in _TO_THE_GROUND else Step.REFUSE
+        if step is Step.REFUSE:
+            flies = self._waiting.mode if is_later and self._waiting else self._mode
+            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, f"{flies.value} goes on")
+        self._take_operator(wish.peer)
+        if step is Step.WAIT:
+            self._waiting, self._mode = wish, wish.mode
+        elif step is Step.INTERRUPT and isinstance(wish.order, Land | GoHome | Halt):
+            self._begin(replace(wish, order=replace(wish.order, is_interrupting=True)))
+        elif step is not Step.KEEP:
+            self._begin(wish)
+        return Result.ACCEPTED
+
+    def _begin(self, wish: Wish) -> None:
+        self._waiting, self._mode, self._idle_since = None, wish.mode, None
+        order = wish.order
+        if order is None:
+            if self.running is Running.FLIGHT:
+                self.orders.append(Halt(why=f"{wish.mode.value} was asked for"))
+            self._current, self.running = None, Running.STREAM
+            return
+        self._current, self.running = order, running_of(order)
+        if isinstance(order, Flight) and order.takes_off:
+            self.running = Running.TAKE_OFF
+        self.orders.append(order)
+
+    # -- arming ----------------------------------------------------------------------------------
+
+    def arm(self, peer: Peer, now: float) -> Result | None:
+        """Obtain authority; None while that takes time, and :attr:`on_armed` is called then."""
+        other = self._other_operator(peer)
+        if other is not None:
+            self._tell(Severity.WARNING, f"arm: {other.name} flies")
+            return Result.TEMPORARILY_REJECTED
+        verdict = ARM_VERDICTS[self.phase]
+        if verdict is Verdict.REJECT:
+            self._tell(Severity.WARNING, f"arm: {self.explain()}")
+            return Result.TEMPORARILY_REJECTED
+        self._take_operator(peer)
+        if verdict is Verdict.NOTHING:
+            return Result.ACCEPTED
+        self._arm(peer)
+        return None
+
+    def _arm(self, peer: Peer | None) -> None:
+        if not self._world.is_arming:
+            self._world.is_arming = True
+            self._idle_since = None
+            self.orders.append(Arm(peer.name if peer is not None else "MAVLink"))
+
+    def disarm(self, peer: Peer) -> Result:
+        """Give authority back, on the ground."""
+        other = self._other_operator(peer)
+        if other is not None:
+            self._tell(Severity.WARNING, f"disarm: {other.name} flies")
+            return Result.TEMPORARILY_REJECTED
+        verdict = DISARM_VERDICTS[self.phase]
+        if verdict is Verdict.REJECT:
+            self._tell(Severity.WARNING, f"disarm: {self.explain()}")
+            return Result.TEMPORARILY_REJECTED
+        if verdict is Verdict.DENY:
+            self._tell(
+                Severity.WARNING, "disarm: not in the air, the M100 cannot stop motors there"
+            )
+            return Result.DENIED
+        if verdict is Verdict.START:
+            self._disarm()
+        return Result.ACCEPTED
+
+    def _disarm(self) -> None:
+        self._settle()
+        self._current, self.running, self.operator = Disarm(), Running.NOTHING, None
+        self.orders.append(self._current)
+
+    # -- what the crew says ----------------------------------------------------------------------
+
+    def armed(self, error: M100Error | None, now: float) -> None:
+        """The request for authority has ended."""
+        self._world.is_arming = False
+        remembered, self._remembered = self._remembered, None
+        if error is not None:
+            self._tell(Severity.ERROR, f"arm: {error.seen}")
+            self.operator = None
+        else:
+            self._mode, self._current, self.running = Mode.HOLD, None, Running.NOTHING
+            if remembered is not None and now < remembered[1]:
+                self.wish(remembered[0], now)
+        self.on_armed(error)
+
+    def took_off(self, order: Order, now: float) -> None:
+        """The autopilot's take-off is over; the rest of the order can be replaced."""
+        if order is self._current and self.running is Running.TAKE_OFF:
+            self.running = Running.FLIGHT
+            if self._waiting is not None:
+                self._begin(self._waiting)
+
+    def ended(self, order: Order, error: M100Error | None, now: float) -> None:
+        """An order has ended; what was replaced meanwhile means nothing."""
+        if order is not self._current:
+            return
+        if error is not None:
+            self._tell(Severity.ERROR, f"{self._mode.value}: {error.seen}")
+        waiting, self._waiting = self._waiting, None
+        self._current, self.running, self._idle_since = None, Running.NOTHING, None
+        self._mode = Mode.HOLD
+        if error is None and isinstance(order, Land | GoHome):
+            self._disarm()
+        elif waiting is not None and self._world.phase is Phase.AIRBORNE:
+            self._begin(waiting)
+
+    # -- time passes -----------------------------------------------------------------------------
+
+    def advance(self, now: float) -> None:
+        """Look at what has changed by itself, and steer."""
+        phase = self.phase
+        if self._remembered is not None and now >= self._remembered[1]:
+            self._tell(Severity.NOTICE, f"{self._remembered[0].mode.value}: nobody armed in time")
+            self._remembered = None
+        if phase in (Phase.ARMED, Phase.AIRBORNE):
+            if self.running is Running.STREAM:
+                self._stream(phase, now)
+            self._look_idle(phase, now)
+        elif not (self._is_interrupting or self._world.is_arming):
+            # Control was lost: what was wanted is not wanted by whoever flies now.
+            self._waiting, self._mode = None, Mode.HOLD
+            self._current, self.running = None, Running.NOTHING
+            if phase in (Phase.DISARMED, Phase.OTHER) and self._remembered is None:
+                self.operator = None
+            if phase is Phase.DISARMED and self._world.has_lease:
+                self._disarm()
+
+    def _look_idle(self, phase: Phase, now: float) -> None:
+        if phase is Phase.AIRBORNE or self.running is Running.STREAM:
+            self._idle_since = None
+        elif self._idle_since is None:
+            self._idle_since = now
+        elif now - self._idle_since >= IDLE_S and not isinstance(self._current, Disarm):
+            self._tell(Severity.NOTICE, f"disarmed: no take-off in {IDLE_S:g} s")
+            self._disarm()
+
+    def _stream(self, phase: Phase, now: float) -> None:
+        stream = self._streams[self._mode]
+        setpoint = stream.setpoint(now)
+        if setpoint is None:
+            self.hold(f"{self._mode.value}: no setpoint any more")
+        elif phase is Phase.AIRBORNE:
+            self.orders.append(Steer(setpoint, STEER_LIFETIME))
+        elif stream.wants_up(now):
+            # Motors stand still: the aircraft ignores movement until it was told to take off.
+            wish = Wish(self._mode, None)
+            self._begin(Wish(self._mode, TakeOff()))
+            self._waiting = wish
+
+    def has_setpoint(self, mode: Mode, now: float) -> bool:
+        """Whether there is something to fly in a mode of setpoints."""
+        return self._streams[mode].is_fresh(now)
+
+    def hold(self, why: str) -> None:
+        """The bridge itself wants a hover, and says why."""
+        self._tell(Severity.WARNING, why)
+        if self.phase is Phase.ARMED:
+            self._settle()
+        elif self.running is Running.TAKE_OFF:
+            self._waiting, self._mode = Wish(Mode.HOLD, Halt(why=why)), Mode.HOLD
+        else:
+            self._begin(Wish(Mode.HOLD, Halt(why=why)))
+
+    def operator_lost(self) -> None:
+        """Whoever flew is not heard any more: hover, unless it is on its way to the ground."""
+        lost, self.operator = self.operator, None
+        self._remembered = None
+        phase = self.phase
+        if lost is None:
+            return
+        if phase is Phase.ARMED or phase is Phase.ARMING:
+            self._tell(Severity.WARNING, f"{lost.name} is lost: disarmed")
+            self._disarm()
+        elif phase is Phase.AIRBORNE and self.running not in (Running.LAND, Running.GO_HOME):
+            is_down = self._waiting is not None and self._waiting.mode in _TO_THE_GROUND
+            if not is_down:
+                self.hold(f"{lost.name} is lost: hold")
+
+    @property
+    def number(self) -> int:
+        """``custom_mode`` of what is shown."""
+        return MODES[self.mode].number

@@ -1,0 +1,148 @@
+"""What the bridge asks of the agent: values that the deck decides and the crew carries out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from m100link.agent.guided import GuidedOrder
+from m100link.agent.messages import Action
+from m100link.mavlink.modes import Running
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = [
+    "Arm",
+    "Disarm",
+    "Do",
+    "Flight",
+    "GoHome",
+    "Halt",
+    "Land",
+    "Order",
+    "Steer",
+    "TakeOff",
+    "running_of",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Take the lease and obtain control authority.
+
+    Attributes:
+        name: For whom, for people.
+    """
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Disarm:
+    """Give lease and authority back: motion ends, the pilot flies."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOff:
+    """Let the autopilot take off, then climb.
+
+    Attributes:
+        height: To climb to, m above the take-off point; None stays where the autopilot ends.
+    """
+
+    height: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """Let the autopilot land in place.
+
+    Attributes:
+        is_interrupting: End the autopilot's task first, by giving authority back and asking anew.
+    """
+
+    is_interrupting: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class GoHome:
+    """Let the autopilot fly home and land.
+
+    Attributes:
+        is_interrupting: As in :class:`Land`.
+    """
+
+    is_interrupting: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Halt:
+    """Hover.
+
+    Attributes:
+        is_interrupting: As in :class:`Land`.
+        why: For people.
+    """
+
+    is_interrupting: bool = False
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Flights of the agent, one after the other.
+
+    Attributes:
+        legs: Each an order of the agent.
+        waits: Seconds to hover after each.
+        takes_off: Take off first.
+    """
+
+    legs: tuple[GuidedOrder, ...]
+    waits: tuple[float, ...] = ()
+    takes_off: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Do:
+    """Something that is asked of the agent and moves nothing by itself.
+
+    Attributes:
+        action: What.
+        number: Of the question.
+        data: Of the question.
+    """
+
+    action: Action
+    number: int = 0
+    data: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Steer:
+    """A setpoint for as long as its lifetime.
+
+    Attributes:
+        setpoint: What to fly.
+        lifetime: s.
+    """
+
+    setpoint: Setpoint
+    lifetime: float
+
+
+Order = Arm | Disarm | TakeOff | Land | GoHome | Halt | Flight
+"""What takes time and has an end; the newest one replaces what was ordered before it."""
+
+_RUNNING: dict[type[Order], Running] = {
+    Arm: Running.NOTHING,
+    Disarm: Running.NOTHING,
+    TakeOff: Running.TAKE_OFF,
+    Land: Running.LAND,
+    GoHome: Running.GO_HOME,
+    Halt: Running.NOTHING,
+    Flight: Running.FLIGHT,
+}
+
+
+def running_of(order: Order) -> Running:
+    """What flies while it is carried out."""
+    return _RUNNING[type(order)]

@@ -1,0 +1,84 @@
+"""Who is at the other end of the datagrams: known by a heartbeat, few, and forgotten soon."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+__all__ = ["FORGOTTEN_AFTER", "LOST_AFTER", "MOST_PEERS", "Address", "Peer", "Peers"]
+
+Address = tuple[str, int]
+"""Host and port."""
+
+LOST_AFTER = 3.0
+"""Seconds without a heartbeat after which a ground station counts as lost."""
+
+FORGOTTEN_AFTER = 10.0
+"""Seconds after which nothing is sent to it any more."""
+
+MOST_PEERS = 16
+"""Ground stations and programs at once: each costs the telemetry of every aircraft."""
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """A ground station or program.
+
+    Attributes:
+        address: Where its datagrams come from.
+        system: Its system id.
+        component: Its component id.
+    """
+
+    address: Address
+    system: int
+    component: int
+
+    @property
+    def name(self) -> str:
+        """What it is called for people."""
+        return f"MAVLink {self.system} at {self.address[0]}:{self.address[1]}"
+
+
+class Peers:
+    """Those that have been heard, by address and system id.
+
+    Args:
+        always: Addresses that are sent telemetry before they say anything.
+    """
+
+    def __init__(self, always: tuple[Address, ...] = ()) -> None:
+        self._always = always
+        self._heard: dict[Peer, float] = {}
+        self.refused = 0
+
+    def heartbeat(self, peer: Peer, now: float) -> bool:
+        """It is there. Returns whether it is one of the peers: there may be too many."""
+        if peer not in self._heard and len(self._heard) >= MOST_PEERS:
+            self.forget(now)
+            if len(self._heard) >= MOST_PEERS:
+                self.refused += 1
+                return False
+        self._heard[peer] = now
+        return True
+
+    def knows(self, peer: Peer, now: float) -> bool:
+        """Whether it has been heard lately: others are not obeyed, and not answered."""
+        return now - self._heard.get(peer, -FORGOTTEN_AFTER) < FORGOTTEN_AFTER
+
+    def is_lost(self, peer: Peer, now: float) -> bool:
+        """Whether its heartbeat fails to come."""
+        return now - self._heard.get(peer, -LOST_AFTER) >= LOST_AFTER
+
+    def forget(self, now: float) -> None:
+        """Leave out those that are silent."""
+        for peer in [one for one, at in self._heard.items() if now - at >= FORGOTTEN_AFTER]:
+            del self._heard[peer]
+
+    def addresses(self, now: float) -> set[Address]:
+        """Where telemetry goes."""
+        self.forget(now)
+        return {*self._always, *(one.address for one in self._heard)}
+
+    def __iter__(self) -> Iterator[Peer]:
+        return iter(tuple(self._heard))

@@ -1,0 +1,232 @@
+"""Whole flights by datagrams, on virtual time and without a socket."""
+
+from __future__ import annotations
+
+import math
+from random import Random
+
+import anyio
+import pytest
+
+from m100link.mavlink.modes import Mode
+from m100link.mavlink.numbers import Command, Result
+from m100link.mavlink.peers import MOST_PEERS
+from tests.mavlink.conftest import Ground, Rig
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+async def test_armed_up_and_down_again(firmware: str) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        ground = rig.ground
+        assert not ground.armed()
+        await ground.fly(5.0)
+        assert ground.armed()
+        assert ground.last("EXTENDED_SYS_STATE")["landed_state"] == 2
+        place = ground.last("GLOBAL_POSITION_INT")
+        assert place["relative_alt"] == pytest.approx(5000, abs=700)
+        assert await ground.ask(Command.NAV_LAND) is Result.ACCEPTED
+        await rig.until(lambda: ground.mode is Mode.LAND)
+        await rig.until(lambda: not ground.armed())
+        assert not rig.motors_on
+        await rig.until(lambda: not rig.client.holder.number)
+
+
+async def test_nothing_is_told_before_somebody_is_heard(rig: Rig) -> None:
+    silent = Ground(rig, ("127.0.0.1", 5555), 77)
+    silent.is_silent = True
+    silent.command(Command.COMPONENT_ARM_DISARM, 1)
+    await anyio.sleep(3.0)
+    assert silent.heard == []
+    assert not rig.client.holder.number
+
+
+async def test_a_peer_is_forgotten_when_it_is_silent(rig: Rig, ground: Ground) -> None:
+    ground.is_silent = True
+    await anyio.sleep(11.0)
+    known = len(ground.heard)
+    await anyio.sleep(5.0)
+    assert len(ground.heard) == known
+
+
+async def test_there_are_never_more_than_a_few_peers(rig: Rig) -> None:
+    for place in range(5 * MOST_PEERS):
+        Ground(rig, ("127.0.0.1", 20000 + place), 100).beat()
+    addresses = rig.bridge.peers.addresses(rig.client.now)
+    assert len(addresses) == MOST_PEERS
+    assert rig.bridge.peers.refused > 0
+
+
+async def test_junk_between_commands_swallows_none(rig: Rig, ground: Ground) -> None:
+    random = Random(7)
+    for _ in range(200):
+        for _ in range(20):
+            rig.bridge.received(random.randbytes(random.randrange(100)), ground.address)
+        assert await ground.ask(Command.GET_HOME_POSITION) is Result.ACCEPTED
+        await anyio.sleep(0.02)
+
+
+async def test_an_unknown_command_is_answered(rig: Rig, ground: Ground) -> None:
+    for command in (Command.DO_SET_HOME, 2000, 31999):
+        assert await ground.ask(command) is Result.UNSUPPORTED
+
+
+async def test_a_command_for_another_system_is_not_ours(rig: Rig, ground: Ground) -> None:
+    ground.command(Command.NAV_LAND, target=9)
+    await anyio.sleep(1.0)
+    assert ground.all("COMMAND_ACK") == []
+
+
+async def test_copies_of_arming_are_one_request(rig: Rig, ground: Ground) -> None:
+    for _ in range(3):
+        ground.command(Command.COMPONENT_ARM_DISARM, 1)
+    await anyio.sleep(4.0)
+    answers = [one["result"] for one in ground.all("COMMAND_ACK")]
+    assert answers[0] == Result.IN_PROGRESS, "activation takes two seconds"
+    assert answers[-1] == Result.ACCEPTED
+    assert answers.count(Result.ACCEPTED) == 1
+    assert [one.text for one in rig.agent.journal.events if "obtained" in one.text] == [
+        "control authority obtained"
+    ]
+
+
+async def test_it_disarms_by_itself_when_nobody_takes_off(rig: Rig, ground: Ground) -> None:
+    await ground.arm()
+    await rig.until(lambda: ground.armed())
+    await anyio.sleep(8.0)
+    assert ground.armed()
+    await anyio.sleep(4.0)
+    assert not ground.armed()
+    assert "no take-off" in ground.texts
+
+
+async def test_a_take_off_waits_for_the_arming(rig: Rig, ground: Ground) -> None:
+    """QGroundControl's order: NAV_TAKEOFF disarmed, and arming behind the answer."""
+    altitude = rig.ground_altitude + 10.0
+    args = (-1, 0, 0, math.nan, math.nan, math.nan, altitude)
+    assert await ground.ask(Command.NAV_TAKEOFF, *args) is Result.ACCEPTED
+    await anyio.sleep(2.0)
+    assert rig.height < 0.1
+    assert ground.mode is Mode.TAKEOFF
+    await ground.arm()
+    await rig.until(lambda: rig.height > 9.5)
+
+
+async def test_a_take_off_that_nobody_arms_is_forgotten(rig: Rig, ground: Ground) -> None:
+    assert await ground.ask(Command.NAV_TAKEOFF) is Result.ACCEPTED
+    await anyio.sleep(10.5)
+    await ground.arm()
+    await anyio.sleep(5.0)
+    assert rig.height < 0.1
+
+
+async def test_a_landing_during_the_take_off_waits_and_nothing_pushes_it_out(
+    rig: Rig, ground: Ground
+) -> None:
+    await ground.arm()
+    assert await ground.ask(Command.NAV_TAKEOFF) is Result.ACCEPTED
+    await rig.until(lambda: rig.height > 0.3)
+    assert await ground.ask(Command.NAV_LAND) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is Result.TEMPORARILY_REJECTED
+    await rig.until(lambda: not ground.armed())
+    assert rig.height < 0.1
+
+
+async def test_hold_ends_the_way_home(rig: Rig, ground: Ground) -> None:
+    await ground.fly(6.0)
+    assert await ground.set_mode(Mode.RTL) is Result.ACCEPTED
+    await rig.until(lambda: ground.mode is Mode.RTL)
+    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    await anyio.sleep(8.0)
+    height = rig.height
+    await anyio.sleep(5.0)
+    assert rig.height == pytest.approx(height, abs=0.3)
+    assert height > 2.0
+    assert ground.armed()
+    assert ground.mode is Mode.HOLD
+
+
+async def test_the_pilot_takes_it_and_armed_does_not_lie(rig: Rig, ground: Ground) -> None:
+    await ground.fly(6.0)
+    rig.aircraft.vehicle.remote.set_mode("P")
+    await rig.until(lambda: ground.mode is Mode.POSCTL)
+    assert ground.armed()
+    assert await ground.set_mode(Mode.LAND) is Result.TEMPORARILY_REJECTED
+    await rig.until(lambda: "the mode switch is in P" in ground.texts)
+    assert await ground.ask(Command.COMPONENT_ARM_DISARM, 0, 21196) is Result.DENIED
+    rig.aircraft.vehicle.remote.set_mode("F")
+    await rig.until(lambda: ground.mode is Mode.HOLD)
+    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    await rig.until(lambda: not ground.armed())
+
+
+async def test_a_ground_station_that_is_lost_holds(rig: Rig, ground: Ground) -> None:
+    await ground.fly(3.0)
+    args = (0, 0, 0, math.nan, math.nan, math.nan, rig.ground_altitude + 40.0)
+    assert await ground.ask(Command.DO_REPOSITION, *args) is Result.ACCEPTED
+    await rig.until(lambda: rig.height > 5.0)
+    ground.is_silent = True
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    other.beat()
+    await rig.until(lambda: "is lost" in other.texts, within=5.0)
+    await anyio.sleep(3.0)
+    assert rig.speed < 0.1
+    assert rig.height < 20.0
+    assert await other.set_mode(Mode.LAND) is Result.ACCEPTED
+    await rig.until(lambda: not other.armed())
+
+
+async def test_the_way_to_the_ground_goes_on_when_the_ground_station_is_lost(
+    rig: Rig, ground: Ground
+) -> None:
+    await ground.fly(6.0)
+    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    await anyio.sleep(1.5)
+    ground.is_silent = True
+    await rig.until(lambda: not rig.motors_on)
+
+
+async def test_two_ground_stations_and_one_of_them_flies(rig: Rig, ground: Ground) -> None:
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    other.beat()
+    await ground.fly(4.0)
+    assert await other.ask(Command.DO_REPOSITION, -1, 0, 0, 1.0) is Result.TEMPORARILY_REJECTED
+    await rig.until(lambda: "MAVLink 245 at 127.0.0.1:14540 flies" in other.texts)
+    assert other.last("HEARTBEAT")["base_mode"] & 128
+    assert await other.set_mode(Mode.LAND) is Result.ACCEPTED
+    await rig.until(lambda: not ground.armed())
+
+
+async def test_setpoints_that_stop_are_not_flown_on(rig: Rig, ground: Ground) -> None:
+    await ground.fly(5.0)
+
+    def north() -> None:
+        mask = 0b0000_1101_1100_0111
+        ground.send(
+            "SET_POSITION_TARGET_LOCAL_NED",
+            target_system=1,
+            target_component=1,
+            coordinate_frame=1,
+            type_mask=mask,
+            vx=3.0,
+        )
+
+    north()
+    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    for _ in range(60):
+        north()
+        await anyio.sleep(0.05)
+    assert rig.speed > 2.0
+    await anyio.sleep(3.5)
+    assert ground.mode is Mode.HOLD
+    assert rig.speed < 0.1
+    assert "no setpoint any more" in ground.texts
+
+
+async def test_the_bridge_ends_and_gives_control_back(rig: Rig, ground: Ground) -> None:
+    await ground.fly(4.0)
+    rig.work.cancel()
+    await rig.until(lambda: not rig.agent.holding.has_authority, within=5.0)
+    await anyio.sleep(3.0)
+    assert rig.speed < 0.1
