@@ -225,6 +225,12 @@ class Requests:
                 continue
         raise _no_aircraft(self._link, timeout)
 
+    def take_recorded(self, version: Version | None, firmware: FirmwareProfile) -> None:
+        """Nobody can be asked: the answer of then, and the firmware of then unless it is forced."""
+        self.version = version
+        self.firmware = self.firmware if self._is_forced else firmware
+        self._is_known = self.knows_layout = True
+
     async def query_version(
         self, *, timeout: float = _VERSION_TIMEOUT, tries: int = _VERSION_TRIES
     ) -> Version:
@@ -233,6 +239,8 @@ class Requests:
         Raises:
             AckTimeout, LinkError, BadAck: See each class.
         """
+        if self._link.is_recorded and self.version is not None:
+            return self.version  # what it answered then
         version = await self.execute(GetVersion(), timeout=timeout, tries=tries)
         self.version = version
         self.knows_layout = True

@@ -74,8 +74,8 @@ class Aircraft:
 
     def __init__(self, link: Link, *, firmware: FirmwareProfile | None = None) -> None:
         self._requests = Requests(link, firmware)  # not public: by it, movement could leave
-        self.authority = Authority(link.loop.time)
-        self._telemetry = TelemetryStream(self.authority.observe)
+        self.authority = Authority(link.clock)
+        self._telemetry = TelemetryStream(self.authority.observe, link.clock)
         self._from_mobile: Hub[bytes] = Hub()
         self._events: Hub[ConnectionEvent | AuthorityEvent] = Hub()
         self._claim = BlockClaim()
@@ -85,7 +85,7 @@ class Aircraft:
         self.link = link
         self._at_end: list[Callable[[], Awaitable[None]]] = []  # such as of a log, after the line
         self.authority.subscribe(self._on_authority)
-        self._missions = MissionWatch(link.loop.time)
+        self._missions = MissionWatch(link.clock)
         parts = link, self._requests, self.authority, self.state
         self._commander = Commander(*parts, self._missions, task_sequences())
         notifications = Notifications(link, self._requests, self._telemetry.receive)
@@ -420,7 +420,7 @@ class Aircraft:
         """
         columns = Columns(*records, utc_offset_s=self.utc_offset_s)
         samples = self.telemetry(*records, policy=Lossless(2000), rate_hz=rate_hz)
-        return await columns.collect(samples, seconds)
+        return await columns.collect(samples, seconds, self.link.clock)
 
     @property
     def utc_offset_s(self) -> float:
@@ -497,4 +497,4 @@ class Aircraft:
 
     @property
     def _now(self) -> float:
-        return self.link.loop.time()
+        return self.link.clock()

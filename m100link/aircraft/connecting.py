@@ -115,7 +115,7 @@ def connect(
 
     Args:
         line: ``serial:///dev/ttyUSB0:230400``, a bare device path, ``tcp://host:port``, ``sim://``,
-            or a link that is open already.
+            ``replay://flight.mcap`` for a recorded flight, or a link that is open already.
         firmware: Force a profile by name; by default the version answer chooses it.
         baud_rate: Rate when the URL has none; 230400 by default.
         timeout: Seconds until an aircraft has to answer.
@@ -159,6 +159,15 @@ async def _open(
             f"{line.name} is open already, and can be neither tapped nor recorded",
             remedy="give the tap to open_link(), or the URL to connect()",
         )
+    if isinstance(line, str) and line.strip().startswith("replay://"):
+        if record is not None:
+            raise UsageError(
+                f"{line} is a recording already, and is not recorded again",
+                remedy="leave out record=; the file is there",
+            )
+        from m100link.aircraft.replaying import open_replay  # few programs look back
+
+        return await open_replay(line, firmware=forced, tap=tap)
     recorder = None if record is None else _recorder(record)
     if recorder is not None:
         recorder.begin()

@@ -32,6 +32,7 @@ from m100link.errors import (
     LinkError,
     LinkLost,
     M100Error,
+    ReplayEnded,
     TelemetryError,
     UsageError,
 )
@@ -338,7 +339,7 @@ def _is_final(error: M100Error) -> bool:
     """Whether every other attempt would end like this one."""
     if isinstance(error, ActivationRefused):
         return error.code not in _PASSING
-    return isinstance(error, UsageError | AnotherAircraft)
+    return isinstance(error, UsageError | AnotherAircraft | ReplayEnded)
 
 
 class SupervisedTelemetry:

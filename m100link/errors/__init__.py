@@ -9,6 +9,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── BadValue               a field of a command outside its documented range
     │   ├── BadSetpoint            a value outside the document's table, NaN or infinity
     │   ├── BadPlan                a waypoint mission that the aircraft would refuse
+    │   ├── OnlyRecorded           an order to the aircraft of a replay
     │   └── PayloadTooLarge        more than 1007 bytes, or 100 to the mobile device
     ├── LinkError                  the cable and what is at its end (ConnectionError)
     │   ├── PortNotFound           no such device (FileNotFoundError)
@@ -17,6 +18,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── PortFailed             the system refused for another reason
     │   ├── LinkLost               the port went away under us
     │   ├── LinkClosed             we closed it
+    │   ├── ReplayEnded            the recording has no more; no cable is lost
     │   ├── LineBlocked            it is open and takes no more bytes
     │   ├── AnotherAircraft        it came back, and not to the aircraft of before
     │   └── NoAircraft             opened, but no usable answer came (TimeoutError)
@@ -92,6 +94,7 @@ from m100link.errors.line import (
     PortFailed,
     PortNotFound,
     PortPermissionDenied,
+    ReplayEnded,
     SilentLine,
 )
 from m100link.errors.usage import (
@@ -100,6 +103,7 @@ from m100link.errors.usage import (
     BadSetpoint,
     BadURL,
     BadValue,
+    OnlyRecorded,
     PayloadTooLarge,
     UsageError,
 )
@@ -138,11 +142,13 @@ __all__ = [
     "NoValidFrame",
     "NotActivated",
     "NotObserved",
+    "OnlyRecorded",
     "PayloadTooLarge",
     "PortBusy",
     "PortFailed",
     "PortNotFound",
     "PortPermissionDenied",
+    "ReplayEnded",
     "SilentLine",
     "TaskError",
     "TaskFailed",

@@ -17,6 +17,7 @@ __all__ = [
     "PortFailed",
     "PortNotFound",
     "PortPermissionDenied",
+    "ReplayEnded",
     "SilentLine",
 ]
 
@@ -101,6 +102,15 @@ class LinkClosed(
     remedy="use the aircraft inside its `async with` only",
 ):
     """This side closed the link."""
+
+
+class ReplayEnded(
+    LinkError,
+    code="M100-REPLAY-ENDED",
+    cause="the recording was played to its end, or to where its process was killed",
+    remedy="connect again to play it again; nothing is wrong with a cable",
+):
+    """A recording has no more. Whether the flight's own line was lost then, the cause says."""
 
 
 class LineBlocked(

@@ -10,6 +10,7 @@ __all__ = [
     "BadSetpoint",
     "BadURL",
     "BadValue",
+    "OnlyRecorded",
     "PayloadTooLarge",
     "UsageError",
     "of_another_loop",
@@ -133,6 +134,15 @@ class BadPlan(
     def problems(self) -> tuple[BadPlan, ...]:
         """Everything that is wrong, this first."""
         return (self, *self.others)
+
+
+class OnlyRecorded(
+    UsageError,
+    code="M100-ONLY-RECORDED",
+    cause="the aircraft of a replay is a recording: nobody is there who could obey",
+    remedy="look at what was recorded; to fly, connect to an aircraft, or to `sim://`",
+):
+    """Something was asked of the aircraft of a replay; nothing was sent."""
 
 
 class PayloadTooLarge(

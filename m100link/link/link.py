@@ -16,7 +16,7 @@ from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
 from m100link.errors.usage import of_another_loop
-from m100link.link.statistics import LinkStatistics, RoundTripCounter
+from m100link.link.statistics import LinkStatistics, RoundTripCounter, counted
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Event, Expired, SessionMode
 from m100link.wire.cipher import Cipher
@@ -65,6 +65,7 @@ class Link(asyncio.Protocol):
         *("_is_failure_told", "_is_writable", "_level_at", "_loop", "_pending", "_round_trips"),
         *("_timers", "_transport", "last_received_at", "name", "on_lost", "on_received"),
     )
+    is_recorded = False  # a replay, whose aircraft cannot be asked for anything
 
     def __init__(
         self,
@@ -110,6 +111,11 @@ class Link(asyncio.Protocol):
         """The event loop that this link belongs to."""
         return self._loop
 
+    @property
+    def clock(self) -> Callable[[], float]:
+        """What times of this line are by, s: that of the event loop, or of a flight of before."""
+        return self._loop.time
+
     def require_loop(self) -> None:
         """Raise a UsageError when another event loop runs here, or its own elsewhere or nowhere."""
         here, own = _get_running_loop(), self._loop
@@ -138,23 +144,8 @@ class Link(asyncio.Protocol):
 
     def statistics(self) -> LinkStatistics:
         """The counters as they are now."""
-        decoder, sessions = self._endpoint.decoder, self._endpoint.statistics
-        return LinkStatistics(
-            bytes_received=decoder.bytes,
-            bytes_sent=self._bytes_sent,
-            frames_received=decoder.frames,
-            frames_sent=self._frames_sent,
-            discards={str(cause): count for cause, count in decoder.discards.items() if count},
-            discarded_bytes=decoder.discarded_bytes,
-            dropped_writes=self._dropped_writes,
-            acks=sessions.acks,
-            duplicate_acks=sessions.duplicate_acks,
-            late_acks=sessions.late_acks,
-            foreign_acks=sessions.foreign_acks,
-            repeats=sessions.transmissions - sessions.requests,
-            expired=sessions.expired,
-            round_trips=self._round_trips.counted(),
-        )
+        written = self._bytes_sent, self._frames_sent, self._dropped_writes
+        return counted(self._endpoint, *written, self._round_trips.counted())
 
     async def request(
         self,

@@ -6,7 +6,9 @@ from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import accumulate
 
-__all__ = ["ROUND_TRIP_BOUNDS_S", "LinkStatistics", "RoundTripCounter", "RoundTrips"]
+from m100link.session.endpoint import Endpoint
+
+__all__ = ["ROUND_TRIP_BOUNDS_S", "LinkStatistics", "RoundTripCounter", "RoundTrips", "counted"]
 
 ROUND_TRIP_BOUNDS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 """Upper bounds of the classes of :class:`RoundTrips`, s: from memory to a radio that repeats."""
@@ -100,3 +102,26 @@ class LinkStatistics:
     repeats: int
     expired: int
     round_trips: RoundTrips
+
+
+def counted(
+    endpoint: Endpoint, bytes_sent: int, frames_sent: int, dropped: int, round_trips: RoundTrips
+) -> LinkStatistics:
+    """The counters of a link as they are now."""
+    decoder, sessions = endpoint.decoder, endpoint.statistics
+    return LinkStatistics(
+        bytes_received=decoder.bytes,
+        bytes_sent=bytes_sent,
+        frames_received=decoder.frames,
+        frames_sent=frames_sent,
+        discards={str(cause): count for cause, count in decoder.discards.items() if count},
+        discarded_bytes=decoder.discarded_bytes,
+        dropped_writes=dropped,
+        acks=sessions.acks,
+        duplicate_acks=sessions.duplicate_acks,
+        late_acks=sessions.late_acks,
+        foreign_acks=sessions.foreign_acks,
+        repeats=sessions.transmissions - sessions.requests,
+        expired=sessions.expired,
+        round_trips=round_trips,
+    )

@@ -17,6 +17,7 @@ EXAMPLES = (
     "/dev/ttyUSB0",
     "tcp://192.168.1.5:7000",
     "sim://?firmware=3.1&seed=7",
+    "replay://flight.mcap?speed=2",
 )
 """Strings that work, for error messages."""
 

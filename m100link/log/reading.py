@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from bisect import bisect_left
+from bisect import bisect_left, insort
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
@@ -15,7 +15,7 @@ from typing import IO, Any, NamedTuple
 
 from m100link.errors import LayoutMismatch, UsageError
 from m100link.link import Direction
-from m100link.log.channels import CHUNKS, LINK, RX, SCHEMAS, TX
+from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX
 from m100link.log.records import (
     MAGIC,
     Channel,
@@ -121,9 +121,13 @@ class FlightLog:
         A file that was cut off ends with the last that is whole; parts whose checksum is wrong are
         passed over.
         """
+        return self._messages(topics)
+
+    def _messages(self, topics: Sequence[str], since_utc: float = 0.0) -> Iterator[Message]:
+        """The same; parts of the file that end before a time are passed over."""
         names: dict[int, str] = {}
         with self.path.open("rb") as stream:
-            for record in records(stream, topics):
+            for record in records(stream, topics, round(since_utc * 1e9)):
                 if type(record) is RawMessage:
                     at, utc = record.publish_time / 1e9, record.log_time / 1e9
                     yield Message(names[record.channel_id], at, utc, record.data)
@@ -131,10 +135,21 @@ class FlightLog:
                     names[record.id] = record.topic
 
     def chunks(self) -> Iterator[Chunk]:
-        """What was read and written, in order of time within each tenth of a second."""
+        """What was read and written, in order of time."""
+        return (one for one in self.moments() if isinstance(one, Chunk))
+
+    def moments(self, *, since_utc: float = 0.0) -> Iterator[Chunk | Message]:
+        """What was read and written, events, and counters, in order of time.
+
+        Args:
+            since_utc: Not before that POSIX time, s, give or take a second.
+        """
         raw_by_time: dict[tuple[str, float], Message] = {}
-        ready: list[Chunk] = []
-        for message in self.messages(RX, TX, CHUNKS):
+        ready: list[Chunk | Message] = []
+        for message in self._messages((RX, TX, CHUNKS, EVENT, LINK), since_utc):
+            if message.topic in (EVENT, LINK):
+                insort(ready, message, key=_AT)
+                continue
             if message.topic != CHUNKS:
                 raw_by_time[message.topic, message.at] = message
                 continue

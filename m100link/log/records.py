@@ -21,10 +21,12 @@ __all__ = [
     "Channel",
     "End",
     "Metadata",
+    "Outline",
     "RawMessage",
     "Record",
     "Schema",
     "mcap_module",
+    "outline",
     "records",
 ]
 
@@ -90,6 +92,14 @@ class End(NamedTuple):
     """The file was ended by whoever wrote it."""
 
 
+class Outline(NamedTuple):
+    """What the parts of a file say of themselves; POSIX times in ns, 0 for none."""
+
+    first_ns: int
+    last_ns: int
+    is_ended: bool
+
+
 Record = Schema | Channel | RawMessage | Metadata | End
 
 
@@ -108,14 +118,20 @@ def mcap_module(name: str) -> Any:
         ) from None
 
 
-def records(stream: IO[bytes], topics: Collection[str] = ()) -> Iterator[Record]:
+def records(stream: IO[bytes], topics: Collection[str] = (), since_ns: int = 0) -> Iterator[Record]:
     """Every record of a file that can be read, in the order in which they were written.
 
     Args:
         stream: The file, from anywhere.
         topics: Messages of these alone; of all without any.
+        since_ns: Parts that end before it are passed over, POSIX time in ns.
     """
-    return _Reader(stream, topics).records()
+    return _Reader(stream, topics).records(since_ns)
+
+
+def outline(stream: IO[bytes]) -> Outline:
+    """From when to when a file goes, without unpacking it."""
+    return _Reader(stream, ()).outline()
 
 
 class _Reader:
@@ -127,16 +143,27 @@ class _Reader:
         self._wanted: set[int] = set()
         self._is_searched = False  # for channels that no part told
 
-    def records(self) -> Iterator[Record]:
+    def records(self, since_ns: int) -> Iterator[Record]:
         for kind, body in self._outer():
             if kind != _CHUNK:
                 yield from self._record(kind, body)
+                continue
+            if len(body) < _CHUNK_HEAD or _chunk_head(body)[1] < since_ns:
                 continue
             try:
                 inside = _unpacked(body)
             except Exception:  # noqa: BLE001 - whatever unpacking bytes of chance raises
                 continue  # the next one may be whole
             yield from self._inside(inside)
+
+    def outline(self) -> Outline:
+        first, last, is_ended = 0, 0, False
+        for kind, body in self._outer():
+            if kind == _CHUNK and len(body) >= _CHUNK_HEAD:
+                begin, end = _chunk_head(body)[:2]
+                first, last = min(first or begin, begin), max(last, end)
+            is_ended |= kind == _FOOTER
+        return Outline(first, last, is_ended)
 
     def _outer(self) -> Iterator[tuple[int, bytes]]:
         """Kind and body of each record outside of parts."""

@@ -408,7 +408,7 @@ def connect(
 
     Args:
         line: ``serial:///dev/ttyUSB0:230400``, a bare device path, ``tcp://host:port``, ``sim://``,
-            or a link that is open already.
+            ``replay://flight.mcap`` for a recorded flight, or a link that is open already.
         firmware: Force a profile by name; by default the version answer chooses it.
         baud_rate: Rate when the URL has none; 230400 by default.
         timeout: Seconds until an aircraft has to answer.

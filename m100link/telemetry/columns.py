@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from operator import attrgetter
@@ -79,17 +79,22 @@ class Columns:
                 values.append(math.nan if value is None else float(value))
         return tuple(values)
 
-    async def collect(self, samples: Subscription[Sample], seconds: float) -> Table:
+    async def collect(
+        self,
+        samples: Subscription[Sample],
+        seconds: float,
+        clock: Callable[[], float] | None = None,
+    ) -> Table:
         """See :meth:`m100link.Aircraft.collect`."""
         if not 0 < seconds < math.inf:
             raise UsageError(
                 f"nothing can be collected for {seconds} s", remedy="a finite number above 0"
             )
-        end = asyncio.get_running_loop().time() + seconds
+        end = (clock or asyncio.get_running_loop().time)() + seconds
         rows: list[tuple[float, ...]] = []
         async with samples:
             try:
-                async with asyncio.timeout_at(end):
+                async with asyncio.timeout(seconds):
                     async for sample in samples:
                         # A program that was blocked finds packages of after the end in its queue.
                         if sample.received_at >= end:

@@ -44,6 +44,7 @@ class TelemetryStream:
 
     Args:
         observe: Called with each package when state and clock know it, before the consumers.
+        clock: By which packages arrive, s.
 
     Attributes:
         state: Newest value and age of every item.
@@ -56,9 +57,8 @@ class TelemetryStream:
         *("mismatches", "state", "utc_offset_s"),
     )
 
-    def __init__(self, observe: Callable[[Sample], None]) -> None:
+    def __init__(self, observe: Callable[[Sample], None], clock: Callable[[], float]) -> None:
         self._observe = observe
-        clock = asyncio.get_running_loop().time
         self.state = AircraftState(clock)
         self.mismatches = 0
         # Once: a wall clock that is set during a flight must not bend its columns.
@@ -103,6 +103,16 @@ class TelemetryStream:
             clock.update(unpack(value, at)[0], now)
         self._observe(sample)
         self._hub.publish(sample, now, flags or _PACKAGE)
+
+    @property
+    def has_consumers(self) -> bool:
+        """Whether somebody takes packages."""
+        return self._hub.has_consumers
+
+    @property
+    def has_room(self) -> bool:
+        """Whether no consumer would lose an older package by another one."""
+        return self._hub.has_room
 
     def fail(self, error: LinkError) -> None:
         """End every subscription with the error."""

@@ -136,6 +136,11 @@ class Queue(Generic[T]):
         if self.waiter is not None:
             self.wake()
 
+    @property
+    def is_full(self) -> bool:
+        """Whether another value would take the place of one."""
+        return len(self.values) >= self._count
+
     def _thins(self, now: float) -> bool:
         """Whether the rate limit leaves out a value that arrives now."""
         if now < self._next_at - _TOLERANCE_S:
@@ -294,6 +299,16 @@ class Hub(Generic[T]):
                 has_any_ended = True
         if has_any_ended:
             self._queues = tuple(queue for queue in self._queues if queue.wanted)
+
+    @property
+    def has_consumers(self) -> bool:
+        """Whether somebody takes values."""
+        return any(queue.wanted for queue in self._queues)
+
+    @property
+    def has_room(self) -> bool:
+        """Whether every queue takes another value without losing one."""
+        return not any(queue.wanted and queue.is_full for queue in self._queues)
 
     def fail(self, error: M100Error) -> None:
         """End every subscription, present and future, with the error."""

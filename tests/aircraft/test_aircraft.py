@@ -221,7 +221,7 @@ async def test_a_wrong_url_prints_three_that_work(url: str, why: str) -> None:
             pytest.fail("connected")
     lines = caught.value.remedy.splitlines()
     schemes = [line.strip().split("://")[0] for line in lines[1:]]
-    assert schemes == ["serial", "/dev/ttyUSB0", "tcp", "sim"]
+    assert schemes == ["serial", "/dev/ttyUSB0", "tcp", "sim", "replay"]
 
 
 async def test_a_profile_that_does_not_exist_is_told_before_anything_is_opened() -> None:

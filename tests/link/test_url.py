@@ -86,7 +86,7 @@ def test_a_bad_url_is_quoted_beside_examples_that_work(url: str) -> None:
     assert len(EXAMPLES) >= 3
     for example in EXAMPLES:
         assert example in str(caught.value)
-        assert parse_url(example).scheme in ("serial", "tcp", "sim")
+        assert parse_url(example).scheme in ("serial", "tcp", "sim", "replay")
 
 
 @given(st.text(max_size=60))

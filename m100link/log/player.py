@@ -1,0 +1,391 @@
+"""Plays a flight log: what came over the line comes again, at the times at which it came."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from m100link.errors import OnlyRecorded, ReplayEnded, UsageError
+from m100link.link import Direction
+from m100link.log.channels import EVENT
+from m100link.log.reading import Chunk, FlightLog, Message
+from m100link.log.records import outline
+from m100link.protocol.commands.activation import GetVersion, Version
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.wire import Frame, FrameDecoder
+
+if TYPE_CHECKING:
+    from m100link.link import Tap
+
+__all__ = ["FASTEST", "SLOWEST", "Begin", "Player", "Stage", "begin_of"]
+
+SLOWEST, FASTEST = 0.1, 100.0
+"""Times as fast as it was flown; besides them, infinity: as fast as it is taken."""
+
+RUN_UP_S = 2.5
+"""What came so long before where it begins comes at once: items of 1 Hz are known then."""
+
+_BATCH = 256  # frames until the event loop has its turn
+_EAGER = 20  # turns of the event loop in which a consumer may take what it got, before pauses
+_LONGEST_PAUSE_S = 0.02
+_BEGIN_WITHIN_S = 1.0  # at any speed, without anybody who takes telemetry
+_ANSWERED_WITHIN_S = 60.0
+_LARGE = 2_000_000  # bytes of a file that is looked through in a thread
+
+_VERSION = bytes(GetVersion.ADDRESS)
+
+
+class Begin(NamedTuple):
+    """What is known of a recording before it is played.
+
+    Attributes:
+        at: The event loop's clock of then when it begins, s.
+        utc: The same as POSIX time, s.
+        duration_s: How long it goes on.
+        is_ended: Whether the file was ended.
+        version: What the aircraft answered first; None when it did not in the first minute.
+        firmware: By which telemetry was read; None when that was never known.
+    """
+
+    at: float
+    utc: float
+    duration_s: float
+    is_ended: bool
+    version: Version | None
+    firmware: FirmwareProfile | None
+
+
+async def begin_of(flight: FlightLog) -> Begin:
+    """Look through a recording.
+
+    Raises:
+        UsageError: It holds no bytes of a line, or cannot be read.
+    """
+    try:
+        if flight.path.stat().st_size > _LARGE:
+            return await asyncio.to_thread(_begin_of, flight)
+        return _begin_of(flight)
+    except OSError as error:
+        raise UsageError(f"{flight.path} cannot be read: {error.strerror}") from error
+
+
+def _begin_of(flight: FlightLog) -> Begin:
+    with flight.path.open("rb") as stream:
+        line = outline(stream)
+    first: Chunk | None = None
+    version: Version | None = None
+    asked: set[tuple[int, int]] = set()
+    decoders = {one: FrameDecoder() for one in Direction}
+    for chunk in flight.chunks():
+        first = first or chunk
+        for frame in decoders[chunk.direction].feed(chunk.data):
+            exchange = frame.session, frame.sequence
+            if chunk.direction is Direction.SENT:
+                if frame.data.startswith(_VERSION) and not frame.is_ack:
+                    asked.add(exchange)
+            elif frame.is_ack and exchange in asked and version is None:
+                version = _version(frame)
+        if version is not None or chunk.at > first.at + _ANSWERED_WITHIN_S:
+            break
+    if first is None:
+        raise UsageError(
+            f"{flight.path} holds no bytes of a line: there is nothing to replay",
+            cause="nothing was recorded in it, or another program wrote it",
+            remedy="name a file that `m100link record` or connect(record=…) wrote; "
+            "m100link log info FILE says what it holds",
+        )
+    duration = max(0.0, line.last_ns / 1e9 - first.utc)
+    return Begin(first.at, first.utc, duration, line.is_ended, version, flight.firmware)
+
+
+def _version(frame: Frame) -> Version | None:
+    try:
+        return GetVersion.parse_ack(frame.data)
+    except ValueError:
+        return None
+
+
+class Stage(NamedTuple):
+    """Who is played to.
+
+    Attributes:
+        decode: Makes frames of the bytes of a read, and of the time when they came.
+        deliver: Takes a frame, and the time when it came.
+        tell: Takes what happened beside the bytes.
+        end: Called with why there is no more.
+        has_consumers: Whether somebody takes what is delivered.
+        has_room: Whether nobody would lose an older package by another one.
+        tap: Hears the bytes of both directions.
+    """
+
+    decode: Callable[[bytes, float], Sequence[Frame]]
+    deliver: Callable[[Frame, float], None]
+    tell: Callable[[dict[str, Any]], None]
+    end: Callable[[ReplayEnded], None]
+    has_consumers: Callable[[], bool]
+    has_room: Callable[[], bool]
+    tap: Tap
+
+
+class Player:
+    """Plays one recording, once.
+
+    Its clock is that of the recorded flight, moved so that it stood where the event loop's stands
+    when playing begins: at speed 1 they are the same, at others ages are as old as they were then.
+
+    Args:
+        flight: The recording.
+        begin: What is known of it.
+        speed: Times as fast as it was flown; infinity: as fast as it is taken.
+        from_s: Where to begin, seconds from its first byte.
+        to_s: Where to end.
+        holds: Stand still at the end, instead of ending.
+
+    Attributes:
+        flight, begin: As given.
+        is_at_end: Whether everything was played.
+    """
+
+    def __init__(
+        self,
+        flight: FlightLog,
+        begin: Begin,
+        *,
+        speed: float = 1.0,
+        from_s: float = 0.0,
+        to_s: float = math.inf,
+        holds: bool = False,
+    ) -> None:
+        self.flight = flight
+        self.begin = begin
+        self.is_at_end = False
+        self._loop = asyncio.get_running_loop()
+        self._from = min(from_s, begin.duration_s)
+        self._to = min(to_s, begin.duration_s)
+        self._holds = holds
+        self._speed = speed
+        self._shift = self._loop.time() - (begin.at + self._from)
+        # Where the recorded clock stood when the event loop's stood there: the last change of both.
+        self._here = begin.at + self._from, self._loop.time()
+        self._is_paused = False
+        self._stage: Stage | None = None  # None before it is played, and after it
+        self._moments: Iterator[Chunk | Message] = iter(())
+        self._next: Chunk | Message | None = None
+        self._frames: deque[tuple[Frame, float]] = deque()  # of the newest read
+        self._timer: asyncio.Handle | None = None
+        self._waits = 0  # for room, since there was some
+        self._begins_by = 0.0
+
+    # -- time --------------------------------------------------------------------------------------
+
+    @property
+    def utc_offset_s(self) -> float:
+        """POSIX time of the recorded flight minus :meth:`time`, s."""
+        return self.begin.utc - self.begin.at - self._shift
+
+    @property
+    def position_s(self) -> float:
+        """Seconds of the recording that were played, or passed over."""
+        return min(max(0.0, self._then() - self.begin.at), self._to)
+
+    @property
+    def speed(self) -> float:
+        """Times as fast as it was flown."""
+        return self._speed
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether it stands still on purpose."""
+        return self._is_paused
+
+    def time(self) -> float:
+        """The clock of the recorded flight, moved to where the event loop's stood."""
+        return self._then() + self._shift
+
+    def _then(self) -> float:
+        then, since = self._here
+        if self._is_paused or self.is_at_end or math.isinf(self._speed):
+            return then
+        then += (self._loop.time() - since) * self._speed
+        return min(then, self.begin.at + self._to)
+
+    def _set_clock(self, then: float) -> None:
+        self._here = then, self._loop.time()
+
+    def pause(self) -> None:
+        """Stand still; its clock does, too."""
+        self._set_clock(self._then())
+        self._is_paused = True
+        self._schedule()
+
+    def resume(self) -> None:
+        """Go on."""
+        self._set_clock(self._then())
+        self._is_paused = False
+        self._schedule()
+
+    def set_speed(self, speed: float) -> None:
+        """Go on at another speed.
+
+        Raises:
+            UsageError: There is no such speed.
+        """
+        check_speed(speed)
+        self._set_clock(self._then())
+        self._speed = speed
+        self._schedule()
+
+    # -- playing -----------------------------------------------------------------------------------
+
+    def play(self, stage: Stage) -> None:
+        """Begin, on the next turn of the event loop.
+
+        At the highest speed it waits up to a second for somebody who takes telemetry.
+        """
+        self._stage = stage
+        self._moments = self.flight.moments(since_utc=self.begin.utc + self._from - RUN_UP_S - 1.0)
+        self._begins_by = self._loop.time() + _BEGIN_WITHIN_S
+        if self._from:
+            self._tell_before()
+        self._advance()
+        self._set_clock(self.begin.at + self._from)
+        self._schedule()
+
+    def stop(self) -> None:
+        """Play no more."""
+        self._stage = None
+        self._moments = iter(())
+        self._frames.clear()
+        self._schedule()
+
+    def _tell_before(self) -> None:
+        """What happened before where it begins: who had control goes on having it."""
+        assert self._stage is not None
+        since = self.begin.at + self._from - RUN_UP_S
+        for message in self.flight.messages(EVENT):
+            if message.at < since:
+                self._stage.tell(message.content())
+
+    def _advance(self) -> None:
+        since, until = self.begin.at + self._from - RUN_UP_S, self.begin.at + self._to
+        for moment in self._moments:
+            if moment.at >= since:
+                self._next = moment if moment.at <= until else None
+                return
+        self._next = None
+
+    def _schedule(self, delay: float | None = None) -> None:
+        """Have the next moment come when it is due."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._stage is None or self._is_paused or self.is_at_end:
+            return
+        if delay is not None:
+            self._timer = self._loop.call_later(delay, self._go)
+        elif self._frames or math.isinf(self._speed):
+            self._timer = self._loop.call_soon(self._go)
+        else:
+            due = self._next.at if self._next is not None else self.begin.at + self._to
+            then, since = self._here
+            self._timer = self._loop.call_at(since + (due - then) / self._speed, self._go)
+
+    def _go(self) -> None:
+        self._timer = None
+        pause: float | None = None
+        try:
+            pause = self._play_some()
+        except OSError as error:
+            self._end(f"it cannot be read any further: {error.strerror}")
+        finally:  # whatever a callback raised: the recording goes on
+            self._schedule(pause)
+
+    def _play_some(self) -> float | None:
+        """Play what is due; returns seconds to wait, or None."""
+        is_as_fast_as_taken = math.isinf(self._speed)
+        if is_as_fast_as_taken and self._begins_by and not self._is_awaited():
+            return _LONGEST_PAUSE_S / 10
+        self._begins_by = 0.0
+        for _ in range(_BATCH):
+            stage = self._stage
+            if stage is None or self._is_paused:
+                return None
+            if self._frames:
+                if is_as_fast_as_taken and not stage.has_room():
+                    return self._wait()
+                self._waits = 0
+                stage.deliver(*self._frames.popleft())
+            elif self._next is None:
+                if is_as_fast_as_taken or self._then() >= self.begin.at + self._to - 1e-6:
+                    self._end()
+                return None
+            elif is_as_fast_as_taken:
+                self._set_clock(max(self._here[0], self._next.at))
+                self._take(self._next, stage)
+            elif self._next.at <= self._then() + 1e-6:
+                self._take(self._next, stage)
+            else:
+                return None
+        return 0.0
+
+    def _is_awaited(self) -> bool:
+        assert self._stage is not None
+        return self._stage.has_consumers() or self._loop.time() >= self._begins_by
+
+    def _wait(self) -> float:
+        self._waits += 1
+        return min(_LONGEST_PAUSE_S, 0.0005 * max(0, self._waits - _EAGER))
+
+    def _take(self, moment: Chunk | Message, stage: Stage) -> None:
+        self._advance()
+        at = moment.at + self._shift
+        if isinstance(moment, Chunk):
+            stage.tap(moment.direction, moment.data, at)
+            if moment.direction is Direction.RECEIVED:
+                self._frames.extend((frame, at) for frame in stage.decode(moment.data, at))
+        elif moment.topic == EVENT:
+            stage.tell(moment.content())
+
+    def _end(self, broken: str = "") -> None:
+        self._set_clock(self.begin.at + self._to if not broken else self._then())
+        self.is_at_end = True
+        if self._holds or self._stage is None:
+            return
+        stage, self._stage = self._stage, None
+        cause = broken or "it was played to where its end was asked for"
+        if not broken and self._to >= self.begin.duration_s:
+            cause = "everything was played"
+            if not self.begin.is_ended:
+                cause = "the file was not ended: its process was killed, or writes it still"
+        stage.end(
+            ReplayEnded(
+                f"the recording {self.flight.path.name} has ended, after {self.position_s:.1f} s",
+                cause=cause,
+                remedy=ReplayEnded.usual_remedy,
+            )
+        )
+
+
+def check_speed(speed: float) -> None:
+    """Whether there is such a speed.
+
+    Raises:
+        UsageError: There is not.
+    """
+    if not (SLOWEST <= speed <= FASTEST or speed == math.inf):
+        raise UsageError(
+            f"a recording is not played at a speed of {speed:g}",
+            remedy=f"{SLOWEST:g} to {FASTEST:g} times as fast as it was flown, or max",
+        )
+
+
+def only_recorded(what: str) -> OnlyRecorded:
+    """The error for whatever is asked of the aircraft of a replay."""
+    return OnlyRecorded(
+        f"{what}: this aircraft is a recording; nothing was sent",
+        cause=OnlyRecorded.usual_cause,
+        remedy=OnlyRecorded.usual_remedy,
+    )

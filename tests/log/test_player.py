@@ -1,0 +1,151 @@
+"""A player stands still, goes on, and changes its speed; its clock never jumps."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from m100link.errors import UsageError
+from m100link.log import read
+from m100link.log.player import Player, Stage, begin_of
+from m100link.wire import Frame, FrameDecoder
+from tests.log.flight import fly
+
+pytestmark = pytest.mark.anyio
+
+
+class Heard:
+    """Who is played to, and what came."""
+
+    def __init__(self, player: Player) -> None:
+        self.player = player
+        self.frames: list[tuple[float, float]] = []  # when it came then, and when now
+        self.ends: list[str] = []
+        self._decoder = FrameDecoder()
+        self._clock = asyncio.get_running_loop().time
+
+    def deliver(self, frame: Frame, now: float) -> None:
+        self.frames.append((now, self._clock()))
+
+    def stage(self) -> Stage:
+        return Stage(
+            decode=lambda data, _: self._decoder.feed(data),
+            deliver=self.deliver,
+            tell=lambda _: None,
+            end=lambda error: self.ends.append(error.cause),
+            has_consumers=lambda: True,
+            has_room=lambda: True,
+            tap=lambda *_: None,
+        )
+
+
+@pytest.fixture
+async def player(tmp_path: Path) -> Player:
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    log = read(path)
+    return Player(log, await begin_of(log))
+
+
+async def test_it_stands_still_and_goes_on_where_it_stood(player: Player) -> None:
+    heard = Heard(player)
+    player.play(heard.stage())
+    await asyncio.sleep(1.0)
+    player.pause()
+    count, at = len(heard.frames), player.time()
+    await asyncio.sleep(5.0)
+    assert len(heard.frames) == count
+    assert player.time() == at
+    assert player.position_s == pytest.approx(1.0)
+    player.resume()
+    await asyncio.sleep(1.0)
+    assert player.time() == pytest.approx(at + 1.0)
+    assert len(heard.frames) == pytest.approx(2 * count, rel=0.05)
+
+
+async def test_each_speed_takes_its_time_and_the_clock_does_not_jump(player: Player) -> None:
+    heard = Heard(player)
+    player.play(heard.stage())
+    at = player.time()
+    for speed in (2.0, 0.1, 50.0, 1.0):
+        player.set_speed(speed)
+        assert player.time() == pytest.approx(at)
+        await asyncio.sleep(0.1)
+        assert player.time() == pytest.approx(at + 0.1 * speed)
+        at = player.time()
+    player.set_speed(float("inf"))
+    await asyncio.sleep(0.1)
+    assert heard.ends == ["everything was played"]
+    assert player.is_at_end
+    assert player.position_s == pytest.approx(player.begin.duration_s)
+    times = [then for then, _ in heard.frames]
+    assert times == sorted(times)
+    for speed in (0.0, -1.0, 0.05, 101.0, float("nan")):
+        with pytest.raises(UsageError):
+            player.set_speed(speed)
+
+
+async def test_changes_in_a_silence_keep_the_silence_as_long_as_it_was(tmp_path: Path) -> None:
+    from m100link import connect
+
+    path = tmp_path / "flight.mcap"
+    async with connect("sim://?seed=5", record=path) as aircraft:
+        await asyncio.sleep(1)
+        aircraft.link._transport.pause_reading()  # type: ignore[union-attr]
+        await asyncio.sleep(10)
+        aircraft.link._transport.resume_reading()  # type: ignore[union-attr]
+        await asyncio.sleep(1)
+    log = read(path)
+    player = Player(log, await begin_of(log))
+    heard = Heard(player)
+    player.play(heard.stage())
+    await asyncio.sleep(3)  # two seconds into the silence
+    count = len(heard.frames)
+    player.set_speed(4.0)
+    await asyncio.sleep(1.0)
+    player.pause()
+    await asyncio.sleep(1.0)
+    player.resume()
+    player.set_speed(0.5)
+    await asyncio.sleep(7.9)  # of the four seconds that are left
+    assert len(heard.frames) == count
+    await asyncio.sleep(0.2)
+    assert len(heard.frames) > count
+
+
+async def test_one_that_holds_stands_at_its_end(player: Player) -> None:
+    begin, flight = player.begin, player.flight
+    holding = Player(flight, begin, speed=100.0, from_s=3.0, to_s=8.0, holds=True)
+    heard = Heard(holding)
+    holding.play(heard.stage())
+    await asyncio.sleep(1.0)
+    assert holding.is_at_end
+    assert holding.position_s == pytest.approx(8.0)
+    at = holding.time()
+    await asyncio.sleep(1.0)
+    assert holding.time() == at
+    assert heard.ends == []
+    first = heard.frames[0][0] - at
+    assert -5.0 - 2.5 <= first <= -5.0 - 2.4, "what came just before comes at once"
+
+
+async def test_whoever_raises_does_not_end_it(player: Player) -> None:
+    heard = Heard(player)
+    errors: list[object] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, told: errors.append(told))
+
+    def deliver(frame: Frame, now: float) -> None:
+        heard.deliver(frame, now)
+        if len(heard.frames) == 3:
+            raise RuntimeError("a bad callback")
+
+    player.play(heard.stage()._replace(deliver=deliver))
+    await asyncio.sleep(2.0)
+    assert len(errors) == 1
+    assert len(heard.frames) > 100
+    player.stop()
+    count = len(heard.frames)
+    await asyncio.sleep(1.0)
+    assert len(heard.frames) == count
