@@ -14,20 +14,19 @@ from enum import Enum
 from m100link.agent.lease import Flown, LeaseChange
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
-from m100link.station.console.view.situation import (
-    GOOD_GPS,
-    MAX_TELEMETRY_AGE,
-    Hearing,
-    Level,
-    Situation,
-)
+from m100link.station.console.view.situation import Hearing, Level, Situation
 from m100link.station.console.view.units import Quantity
 from m100link.station.console.view.words import Text, say
+from m100link.telemetry.limits import (
+    BATTERY_CRITICAL,
+    BATTERY_LOW,
+    GOOD_GPS,
+    MAX_TELEMETRY_AGE,
+    is_low,
+)
 
 __all__ = [
     "ALARMS",
-    "BATTERY_CRITICAL",
-    "BATTERY_LOW",
     "TRANSITIONS",
     "Alarm",
     "AlarmChange",
@@ -38,14 +37,6 @@ __all__ = [
     "Definition",
 ]
 
-BATTERY_LOW = 25
-"""Charge, %, from which down the aircraft warns. Set in the pilot's app; no command reads it, and
-this is what the virtual aircraft has."""
-
-BATTERY_CRITICAL = 10
-"""Charge, %, from which down it lands by itself; the same holds for it."""
-
-_BATTERY_GAP = 2
 _NEAR, _CLEAR = 0.9, 0.85
 _LINK_CLEAR_AGE = MAX_TELEMETRY_AGE / 2
 
@@ -143,21 +134,15 @@ def _lands_itself(now: Situation) -> bool | None:
     return is_landing and now.task not in ("land", "go home") and not now.has_mission
 
 
-def _below(charge: int | None, limit: int) -> bool | None:
-    if charge is None:
-        return None
-    return True if charge <= limit else False if charge >= limit + _BATTERY_GAP else None
-
-
 def _battery_critical(now: Situation) -> bool | None:
-    return False if now.is_on_ground else _below(now.battery, BATTERY_CRITICAL)
+    return False if now.is_on_ground else is_low(now.battery, BATTERY_CRITICAL)
 
 
 def _battery_floor(now: Situation) -> bool | None:
     floor = now.limits.battery_floor_percent
     if floor is None or not now.has_authority or now.is_on_ground:
         return False
-    return _below(now.battery, floor - 1)
+    return is_low(now.battery, floor - 1)
 
 
 def _gps(now: Situation) -> bool | None:
@@ -290,7 +275,7 @@ ALARMS: tuple[Definition, ...] = (
         _N.BATTERY_LOW,
         _L.WARNING,
         _charge("alarms.battery_low"),
-        lambda now: _below(now.battery, BATTERY_LOW),
+        lambda now: is_low(now.battery, BATTERY_LOW),
         within=_N.BATTERY_FLOOR,
     ),
 )

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 from m100link.protocol.records import RcMode
-from m100link.station.console.view.situation import GOOD_GPS, MAX_TELEMETRY_AGE, Situation
+from m100link.station.console.view.situation import Situation
 from m100link.station.console.view.units import Quantity
 from m100link.station.console.view.words import Text, say
 from m100link.station.way_time import MAX_ROUND_TRIP
+from m100link.telemetry.limits import GOOD_GPS, MAX_TELEMETRY_AGE
 
 __all__ = [
     "ENOUGH_BATTERY",

@@ -23,6 +23,7 @@ from m100link.protocol.records import (
     RcMode,
     RemoteControl,
 )
+from m100link.telemetry.limits import GOOD_GPS
 
 if TYPE_CHECKING:
     from m100link.station.console.view.inputs import Inputs
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FRESH_S",
-    "GOOD_GPS",
-    "MAX_TELEMETRY_AGE",
     "Hearing",
     "Level",
     "Situation",
@@ -47,12 +46,6 @@ FRESH_S: dict[type[Any], float] = {
 }
 """Seconds for which an item is believed: more than one period of an item that is sent once a
 second. The charge changes slowly and may miss four packages."""
-
-MAX_TELEMETRY_AGE = 1.0
-"""Seconds without telemetry after which the aircraft counts as silent."""
-
-GOOD_GPS = 3
-"""From this health on the autopilot holds a position (document 2.2.3.1)."""
 
 R = TypeVar("R", bound=tuple[Any, ...])
 

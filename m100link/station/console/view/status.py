@@ -18,12 +18,12 @@ from m100link.station.console.view.errors import problem_text
 from m100link.station.console.view.inputs import Inputs
 from m100link.station.console.view.mission import name_of
 from m100link.station.console.view.situation import (
-    MAX_TELEMETRY_AGE,
     Hearing,
     Level,
     Situation,
 )
 from m100link.station.console.view.words import Text, say
+from m100link.telemetry.limits import MAX_TELEMETRY_AGE
 
 __all__ = ["RULES", "Cause", "Rule", "StatusLine", "activation_of", "status_line"]
 

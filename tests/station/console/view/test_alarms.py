@@ -12,11 +12,8 @@ from m100link.agent.lease import Flown, LeaseChange
 from m100link.agent.messages import LeaseChanged, Limits
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
-from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.station.console.view.alarms import (
     ALARMS,
-    BATTERY_CRITICAL,
-    BATTERY_LOW,
     TRANSITIONS,
     AlarmChange,
     AlarmDesk,
@@ -409,12 +406,6 @@ def test_what_is_so_when_somebody_comes_is_told() -> None:
 def test_both_limits_are_watched_and_the_nearer_is_said() -> None:
     flight = Flight(height=46.0, distance=148.0)
     assert flight.text(N.GUARD_NEAR) == "Near the limit: 148 m away of 150 m"
-
-
-def test_the_levels_are_those_of_the_virtual_aircraft() -> None:
-    settings = AircraftSettings()
-    assert settings.low_battery_percent == BATTERY_LOW
-    assert settings.critical_battery_percent == BATTERY_CRITICAL
 
 
 def definitions() -> Iterator[tuple[AlarmName, bool, bool]]:

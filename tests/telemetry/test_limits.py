@@ -1,0 +1,23 @@
+"""From which values on something is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.sim.vehicle.flight import GOOD_GPS as GOOD_GPS_OF_THE_AIRCRAFT
+from m100link.sim.vehicle.settings import AircraftSettings
+from m100link.telemetry.limits import BATTERY_CRITICAL, BATTERY_LOW, GOOD_GPS, is_low
+
+
+def test_the_levels_are_those_of_the_virtual_aircraft() -> None:
+    settings = AircraftSettings()
+    assert settings.low_battery_percent == BATTERY_LOW
+    assert settings.critical_battery_percent == BATTERY_CRITICAL
+    assert GOOD_GPS == GOOD_GPS_OF_THE_AIRCRAFT
+
+
+@pytest.mark.parametrize(
+    ("charge", "found"), [(None, None), (24, True), (25, True), (26, None), (27, False)]
+)
+def test_a_charge_at_the_edge_rings_once(charge: int | None, found: bool | None) -> None:
+    assert is_low(charge, BATTERY_LOW) is found
