@@ -17,6 +17,7 @@ from cyclopts import Parameter
 
 from m100link.aircraft import connect
 from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
+from m100link.cli.log_plot import plot
 from m100link.cli.options import Above0, Firmware, offered
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.values import items_named
@@ -32,6 +33,8 @@ app = cyclopts.App(
     help="Look at flight logs, make tables of them, mend what was cut off; no aircraft is needed.",
     version_flags=(),
 )
+
+app.command(plot)
 
 Log = Path
 """A file that ``m100link record`` or ``connect(record=…)`` wrote."""

@@ -126,13 +126,17 @@ class FlightLog:
     def _messages(self, topics: Sequence[str], since_utc: float = 0.0) -> Iterator[Message]:
         """The same; parts of the file that end before a time are passed over."""
         names: dict[int, str] = {}
-        with self.path.open("rb") as stream:
+        with self._open() as stream:
             for record in records(stream, topics, round(since_utc * 1e9)):
                 if type(record) is RawMessage:
                     at, utc = record.publish_time / 1e9, record.log_time / 1e9
                     yield Message(names[record.channel_id], at, utc, record.data)
                 elif type(record) is Channel:
                     names[record.id] = record.topic
+
+    def _open(self) -> IO[bytes]:
+        """The file; who shows how far it is read, puts something in its place."""
+        return self.path.open("rb")
 
     def chunks(self) -> Iterator[Chunk]:
         """What was read and written, in order of time."""

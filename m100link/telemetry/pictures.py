@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-__all__ = ["track_svg"]
+__all__ = ["round_length", "track_svg"]
 
 _SIZE, _MARGIN, _FOOT = 300.0, 12.0, 34.0
 _MOST_POINTS = 600
@@ -43,7 +43,7 @@ def track_svg(places: Iterable[tuple[float, float]]) -> str:
         y = _MARGIN + (max(norths) - north) * scale
         return f"{x:.1f},{y:.1f}"
 
-    bar = _round_length(extent / 2)
+    bar = round_length(extent / 2)
     foot = _MARGIN + (max(norths) - min(norths)) * scale + _FOOT
     height, width = foot + _MARGIN, _SIZE + 2 * _MARGIN
     begin, end = (at(*place).split(",") for place in (track[0], track[-1]))
@@ -60,7 +60,7 @@ def track_svg(places: Iterable[tuple[float, float]]) -> str:
     )
 
 
-def _round_length(most: float) -> float:
+def round_length(most: float) -> float:
     """The longest of 1, 2, 5, 10, … that is not longer."""
     power = 10.0 ** math.floor(math.log10(most))
     return max(step * power for step in (1, 2, 5) if step * power <= most)

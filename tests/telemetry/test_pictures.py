@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from m100link.geodesy import LocalFrame
-from m100link.telemetry.pictures import _round_length, track_svg
+from m100link.telemetry.pictures import round_length, track_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 HOME = LocalFrame(22.5, 113.9)
@@ -63,7 +63,7 @@ def test_places_that_are_not_known_are_passed_over() -> None:
     ("most", "length"), [(0.5, 0.5), (0.99, 0.5), (4.2, 2), (73, 50), (100, 100)]
 )
 def test_lengths_are_round(most: float, length: float) -> None:
-    assert _round_length(most) == pytest.approx(length)
+    assert round_length(most) == pytest.approx(length)
 
 
 def test_the_antimeridian_is_no_way_around_the_earth() -> None:

@@ -1,0 +1,78 @@
+"""``m100link log plot``: a flight as a page or a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from m100link.cli.common import out
+from m100link.cli.options import Firmware
+from m100link.cli.outcome import ExitCode
+from m100link.cli.progress import reading
+from m100link.errors import UsageError
+from m100link.log.story import Story, read_story
+
+__all__ = ["plot", "write_new"]
+
+
+def plot(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    firmware: Firmware | None = None,
+) -> int:
+    """Draw a flight: track, height, speeds, battery, line, phases, alarms, commands.
+
+    A page (.html) needs nothing but a browser, and no network; a picture (.png) needs matplotlib.
+
+    Args:
+        file: The log.
+        output: A new file whose suffix, .html or .png, says which; by default FILE with .html.
+        firmware: Profile to read it by; by default that of the flight.
+    """
+    target = output or file.with_suffix(".html")
+    if target.suffix.lower() not in (".html", ".htm", ".png"):
+        raise UsageError(
+            f"{target} is neither a page nor a picture", remedy="a name that ends in .html or .png"
+        )
+    if target.exists():
+        raise _is_there(target)
+    with reading(file, passes=2) as flight:
+        story = read_story(flight, firmware=firmware)
+    write_new(target, _drawn(story, target))
+    out.print(f"drawn into {target}", soft_wrap=True)
+    return ExitCode.OK
+
+
+def _drawn(story: Story, target: Path) -> bytes:
+    if target.suffix.lower() == ".png":
+        from m100link.log.picture import picture  # loads matplotlib
+
+        return picture(story)
+    from m100link.log.page import page
+
+    return page(story).encode()
+
+
+def write_new(target: Path, data: bytes) -> None:
+    """Write a file that must not be there yet.
+
+    Raises:
+        UsageError: It is, or it cannot be written.
+    """
+    try:
+        with target.open("xb") as stream:
+            stream.write(data)
+    except FileExistsError:
+        raise _is_there(target) from None
+    except OSError as error:
+        raise UsageError(
+            f"{target} cannot be written: {error.strerror}", remedy="-o with another place"
+        ) from error
+
+
+def _is_there(target: Path) -> UsageError:
+    return UsageError(f"{target} is there already", remedy="-o with another name")

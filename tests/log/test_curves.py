@@ -1,0 +1,54 @@
+"""A flight of any length is a few hundred points: peaks stay, and so do holes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from m100link.log.curves import Curve, Track
+
+
+def test_a_short_peak_of_a_long_flight_stays() -> None:
+    curve = Curve()
+    for number in range(200_000):
+        curve.add(number / 100, 40.0 if number == 123_456 else -3.0 if number == 77_777 else 1.0)
+    points = list(curve.points())
+    assert len(points) <= 1600
+    assert (1234.56, 40.0) in points
+    assert (777.77, -3.0) in points
+    assert points == sorted(points)
+
+
+def test_what_was_not_heard_is_a_hole_and_no_line() -> None:
+    curve = Curve(gap_s=2.0)
+    for at in (0.0, 1.0, 9.0, 10.0):
+        curve.add(at, 5.0)
+    values = [value for _, value in curve.points()]
+    assert [math.isnan(value) for value in values] == [False, False, True, False, False]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_not_a_number_is_passed_over(value: float) -> None:
+    curve = Curve()
+    curve.add(1.0, value)
+    assert list(curve.points()) == []
+    assert len(curve) == 0
+
+
+def test_a_track_of_hours_keeps_its_shape_and_its_length() -> None:
+    track = Track()
+    for number in range(100_000):  # a circle of 100 m, ten times around
+        angle = 2 * math.pi * number / 10_000
+        track.add(number / 50, 100 * math.cos(angle), 100 * math.sin(angle))
+    assert len(track.places()) <= 3000
+    assert track.length_m == pytest.approx(10 * 2 * math.pi * 100, rel=0.02)
+    assert max(north for _, north, _ in track.places()) == pytest.approx(100, abs=1)
+
+
+def test_who_stands_still_draws_no_noise() -> None:
+    track = Track()
+    for number in range(1000):
+        track.add(number / 100, 0.03 * (number % 2), 0.0)
+    assert len(track.places()) == 1
+    assert track.length_m == 0.0

@@ -1,0 +1,44 @@
+"""Numbers as people read them."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.log.curves import Curve
+from m100link.log.drawing import Line, Panel, clock, facts, ticks
+from m100link.log.story import Story
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0, "0.0 s"), (38.81, "38.8 s"), (125, "2:05"), (3725.2, "1:02:05")]
+)
+def test_a_time_is_as_people_say_it(seconds: float, text: str) -> None:
+    assert clock(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "found"),
+    [
+        (0, 100, [0, 50, 100]),
+        (-0.8, 3, [0, 1, 2, 3]),
+        (0, 2.3, [0, 1, 2]),
+        (5, 5, [5]),
+        (0, 7000, [0, 2000, 4000, 6000]),
+    ],
+)
+def test_ticks_are_round_and_few(low: float, high: float, found: list[float]) -> None:
+    assert ticks(low, high, 4) == pytest.approx(found)
+
+
+def test_a_scale_holds_every_value_and_has_a_height_without_any() -> None:
+    curve = Curve()
+    panel = Panel("Speed", (Line("climb", "red", curve),), (0.0, 1.0))
+    assert panel.span() == pytest.approx((0.0, 1.04))
+    curve.add(1.0, -3.0)
+    curve.add(2.0, 7.0)
+    low, high = panel.span()
+    assert low < -3.0 < 7.0 < high
+
+
+def test_what_was_never_heard_is_not_told() -> None:
+    assert [name for name, _ in facts(Story("empty.mcap"))] == ["Recorded", "Repeats", "Firmware"]

@@ -1,0 +1,125 @@
+"""What a log tells of a flight, against what its program knows."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.writer import Writer
+
+from m100link import Credentials, Position, Velocity, connect
+from m100link.errors import M100Error
+from m100link.log import read
+from m100link.log.story import read_story
+from m100link.protocol.records import Battery
+from m100link.sim.orders.actions import perform
+from m100link.sim.ports import driver
+from m100link.sim.virtual import VirtualAircraft
+from tests.log.flight import APP_ID, KEY, fly
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_the_story_is_that_of_the_flight(tmp_path: Path) -> None:
+    seen = await fly(tmp_path / "flight.mcap")
+    story = read_story(read(tmp_path / "flight.mcap"))
+    assert [span.name for span in story.phases] == [
+        "ground",
+        "take-off",
+        "flight",
+        "landing",
+        "ground",
+    ]
+    assert [span.name for span in story.control] == ["pilot", "program", "pilot"]
+    assert story.alarms == []
+    tasks = [one for one in story.commands if one.command == "start_task"]
+    assert [(one.arguments["task"], one.outcome) for one in tasks] == [
+        ("take_off", "STARTED"),
+        ("land", "STARTED"),
+    ]
+    [stream] = story.streams
+    assert stream.name == "move"
+    assert story.phases[2].begin_s < stream.begin_s < stream.end_s < story.phases[3].end_s
+    heights = [p.height_m for one in seen if (p := one.get(Position)) is not None]
+    speeds = [v.ground_speed_m_s for one in seen if (v := one.get(Velocity)) is not None]
+    charges = [b.percent for one in seen if (b := one.get(Battery)) is not None]
+    most = story.maxima
+    assert most.height_m == max(heights)
+    assert most.ground_speed_m_s == max(speeds)
+    assert (most.battery_first_percent, most.battery_last_percent) == (charges[0], charges[-1])
+    assert most.distance_m == pytest.approx(3.0, abs=0.5)
+    assert most.track_m == pytest.approx(3.0, abs=0.8)
+    assert most.airborne_s == pytest.approx(
+        story.phases[-1].begin_s - story.phases[1].begin_s, abs=1e-6
+    )
+    assert story.took_off_s == story.phases[1].begin_s
+    assert story.packages >= len(seen)
+
+
+ALARMS = {
+    "battery_low": (["battery 24"], "battery 24 %"),
+    "battery_critical": (["battery 9"], "battery 9 %"),
+    "lands_itself": (["battery 9"], "nobody here asked"),
+    "gps": (["gps 2"], "GPS health 2"),
+    "link_old": (["stall on", "stall off"], "no telemetry for"),
+    "authority_lost": (["rc-mode P"], "control was lost"),
+    "link_lost": (["unplug"], ""),
+}
+
+
+@pytest.mark.parametrize("name", ALARMS)
+async def test_each_alarm_is_told_with_its_cause(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    orders, text = ALARMS[name]
+    aircraft = VirtualAircraft(seed=5, app_id=APP_ID, key=KEY)
+    monkeypatch.setattr(driver, "aircraft_of", lambda _: aircraft)
+    path = tmp_path / "flight.mcap"
+    begun = 0.0
+    with contextlib.suppress(M100Error):
+        async with connect("sim://", record=path) as flown:
+            await flown.activate(Credentials(app_id=APP_ID, key=KEY))
+            async with flown.control() as control:
+                await control.take_off()
+                begun = asyncio.get_running_loop().time()
+                for order in orders:
+                    perform(aircraft, order)
+                    await asyncio.sleep(3.0)
+    story = read_story(read(path))
+    found = [alarm for alarm in story.alarms if alarm.name == name]
+    assert found, story.alarms
+    assert text in found[0].text
+    assert begun - 1.0 <= found[0].begin_s <= begun + 5.0
+    assert found[0].end_s >= found[0].begin_s
+
+
+async def test_an_empty_log_has_an_empty_story(tmp_path: Path) -> None:
+    path = tmp_path / "empty.mcap"
+    with path.open("wb") as stream:
+        writer: Any = Writer(stream)
+        writer.start()
+        writer.finish()
+    story = read_story(read(path))
+    assert (story.began_utc, story.duration_s, story.packages) == (None, 0.0, 0)
+    assert [*story.phases, *story.control, *story.alarms, *story.streams] == []
+
+
+async def test_messages_of_others_are_no_reason_to_fail(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as stream:
+        writer: Any = Writer(stream)
+        writer.start()
+        for topic, data in (
+            ("/m100/command", b"no JSON"),
+            ("/m100/command", b"[1, 2]"),
+            ("/m100/event", b'{"event": "authority"}'),
+            ("/m100/event", b'{"event": "connection", "is_connected": false, "error": 5}'),
+            ("/m100/camera", b"\xff\xfe"),
+        ):
+            channel = writer.register_channel(topic, "json", 0)
+            writer.add_message(channel_id=channel, log_time=5, publish_time=5, data=data)
+        writer.finish()
+    assert read_story(read(path)).commands == []
