@@ -1,0 +1,36 @@
+"""What a stream says, whatever pieces it comes in; each kind of frame: tests/cli/test_decode.py."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.protocol.commands.activation import GetVersion
+from m100link.protocol.describing import Describer
+from m100link.protocol.firmware import FIRMWARE_1_0
+from m100link.wire import Cipher, encode_frame
+
+CIPHER = Cipher(bytes(range(32)))
+ASKED = encode_frame(b"\x00\x00\x00", session=2, sequence=7)
+SEALED = encode_frame(b"\x01\x00\x01", session=2, sequence=8, cipher=CIPHER)
+
+
+@pytest.mark.parametrize("size", [1, 3, 1000])
+def test_the_pieces_of_a_stream_do_not_matter(size: int) -> None:
+    stream = b"junk" + ASKED + SEALED
+    whole = Describer(FIRMWARE_1_0)
+    pieces = Describer(FIRMWARE_1_0)
+    found = [
+        frame for at in range(0, len(stream), size) for frame in pieces.feed(stream[at : at + size])
+    ]
+    assert found == whole.feed(stream)
+    assert [one["command"] for one in found] == [GetVersion.NAME, None]
+    assert found[1]["frame_crc"] == f"0x{int.from_bytes(SEALED[-4:], 'little'):08X}"
+
+
+def test_an_ack_of_one_direction_answers_what_the_other_asked() -> None:
+    sent, received = Describer(FIRMWARE_1_0, CIPHER), Describer(FIRMWARE_1_0, CIPHER)
+    received.answered = sent.asked
+    sent.feed(SEALED)
+    [answer] = received.feed(encode_frame(b"\x02\x00", session=2, sequence=8, is_ack=True))
+    assert answer["command"] == "request_authority"
+    assert answer["ack"]["name"] == "OBTAINED"
