@@ -17,6 +17,7 @@ from cyclopts import Parameter
 
 from m100link.aircraft import connect
 from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
+from m100link.cli.log_frames import compare_files, frames
 from m100link.cli.log_plot import plot
 from m100link.cli.options import Above0, Firmware, offered
 from m100link.cli.outcome import ExitCode, complain, print_json
@@ -35,6 +36,8 @@ app = cyclopts.App(
 )
 
 app.command(plot)
+app.command(frames)
+app.command(compare_files, name="compare")
 
 Log = Path
 """A file that ``m100link record`` or ``connect(record=…)`` wrote."""

@@ -113,6 +113,7 @@ class Story:
         commands: What was asked for, and the answers; setpoints and questions apart.
         streams: When setpoints and the like were sent.
         repeats: Commands that were sent again because no answer came.
+        discarded_bytes: Received bytes that belonged to no frame.
         maxima: The largest of everything.
         curves: Values over time.
         track: Metres over the take-off point, or over the first place without one.
@@ -129,6 +130,7 @@ class Story:
     commands: list[Moment] = field(default_factory=list)
     streams: list[Span] = field(default_factory=list)
     repeats: int = 0
+    discarded_bytes: int = 0
     maxima: Maxima = field(default_factory=Maxima)
     curves: Curves = field(default_factory=Curves)
     track: Track = field(default_factory=Track)
@@ -309,6 +311,7 @@ class _Reader:
         story.phases = _spans(self._phases, story.duration_s)
         story.control = _spans(self._control, story.duration_s) or told.control
         story.commands, story.streams, story.repeats = told.commands, told.streams, told.repeats
+        story.discarded_bytes = told.discarded_bytes
         story.curves.discarded_bytes_per_s = told.discarded
         story.curves.round_trip_ms = told.round_trip_ms
         most.airborne_s = sum(

@@ -14,6 +14,7 @@ __all__ = ["Moment", "Span", "Told", "read_told"]
 _STREAMS = {"move", "virtual_rc_data", "follow_target"}  # sent many times a second
 _LOOKS = {"get_version", "query_task"}  # ask, and change nothing
 _HEAD = {"is_ack", "direction", "session", "sequence", "command"}
+_ASIDE = {"task_sequence", "redacted"}  # numbers that say nothing to anybody
 _STREAM_GAP_S = 0.5
 _CLOSED = "the link was closed by this side"
 
@@ -70,6 +71,7 @@ class Told:
         discarded: Bytes per second that belonged to no frame.
         round_trip_ms: Mean time until an answer, ms.
         repeats: Commands that were sent again because no answer came.
+        discarded_bytes: All bytes that belonged to no frame.
     """
 
     began_at: float = 0.0
@@ -82,6 +84,7 @@ class Told:
     discarded: Curve = field(default_factory=Curve)
     round_trip_ms: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
     repeats: int = 0
+    discarded_bytes: int = 0
 
 
 def read_told(flight: FlightLog) -> Told:
@@ -135,7 +138,7 @@ class _Reader:
             if exchange[0] and exchange in self._open:
                 return  # the same once more
             self._open[exchange] = len(self.told.commands), at
-            arguments = {key: value for key, value in content.items() if key not in _HEAD}
+            arguments = {key: value for key, value in content.items() if key not in _HEAD | _ASIDE}
             self.told.commands.append(Moment(at, name, arguments, None, None))
 
     def _stream(self, name: str) -> None:
@@ -180,6 +183,7 @@ class _Reader:
             lost = content["discarded_bytes"] - before["discarded_bytes"]
             told.discarded.add(at, max(0, lost) / seconds)
             told.repeats = content["repeats"]
+            told.discarded_bytes = content["discarded_bytes"]
             acks = content["acks"] - before["acks"]
             taken_s = content["round_trips"]["total_s"] - before["round_trips"]["total_s"]
             if acks > 0:

@@ -1,0 +1,60 @@
+"""Two flights beside each other, against what is known of both."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.log.comparing import Comparison, compare
+from m100link.log.story import Story
+from m100link.log.told import Moment, Span
+
+
+def flown(*, waits_s: float, to_m: float, **values: float) -> Story:
+    """Waits on the ground, takes off, flies so far north in 10 s, lands."""
+    story = Story("flight.mcap", 0.0, waits_s + 20.0)
+    story.phases = [
+        Span("ground", 0.0, waits_s),
+        Span("flight", waits_s, waits_s + 15.0),
+        Span("ground", waits_s + 15.0, waits_s + 20.0),
+    ]
+    story.track.add(0.0, 0.0, 0.0)
+    for step in range(101):
+        story.track.add(waits_s + step / 10, to_m * step / 100, 0.0)
+    for name, value in values.items():
+        setattr(story.maxima, name, value)
+    return story
+
+
+def by(found: Comparison, name: str) -> float | None:
+    return next(one.by for one in found.values if one.name == name)
+
+
+def test_tracks_are_laid_over_each_other_at_take_off() -> None:
+    found = compare(flown(waits_s=5.0, to_m=20.0), flown(waits_s=60.0, to_m=50.0))
+    apart = dict(found.apart)
+    assert apart[0.0] == pytest.approx(0.0, abs=0.5)
+    assert apart[5.0] == pytest.approx(15.0, abs=0.6)
+    assert found.most_apart is not None
+    assert found.most_apart[1] == pytest.approx(30.0, abs=0.6)
+    assert max(apart) == 15.0
+    assert by(found, "duration_s") == 55.0
+    assert by(found, "flight_s") == 0.0
+
+
+def test_values_that_one_flight_does_not_have_have_no_difference() -> None:
+    found = compare(flown(waits_s=1, to_m=1, height_m=5.0), Story("ground.mcap", 0.0, 3.0))
+    assert by(found, "height_m") is None
+    assert found.apart == []
+    assert (found.mean_apart_m, found.most_apart) == (None, None)
+
+
+def test_commands_and_alarms_differ_by_lines() -> None:
+    first, second = flown(waits_s=1, to_m=1), flown(waits_s=1, to_m=1)
+    land = Moment(9.0, "start_task", {"task": "land"}, "STARTED", 0.1)
+    first.commands = [land]
+    second.commands = [land._replace(at_s=12.0), land._replace(outcome=None)]
+    second.alarms = [Span("gps", 3.0, 4.0, "GPS health 1")]
+    found = compare(first, second)
+    assert found.commands == ["+ start_task task=land: no answer"]
+    assert found.alarms == ["+ gps"]
+    assert compare(first, first).commands == []
