@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import csv as csv_module
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -19,13 +17,15 @@ from m100link.aircraft import connect
 from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
 from m100link.cli.log_frames import compare_files, frames
 from m100link.cli.log_plot import plot
-from m100link.cli.options import Above0, Firmware, offered
+from m100link.cli.log_tables import csv, parquet
+from m100link.cli.options import Above0, Firmware
 from m100link.cli.outcome import ExitCode, complain, print_json
-from m100link.cli.values import items_named
+from m100link.cli.progress import reading
 from m100link.errors import LinkError, UsageError
 from m100link.log import FlightLog, Recorder, read, recover
 from m100link.log.channels import COMMAND, EVENT
-from m100link.protocol.items import BY_NAME
+from m100link.log.drawing import clock, facts
+from m100link.log.story import read_story
 
 __all__ = ["app", "record"]
 
@@ -36,8 +36,12 @@ app = cyclopts.App(
 )
 
 app.command(plot)
+app.command(csv)
+app.command(parquet)
 app.command(frames)
 app.command(compare_files, name="compare")
+
+_SPANS = ("phases", "control", "alarms")
 
 Log = Path
 """A file that ``m100link record`` or ``connect(record=…)`` wrote."""
@@ -89,22 +93,36 @@ async def _record(place: Place, output: Path, rate: float, duration: float | Non
 
 
 @app.command
-def info(file: Log, /, *, json: bool = False) -> int:
-    """Say what a log holds: when, how long, of which firmware, how much of what.
+def info(file: Log, /, *, firmware: Firmware | None = None, json: bool = False) -> int:
+    """Say what a log holds: when, how long, phases, who had control, alarms, maxima.
+
+    The exit status is 0 for every log that can be read, whatever happened on the flight.
 
     Args:
         file: The log.
+        firmware: Profile to read it by; by default that of the flight.
         json: One JSON object.
     """
-    flight = read(file)
-    summary = flight.summary()
+    with reading(file, passes=4) as flight:
+        summary, story = flight.summary(), read_story(flight, firmware=firmware)
     if json:
-        print_json(asdict(summary))
+        spans = {name: [one._asdict() for one in getattr(story, name)] for name in _SPANS}
+        maxima = {"maxima": asdict(story.maxima), "ended": story.ended}
+        print_json(asdict(summary) | spans | maxima)
         return ExitCode.OK
     began = summary.began_utc
     when = "never" if began is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(began))
     out.print(f"{file}: began {when}, {summary.duration_s:.1f} s")
     out.print(f"firmware {summary.firmware or 'unknown'}")
+    for name, value in facts(story)[1:-1]:
+        out.print(f"  {name:<16} {value}")
+    for name in _SPANS:
+        for span in getattr(story, name):
+            text = f"  {span.text}" if span.text else ""
+            times = f"{clock(span.begin_s):>8} to {clock(span.end_s):<8}"
+            out.print(f"  {name:<8} {times} {span.name}{text}", markup=False, soft_wrap=True)
+    if story.ended is not None:
+        out.print(f"ended: {story.ended}", markup=False)
     out.print(f"{summary.bytes_received:,} bytes received, {summary.bytes_sent:,} sent")
     for topic, count in sorted(summary.messages.items()):
         out.print(f"  {count:>8}  {topic}")
@@ -113,41 +131,6 @@ def info(file: Log, /, *, json: bool = False) -> int:
             "cut off: the process was killed, or it is written still; to mend it: "
             f"m100link log recover {file}"
         )
-    return ExitCode.OK
-
-
-@app.command
-def csv(
-    file: Log,
-    /,
-    *items: Annotated[str, offered(BY_NAME)],
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
-    firmware: Firmware | None = None,
-) -> int:
-    """Print telemetry as CSV: every package, decoded from its bytes.
-
-    Columns are those of ``m100link echo --csv``; what a package does not have is empty.
-
-    Args:
-        file: The log.
-        items: Item names, such as position; all without one.
-        output: A file instead of standard output.
-        firmware: Profile to read it by; by default that of the flight.
-    """
-    flight = read(file)
-    records = items_named(items)
-    table = flight.table(*records, firmware=firmware)
-    with contextlib.ExitStack() as stack:
-        stream = sys.stdout
-        if output is not None:
-            try:
-                stream = stack.enter_context(output.open("x", newline="", encoding="utf-8"))
-            except OSError as error:
-                raise UsageError(f"{output} cannot be written: {error.strerror}") from error
-        writer = csv_module.writer(stream, lineterminator="\n")
-        writer.writerow(table.names)
-        for row in table.rows:
-            writer.writerow("" if value != value else round(value, 9) for value in row)
     return ExitCode.OK
 
 

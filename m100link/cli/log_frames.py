@@ -85,6 +85,7 @@ def compare_files(first: Path, second: Path, /, *, json: bool = False) -> int:
     found = compare(*stories)
     if json:
         shown = asdict(found) | {"mean_apart_m": found.mean_apart_m}
+        shown["apart"] = [one._asdict() for one in found.apart]
         shown["values"] = [asdict(one) | {"by": one.by} for one in found.values]
         print_json(shown)
     else:

@@ -14,7 +14,7 @@ from m100link.cli.progress import reading
 from m100link.errors import UsageError
 from m100link.log.story import Story, read_story
 
-__all__ = ["plot", "write_new"]
+__all__ = ["cannot_write", "plot", "write_new"]
 
 
 def plot(
@@ -66,12 +66,17 @@ def write_new(target: Path, data: bytes) -> None:
     try:
         with target.open("xb") as stream:
             stream.write(data)
-    except FileExistsError:
-        raise _is_there(target) from None
     except OSError as error:
-        raise UsageError(
-            f"{target} cannot be written: {error.strerror}", remedy="-o with another place"
-        ) from error
+        raise cannot_write(target, error) from error
+
+
+def cannot_write(target: Path, error: OSError) -> UsageError:
+    """What is told of a file that cannot be written."""
+    if isinstance(error, FileExistsError):
+        return _is_there(target)
+    return UsageError(
+        f"{target} cannot be written: {error.strerror or error}", remedy="-o with another place"
+    )
 
 
 def _is_there(target: Path) -> UsageError:

@@ -8,12 +8,25 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from difflib import SequenceMatcher
 from statistics import fmean
+from typing import NamedTuple
 
 from m100link.log.story import Story
 
-__all__ = ["Comparison", "Difference", "compare"]
+__all__ = ["Apart", "Comparison", "Difference", "compare"]
 
 _STEP_S = 0.5
+
+
+class Apart(NamedTuple):
+    """How far two flights were apart.
+
+    Attributes:
+        after_s: Seconds after the take-off of each.
+        metres: How far apart over ground, each measured from its own take-off point.
+    """
+
+    after_s: float
+    metres: float
 
 
 @dataclass(frozen=True)
@@ -43,27 +56,26 @@ class Comparison:
 
     Attributes:
         values: Durations, maxima and the line.
-        apart: Seconds after the take-off of each, and how far apart both were then over ground, m,
-            each measured from its own take-off point; empty when one of them did not take off.
+        apart: Twice a second; empty when one of them did not take off.
         commands: Lines of what was commanded: beginning with ``-`` only in the first, with ``+``
             only in the second.
         alarms: The same of alarms.
     """
 
     values: list[Difference] = field(default_factory=list)
-    apart: list[tuple[float, float]] = field(default_factory=list)
+    apart: list[Apart] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
     alarms: list[str] = field(default_factory=list)
 
     @property
     def mean_apart_m(self) -> float | None:
         """How far apart they were in the mean."""
-        return fmean(metres for _, metres in self.apart) if self.apart else None
+        return fmean(one.metres for one in self.apart) if self.apart else None
 
     @property
-    def most_apart(self) -> tuple[float, float] | None:
-        """When they were farthest apart, s after take-off, and how far, m."""
-        return max(self.apart, key=lambda one: one[1]) if self.apart else None
+    def most_apart(self) -> Apart | None:
+        """When they were farthest apart, and how far."""
+        return max(self.apart, key=lambda one: one.metres) if self.apart else None
 
 
 def compare(first: Story, second: Story) -> Comparison:
@@ -101,7 +113,7 @@ def _mean_trip(story: Story) -> float | None:
     return fmean(found) if found else None
 
 
-def _apart(first: Story, second: Story) -> Iterator[tuple[float, float]]:
+def _apart(first: Story, second: Story) -> Iterator[Apart]:
     one, other = first.took_off_s, second.took_off_s
     ours, theirs = first.track.places(), second.track.places()
     if one is None or other is None or not ours or not theirs:
@@ -112,7 +124,7 @@ def _apart(first: Story, second: Story) -> Iterator[tuple[float, float]]:
     for step in range(int(until / _STEP_S) + 1):
         after = step * _STEP_S
         a, b = _place_at(ours, one + after), _place_at(theirs, other + after)
-        yield after, math.hypot(a[1] - b[1], a[2] - b[2])
+        yield Apart(after, math.hypot(a[1] - b[1], a[2] - b[2]))
 
 
 def _place_at(places: list[tuple[float, float, float]], at_s: float) -> tuple[float, float, float]:

@@ -205,6 +205,18 @@ class FlightLog:
                     except LayoutMismatch:
                         continue  # as in flight: counted by the link, read by nobody
 
+    def rows(
+        self, *records: type[Any], firmware: str | FirmwareProfile | None = None
+    ) -> tuple[tuple[str, ...], Iterator[tuple[float, ...]]]:
+        """Names of the columns, and a row of numbers per package while the file is read.
+
+        Args:
+            records: Record classes; none at all: every item.
+            firmware: As for :meth:`samples`.
+        """
+        columns = Columns(*records, utc_offset_s=self._utc_offset_s)
+        return columns.names, map(columns.row, self.samples(firmware=firmware))
+
     def table(self, *records: type[Any], firmware: str | FirmwareProfile | None = None) -> Table:
         """All packages as rows of numbers: see :class:`m100link.Columns`.
 
@@ -212,8 +224,8 @@ class FlightLog:
             records: Record classes; none at all: every item.
             firmware: As for :meth:`samples`.
         """
-        columns = Columns(*records, utc_offset_s=self._utc_offset_s)
-        return Table(columns.names, [columns.row(one) for one in self.samples(firmware=firmware)])
+        names, rows = self.rows(*records, firmware=firmware)
+        return Table(names, list(rows))
 
     def summary(self) -> Summary:
         """What it holds; reads the whole file."""

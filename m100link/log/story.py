@@ -114,6 +114,7 @@ class Story:
         streams: When setpoints and the like were sent.
         repeats: Commands that were sent again because no answer came.
         discarded_bytes: Received bytes that belonged to no frame.
+        ended: Why the connection ended; None when the log does not say it.
         maxima: The largest of everything.
         curves: Values over time.
         track: Metres over the take-off point, or over the first place without one.
@@ -131,6 +132,7 @@ class Story:
     streams: list[Span] = field(default_factory=list)
     repeats: int = 0
     discarded_bytes: int = 0
+    ended: str | None = None
     maxima: Maxima = field(default_factory=Maxima)
     curves: Curves = field(default_factory=Curves)
     track: Track = field(default_factory=Track)
@@ -311,7 +313,7 @@ class _Reader:
         story.phases = _spans(self._phases, story.duration_s)
         story.control = _spans(self._control, story.duration_s) or told.control
         story.commands, story.streams, story.repeats = told.commands, told.streams, told.repeats
-        story.discarded_bytes = told.discarded_bytes
+        story.discarded_bytes, story.ended = told.discarded_bytes, told.ended
         story.curves.discarded_bytes_per_s = told.discarded
         story.curves.round_trip_ms = told.round_trip_ms
         most.airborne_s = sum(

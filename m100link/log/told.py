@@ -72,6 +72,7 @@ class Told:
         round_trip_ms: Mean time until an answer, ms.
         repeats: Commands that were sent again because no answer came.
         discarded_bytes: All bytes that belonged to no frame.
+        ended: Why the connection ended; None when the log does not say it.
     """
 
     began_at: float = 0.0
@@ -85,6 +86,7 @@ class Told:
     round_trip_ms: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
     repeats: int = 0
     discarded_bytes: int = 0
+    ended: str | None = None
 
 
 def read_told(flight: FlightLog) -> Told:
@@ -158,6 +160,7 @@ class _Reader:
     def _event(self, at: float, content: dict[str, Any]) -> None:
         if content["event"] == "connection":
             error = content.get("error") or ""
+            self.told.ended = None if content["is_connected"] else error
             if not content["is_connected"] and error != _CLOSED:
                 self.told.alarms.append(Span("link_lost", at, at, error))
         elif content["event"] == "authority":

@@ -33,6 +33,11 @@ def test_a_log_is_recorded_and_told(cli: CommandLine, flight: Path) -> None:
     assert told["is_whole"] is True
     assert told["firmware"] == "1.0"
     assert told["messages"]["/m100/raw/rx"] > 2
+    assert [one["name"] for one in told["phases"]] == ["ground"]
+    assert [one["name"] for one in told["control"]] == ["pilot"]
+    assert told["alarms"] == []
+    assert told["maxima"]["height_m"] == 0.0
+    assert "closed" in told["ended"]
     text = cli("log", "info", str(flight)).out
     assert "firmware 1.0" in text
     assert "recover" not in text
@@ -48,7 +53,7 @@ def test_its_telemetry_is_a_table(cli: CommandLine, flight: Path, tmp_path: Path
     assert table.read_text(encoding="utf-8") == out
     again = cli("log", "csv", str(flight), "-o", str(table))
     assert again.status == ExitCode.USAGE
-    assert "cannot be written" in again.err
+    assert "is there already" in again.err
 
 
 def test_what_happened_is_a_line_each(cli: CommandLine, flight: Path) -> None:
