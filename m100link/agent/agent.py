@@ -25,6 +25,7 @@ from m100link.agent.messages import Topic
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import GuardRefused, UsageError
+from m100link.flight.guards import Envelope, Guards
 from m100link.flight.missions.hotpoint import HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.missions.plan import WaypointPlan
@@ -62,6 +63,7 @@ class Agent:
             with its front; 0 gives it back at once.
         leases_before: Number of the last lease that an agent before may have granted; above 0 what
             that one may have held is given back, once the aircraft answers.
+        envelope: How far whoever has the lease may fly; that of every control block by default.
 
     Attributes:
         journal: What happened.
@@ -82,6 +84,7 @@ class Agent:
         lease_lifetime: float = 3.0,
         keep_authority: float = 0.0,
         leases_before: int = 0,
+        envelope: Envelope | None = None,
     ) -> None:
         if not 0.0 <= keep_authority <= LONGEST_KEPT:
             raise UsageError(
@@ -99,7 +102,8 @@ class Agent:
             leases_before=leases_before,
             on_change=self._lease_changed,
         )
-        self.holding = Holding(self.journal, self.background)
+        guards = Guards(envelope=envelope or Envelope())
+        self.holding = Holding(self.journal, self.background, guards)
         self.holding.on_change.append(self._holding_changed)
         self._inherited = Inherited(self.journal, self.background, is_owed=leases_before > 0)
         self._keep_authority = keep_authority

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from m100link.aircraft import Aircraft, connect
 from m100link.errors import PortNotFound
+from m100link.flight.guards import Envelope
 from m100link.link import Link
 from m100link.protocol.firmware import profile
 
@@ -13,7 +14,16 @@ if TYPE_CHECKING:
     from m100link.agent.connection import Connect
     from m100link.sim.ports.driver import Driver
 
-__all__ = ["by_driver", "by_url"]
+__all__ = ["by_driver", "by_url", "envelope_of"]
+
+
+def envelope_of(max_height: float, max_radius: float) -> Envelope:
+    """The envelope of an agent: metres above the take-off point, and from where control began.
+
+    Raises:
+        UsageError: One of them cannot be.
+    """
+    return Envelope(max_height_m=max_height, max_radius_m=max_radius)
 
 
 def by_url(

@@ -144,6 +144,7 @@ class Holding:
     Args:
         journal: Where it is told what happens.
         background: Where the control block runs.
+        guards: Of every control block; by default all of them.
 
     Attributes:
         state: Where it stands.
@@ -152,9 +153,12 @@ class Holding:
         on_lost: Called when somebody else took authority.
     """
 
-    def __init__(self, journal: Journal, background: BackgroundTasks) -> None:
+    def __init__(
+        self, journal: Journal, background: BackgroundTasks, guards: Guards | None = None
+    ) -> None:
         self._journal = journal
         self._background = background
+        self._guards = guards or Guards()
         self.state = HoldingState.NONE
         self.flying: Flying | None = None
         self.on_change: list[Callable[[HoldingState, HoldingState], None]] = []
@@ -197,7 +201,7 @@ class Holding:
     @property
     def limits(self) -> Limits:
         """What the guards allow; without control, what they would."""
-        return limits_of(Guards(), None) if self.flying is None else self.flying.limits
+        return limits_of(self._guards, None) if self.flying is None else self.flying.limits
 
     @property
     def guided_order(self) -> GuidedOrder | None:
@@ -268,7 +272,7 @@ class Holding:
 
     async def _hold(self, aircraft: Aircraft, granted: asyncio.Future[None]) -> None:
         try:
-            async with aircraft.control() as control:
+            async with aircraft.control(guards=self._guards) as control:
                 await self._use(control, granted)
             self.feed(HoldingInput.ENDED)
             if aircraft.authority.state is AuthorityState.UNRELEASED:
