@@ -2,77 +2,74 @@
 
 from __future__ import annotations
 
-import asyncio
-import signal
-from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
-from m100link.agent.carriers.memory import memory_channels
-from m100link.agent.client import AgentClient
-from m100link.cli.common import AppOptions, LinkOptions, Url, err, out, run_async
-from m100link.cli.outcome import ExitCode
-from m100link.mavlink.bridge import Bridge
-from m100link.mavlink.udp import bind, read_address, serving
-from m100link.station.config import Settings
-from m100link.station.run import owning
+from cyclopts import Parameter
+
+from m100link.cli.common import places
+from m100link.cli.logs import AS_IT_IS, LogOptions
+from m100link.cli.options import offered, options_of
+from m100link.cli.station import aircraft_of, run_station
+from m100link.station.config import ENVIRONMENT, Settings
 
 __all__ = ["mavlink"]
 
+LISTEN = "udp://127.0.0.1:14550"
+"""Where ground stations look for a vehicle."""
+
+_FromSettings: Any = options_of(
+    Settings,
+    (
+        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+        *("mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
+    ),
+    environment=ENVIRONMENT,
+    called={"baud_rate": "--baud", "mavlink": "--listen", "mavlink_to": "--to"},
+    is_layer=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class MavlinkOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
+    """Where the aircraft is, who may fly it and how far.
+
+    Attributes:
+        config: TOML file with settings.
+        json_output: Print one line of JSON when it runs.
+        show_config: Print the settings and where each came from, and end.
+        single_process: Let one process fly and talk to programs: to look into it, not to fly.
+        log: What is logged.
+    """
+
+    config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
+    json_output: Annotated[bool, Parameter(name="--json")] = False
+    show_config: bool = False
+    single_process: bool = False
+    log: LogOptions = AS_IT_IS
+
+    @property
+    def launch(self) -> None:
+        """A launch file of ROS says nothing of MAVLink."""
+
 
 def mavlink(
-    url: Url = None,
-    *,
-    listen: str = "udp://127.0.0.1:14550",
-    to: tuple[str, ...] = (),
-    sysid: int = 1,
-    link: LinkOptions | None = None,
-    app: AppOptions | None = None,
+    *url: Annotated[str, offered(places)], options: MavlinkOptions = MavlinkOptions()
 ) -> int:
-    """Let programs that speak MAVLink see and fly the aircraft, until Ctrl-C.
+    """Let programs that speak MAVLink see and fly aircraft, until Ctrl-C.
+
+    MAVSDK, QGroundControl, MAVProxy and pymavlink take each for a vehicle with PX4's modes. Without
+    --listen it is reached at udp://127.0.0.1:14550: `m100link mavlink sim://`.
 
     Args:
-        url: Where the aircraft is.
-        listen: Where ground stations connect to.
-        to: An address that is spoken to first, such as that of a program that listens itself; may
-            be given several times.
-        sysid: System id of the aircraft.
-        link: How to talk to it.
-        app: Whose app it is.
+        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
+        options: See below.
     """
-    place = (link or LinkOptions()).place(url, app)
-    settings = place.settings
-    return run_async(_serve(settings, listen, to, sysid))
-
-
-async def _serve(settings: Settings, listen: str, to: tuple[str, ...], sysid: int) -> int:
-    import dataclasses
-
-    if settings.url is not None and settings.url.startswith("sim:"):
-        settings = dataclasses.replace(settings, url=None, sim=True)
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
-    async with AsyncExitStack() as stack:
-        bound = bind(read_address(listen))
-        stack.callback(bound.close)
-        owner = await stack.enter_async_context(owning(settings))
-        ours, its = memory_channels()
-        owner.service.attach(its)
-        client = await stack.enter_async_context(AgentClient(ours, "mavlink"))
-        holder: list[Bridge] = []
-        send = await stack.enter_async_context(
-            serving(bound, lambda data, address: holder[0].received(data, address))
-        )
-        bridge = Bridge({sysid: client}, send, to=tuple(map(read_address, to)))
-        holder.append(bridge)
-        running = asyncio.create_task(bridge.run())
-        host, port = bound.getsockname()
-        out.print(f"mavlink: udp://{host}:{port}, system {sysid}", markup=False)
-        waiting = asyncio.create_task(ended.wait())
-        await asyncio.wait((running, waiting), return_when=asyncio.FIRST_COMPLETED)
-        if running.done():
-            await running
-        err.print("ending")
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
-    return ExitCode.OK
+    aircraft = aircraft_of(options, url)
+    first = next(iter(aircraft.values()))
+    if not first.mavlink and not first.mavlink_to:
+        aircraft = aircraft_of(options, url, mavlink=(LISTEN,))
+    return run_station(aircraft, options, with_rosbridge=False)

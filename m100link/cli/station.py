@@ -12,7 +12,7 @@ import signal
 import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from m100link.agent.messages import Event
     from m100link.station.child import Child
 
-__all__ = ["console", "serve"]
+__all__ = ["aircraft_of", "console", "run_station", "serve", "settings_of"]
 
 
 _MOST_UNTOLD = 200
@@ -49,6 +49,66 @@ _FromSettings: Any = options_of(
     called={"also_ports": "--also-port", "baud_rate": "--baud", "metrics_port": "--metrics"},
     is_layer=True,
 )
+
+
+class SettingsOptions(Protocol):
+    """Options of the command line that are one source of the settings."""
+
+    config: Path | None
+    launch: Path | None
+
+
+def settings_of(options: SettingsOptions, **more: Any) -> Settings:
+    """The settings from all sources."""
+    known = {one.name for one in fields(Settings)}
+    given = {name: value for name, value in vars(options).items() if name in known}
+    flags = {name: value for name, value in given.items() if value != ()}
+    configuration = read_configuration()
+    return resolve(
+        flags | more,
+        os.environ,
+        config=options.config,
+        launch=options.launch,
+        of_aircraft=configuration.sources_of_station,
+    )
+
+
+def aircraft_of(
+    options: SettingsOptions, words: Sequence[str], *, is_sim: bool = False, **more: Any
+) -> dict[str, Settings]:
+    """The settings by the name of each aircraft, those of the only one without words.
+
+    Args:
+        options: From the command line.
+        words: URLs, names of the configuration file, or ``name=URL``.
+        is_sim: Whether a virtual one was asked for by an option.
+        more: Other settings from the command line.
+
+    Raises:
+        UsageError: Two are called alike or are the same, or something cannot be.
+    """
+    if len(words) < 2:
+        name, url = _named(words[0]) if words else ("", None)
+        return {name or ONLY_NAME: _in_process(settings_of(options, url=url, **more))}
+    if is_sim:
+        raise UsageError(
+            "aircraft and --sim were given",
+            remedy="write sim:// in the row of aircraft, once for each virtual one",
+        )
+    named = read_configuration().aircraft
+    found: dict[str, Settings] = {}
+    for place, word in enumerate(words, 1):
+        name, url = _named(word)
+        settings = _in_process(settings_of(options, url=url, **more))
+        name = name or (url if url in named else f"m100_{place}")
+        _check_other(name, settings, found)
+        found[name] = settings
+    return found
+
+
+def _in_process(settings: Settings) -> Settings:
+    """``sim://`` is the virtual aircraft that a station brings."""
+    return replace(settings, url=None, sim=True) if settings.url == "sim://" else settings
 
 
 @Parameter(name="*")
@@ -75,49 +135,6 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
     show_config: bool = False
     single_process: bool = False
     log: LogOptions = AS_IT_IS
-
-    def settings(self, **more: Any) -> Settings:
-        """The settings from all sources."""
-        given = {one.name: getattr(self, one.name) for one in fields(_FromSettings)}
-        flags = {name: value for name, value in given.items() if value != ()}
-        configuration = read_configuration()
-        return resolve(
-            flags | more,
-            os.environ,
-            config=self.config,
-            launch=self.launch,
-            of_aircraft=configuration.sources_of_station,
-        )
-
-    def aircraft(self, words: Sequence[str], **more: Any) -> dict[str, Settings]:
-        """The settings by the name of each aircraft, those of the only one without words.
-
-        Args:
-            words: URLs, names of the configuration file, or ``name=URL``.
-            more: Other settings from the command line.
-
-        Raises:
-            UsageError: Two are called alike or are the same, or something cannot be.
-        """
-        if len(words) < 2:
-            name, url = _named(words[0]) if words else ("", None)
-            return {name or ONLY_NAME: self.settings(url=url, **more)}
-        if self.sim:
-            raise UsageError(
-                "aircraft and --sim were given",
-                remedy="write sim:// in the row of aircraft, once for each virtual one",
-            )
-        named = read_configuration().aircraft
-        found: dict[str, Settings] = {}
-        for place, word in enumerate(words, 1):
-            name, url = _named(word)
-            settings = self.settings(url=url, **more)
-            if settings.url == "sim://":
-                settings = replace(settings, url=None, sim=True)
-            name = name or (url if url in named else f"m100_{place}")
-            _check_other(name, settings, found)
-            found[name] = settings
-        return found
 
 
 def _named(word: str) -> tuple[str, str]:
@@ -155,7 +172,7 @@ def serve(*url: _Url, options: StationOptions = StationOptions()) -> int:
             with several.
         options: See below.
     """
-    return _run(options.aircraft(url), options, with_console=False)
+    return run_station(aircraft_of(options, url, is_sim=options.sim), options, with_console=False)
 
 
 def console(
@@ -175,23 +192,53 @@ def console(
         open_browser: Open the console in the browser.
         options: See below.
     """
-    aircraft = options.aircraft(url, console_port=console_port, tiles=tiles)
-    return _run(aircraft, options, with_console=True, open_browser=open_browser)
+    more = {"console_port": console_port, "tiles": tiles}
+    aircraft = aircraft_of(options, url, is_sim=options.sim, **more)
+    return run_station(aircraft, options, with_console=True, open_browser=open_browser)
 
 
-def _run(
+class RunOptions(SettingsOptions, Protocol):
+    """How a station is run and told of."""
+
+    json_output: bool
+    show_config: bool
+    single_process: bool
+    log: LogOptions
+
+
+def run_station(
     aircraft: dict[str, Settings],
-    options: StationOptions,
+    options: RunOptions,
     *,
-    with_console: bool,
+    with_console: bool = False,
+    with_rosbridge: bool = True,
     open_browser: bool = False,
 ) -> int:
+    """Run a station until it is told to end.
+
+    Args:
+        aircraft: Settings by name.
+        options: How.
+        with_console: Serve the console.
+        with_rosbridge: Serve rosbridge.
+        open_browser: Open the console.
+
+    Raises:
+        UsageError: Something is missing, or cannot be.
+    """
     if options.show_config:
         for name, settings in aircraft.items():
             if len(aircraft) > 1:
                 out.print(f"[{name}]", markup=False)
             _show(settings)
         return ExitCode.OK
+    if with_rosbridge or with_console:
+        _require_packages()
+    served = _Served(with_console, with_rosbridge)
+    return run_async(_serve(aircraft, options, served, open_browser))
+
+
+def _require_packages() -> None:
     try:
         import cbor2  # noqa: F401 - only whether it is there
         import starlette  # noqa: F401 - only whether it is there
@@ -202,7 +249,14 @@ def _run(
             f"the ground station needs {error.name}, which is not installed",
             remedy="pip install 'm100link[station]'",
         ) from None
-    return run_async(_serve(aircraft, options, with_console, open_browser))
+
+
+@dataclass(frozen=True)
+class _Served:
+    """What is served beside MAVLink."""
+
+    with_console: bool
+    with_rosbridge: bool
 
 
 def _show(settings: Settings) -> None:
@@ -218,8 +272,8 @@ def _show(settings: Settings) -> None:
 
 async def _serve(
     aircraft: dict[str, Settings],
-    options: StationOptions,
-    with_console: bool,
+    options: RunOptions,
+    served: _Served,
     open_browser: bool,
 ) -> int:
     from m100link.agent.journal import JOURNAL_LOG
@@ -242,7 +296,7 @@ async def _serve(
             text = f"{name}: {event.text}" if len(aircraft) > 1 else event.text
             teller.do(lambda: err.print(text, style=style, markup=False))
 
-        async with _running(aircraft, options, with_console, tell) as (station, front):
+        async with _running(aircraft, options, served, tell) as (station, front):
             announce = partial(_announce, aircraft, station, as_json=options.json_output)
             announce()
             settings = next(iter(aircraft.values()))
@@ -262,8 +316,8 @@ async def _serve(
 @contextlib.asynccontextmanager
 async def _running(
     aircraft: dict[str, Settings],
-    options: StationOptions,
-    with_console: bool,
+    options: RunOptions,
+    served: _Served,
     tell: Callable[[str, Event], None],
 ) -> AsyncIterator[tuple[_Station, Child | None]]:
     """The station, and the process of its fronts."""
@@ -274,12 +328,12 @@ async def _running(
     if len(aircraft) > 1:
         if options.single_process:
             raise UsageError("one process has one aircraft", remedy="leave out --single-process")
-        async with running_several(aircraft, with_console=with_console, tell=tell) as several:
+        async with running_several(aircraft, **asdict(served), tell=tell) as several:
             yield several, several.front
         return
     ((name, settings),) = aircraft.items()
     run = running if options.single_process else running_apart
-    async with run(settings, with_console=with_console) as one:
+    async with run(settings, **asdict(served)) as one:
         for event in one.agent.journal.events:
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
@@ -328,6 +382,8 @@ class _Station(Protocol):
     def console_port(self) -> int | None: ...
     @property
     def metrics_port(self) -> int | None: ...
+    @property
+    def mavlink(self) -> list[str]: ...
     def console_path(self) -> str: ...
 
 
@@ -347,11 +403,17 @@ def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool
         http = "http" if settings.tls_cert is None else "https"
         metrics_url = f"{http}://{settings.authority(running.metrics_port)}/metrics"
     if as_json:
-        told = {"rosbridge": addresses, "console": console_url, "sim": settings.sim}
+        told: dict[str, Any] = {"sim": settings.sim}
+        if addresses:
+            told = {"rosbridge": addresses, "console": console_url} | told
+        if running.mavlink:
+            told |= {"mavlink": running.mavlink}
         told |= {} if metrics_url is None else {"metrics": metrics_url}
         print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
     else:
-        out.print(f"rosbridge: {', '.join(addresses)}", markup=False, soft_wrap=True)
+        for name, served in (("rosbridge", addresses), ("mavlink", running.mavlink)):
+            if served:
+                out.print(f"{name + ':':10} {', '.join(served)}", markup=False, soft_wrap=True)
         if console_url is not None:
             out.print(f"console:   {console_url}", markup=False, soft_wrap=True)
         if metrics_url is not None:

@@ -70,6 +70,10 @@ class Peers:
         """Whether its heartbeat fails to come."""
         return now - self._heard.get(peer, -LOST_AFTER) >= LOST_AFTER
 
+    def is_known(self, address: Address) -> bool:
+        """Whether somebody there has been heard, and was not forgotten."""
+        return any(one.address == address for one in self._heard)
+
     def forget(self, now: float) -> None:
         """Leave out those that are silent."""
         for peer in [one for one, at in self._heard.items() if now - at >= FORGOTTEN_AFTER]:

@@ -68,6 +68,11 @@ class RunningApart:
         """Port of the numbers for Prometheus, None without them."""
         return self.sockets.metrics_port
 
+    @property
+    def mavlink(self) -> list[str]:
+        """Where MAVLink is served."""
+        return self.sockets.mavlink_addresses
+
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
         return str(self.front.answer["console_path"])
@@ -116,6 +121,7 @@ def front_process(
     Raises:
         UsageError: Something in the settings cannot be.
     """
+    datagrams = [one.fileno() for one in sockets.mavlink]
     console = None if sockets.console is None else sockets.console.fileno()
     metrics = None if sockets.metrics is None else sockets.metrics.fileno()
     numbers = [one.fileno() for one in sockets.rosbridge]
@@ -124,10 +130,12 @@ def front_process(
         "rosbridge": numbers,
         "console": console,
         "metrics": metrics,
+        "mavlink": datagrams,
         "agents": as_json(dict(agents)),
         "orders": as_json(dict(orders)),
     }
-    inherited = [*numbers, *(one for one in (console, metrics) if one is not None)]
+    others = [one for one in (console, metrics) if one is not None]
+    inherited = [*numbers, *datagrams, *others]
     return Child("m100link.station.front", "the fronts", request, note, inherited=inherited)
 
 
@@ -144,13 +152,18 @@ async def kept(child: Child) -> AsyncIterator[None]:
 
 @asynccontextmanager
 async def running_apart(
-    settings: Settings, *, with_console: bool = False, virtual: VirtualAircraft | None = None
+    settings: Settings,
+    *,
+    with_console: bool = False,
+    with_rosbridge: bool = True,
+    virtual: VirtualAircraft | None = None,
 ) -> AsyncIterator[RunningApart]:
     """Run a station while the block runs, with its fronts in a process of their own.
 
     Args:
         settings: What it needs to know.
         with_console: Serve the console, too.
+        with_rosbridge: Serve rosbridge.
         virtual: The virtual aircraft to use with ``sim``; by default one that stands ready.
 
     Raises:
@@ -159,7 +172,9 @@ async def running_apart(
     front_settings(settings)
     settings.niceness()  # both before anything is bound
     async with AsyncExitStack() as stack:
-        sockets = open_sockets(stack, settings, with_console=with_console)
+        sockets = open_sockets(
+            stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
+        )
         owner = await stack.enter_async_context(owning(settings, virtual))
         directory = stack.enter_context(private_directory())
         agent_path = directory / "agent.sock"

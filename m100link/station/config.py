@@ -79,6 +79,16 @@ class Settings:
         keep_authority: Seconds that control authority is kept, hovering, when the process that
             talks to clients is lost and with it whoever flew; 0 gives it back at once.
         front_niceness: How much lower the priority of that process is, 0 to 19.
+        max_height: Height above the take-off point that nobody who has control may exceed, m.
+        max_radius: Distance from where control was obtained that nobody may exceed, m.
+        mavlink: Serve MAVLink there, udp://127.0.0.1:14550 is usual; may be repeated. Beyond this
+            machine a signing key is needed.
+        mavlink_to: An address that is spoken to first, such as udp://127.0.0.1:14540 of a program
+            that listens itself; may be repeated.
+        sysid: System id of the first aircraft in MAVLink, 1 to 250; further ones count on.
+        autopilot: What the heartbeat says that it is: px4, which ground stations know, or generic.
+        signing_key_file: File with the key that signs MAVLink, 64 hex digits, readable by you
+            alone; what is not signed with it moves nothing.
         origins: Where each value came from.
         unused: Parameters of the launch file that have no use here.
     """
@@ -110,6 +120,13 @@ class Settings:
     max_clients: int = 32
     keep_authority: float = 0.0
     front_niceness: int = FRONT_NICENESS
+    max_height: float = 50.0
+    max_radius: float = 150.0
+    mavlink: tuple[str, ...] = ()
+    mavlink_to: tuple[str, ...] = ()
+    sysid: int = 1
+    autopilot: str = "px4"
+    signing_key_file: Path | None = None
     origins: dict[str, str] = field(default_factory=dict)
     unused: tuple[str, ...] = ()
 
@@ -312,7 +329,7 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
     return table
 
 
-_ABOVE_0 = ("baud_rate", "timeout", "max_clients")
+_ABOVE_0 = ("baud_rate", "timeout", "max_clients", "max_height", "max_radius", "sysid")
 
 _WANTED = {"int": "a whole number", "float": "a number", "bool": "true or false", "tuple": "a list"}
 

@@ -47,6 +47,7 @@ async def _serve(request: dict[str, Any]) -> None:
         [socket.socket(fileno=number) for number in request["rosbridge"]],
         None if console is None else socket.socket(fileno=console),
         None if metrics is None else socket.socket(fileno=metrics),
+        tuple(socket.socket(fileno=number) for number in request["mavlink"]),
     )
     reach = {name: partial(connect_unix, Path(path)) for name, path in request["agents"].items()}
     orders = {name: await orders_by_socket(Path(path)) for name, path in request["orders"].items()}

@@ -1,4 +1,4 @@
-"""The fronts on their sockets: rosbridge and the console, wherever their agent is."""
+"""The fronts on their sockets: rosbridge, console, MAVLink, wherever their agent is."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from m100link.agent.carriers import Channel
 from m100link.agent.client import AgentClient
 from m100link.errors import LinkError, UsageError
 from m100link.station.config import Settings
 from m100link.station.console.orders import Orders
+from m100link.station.mavlink import open_mavlink, serving_mavlink
 from m100link.station.web.access import Access
-from m100link.station.web.server import Bridge, Server, listen
 
+if TYPE_CHECKING:
+    from m100link.station.web.server import Bridge, Server
 __all__ = ["Fronts", "Reach", "Sockets", "keep_reached", "open_sockets", "serving_fronts"]
 
 REACH_PAUSE = 0.5
@@ -33,11 +36,19 @@ class Sockets:
         rosbridge: Those of rosbridge, in the order of the settings.
         console: That of the console, None without it.
         metrics: That of the numbers for Prometheus, None without them.
+        mavlink: Those of MAVLink, for datagrams.
     """
 
     rosbridge: list[socket.socket]
     console: socket.socket | None
     metrics: socket.socket | None = None
+    mavlink: tuple[socket.socket, ...] = ()
+
+    @property
+    def mavlink_addresses(self) -> list[str]:
+        """Where MAVLink is served."""
+        names = (one.getsockname() for one in self.mavlink)
+        return [f"udp://{host}:{port}" for host, port in names]
 
     @property
     def ports(self) -> list[int]:
@@ -61,13 +72,13 @@ class Fronts:
 
     Attributes:
         agents: What rosbridge knows of each agent, by the name of its aircraft.
-        bridge: What rosbridge clients reach.
+        bridge: What rosbridge clients reach; None without it.
         servers: What listens.
         console_access: What browsers have to show, None where nothing is needed.
     """
 
     agents: Mapping[str, AgentClient]
-    bridge: Bridge
+    bridge: Bridge | None
     servers: list[Server]
     console_access: Access | None
 
@@ -81,22 +92,29 @@ class Fronts:
             server.stop_listening()
 
 
-def open_sockets(stack: AsyncExitStack, settings: Settings, *, with_console: bool) -> Sockets:
+def open_sockets(
+    stack: AsyncExitStack, settings: Settings, *, with_console: bool, with_rosbridge: bool = True
+) -> Sockets:
     """The listening sockets that the settings ask for; closed with the stack.
 
     Raises:
         PortBusy, PortFailed: A port is taken, or the address cannot be bound.
+        UsageError: MAVLink is to be served to other machines, and nothing signs it.
     """
 
     def opened(port: int) -> socket.socket:
+        from m100link.station.web.server import listen  # what has no page needs no server
+
         one = listen(settings.host, port)
         stack.callback(one.close)
         return one
 
+    ports = (settings.port, *settings.also_ports) if with_rosbridge else ()
     return Sockets(
-        [opened(port) for port in (settings.port, *settings.also_ports)],
+        [opened(port) for port in ports],
         opened(settings.console_port) if with_console else None,
         None if settings.metrics_port is None else opened(settings.metrics_port),
+        tuple(open_mavlink(stack, settings)),
     )
 
 
@@ -122,9 +140,12 @@ async def serving_fronts(
     """
     async with AsyncExitStack() as stack:
         agents = await _reached(stack, reach, "rosbridge")
-        bridge = Bridge(agents, max_clients=settings.max_clients, pages=settings.pages)
-        servers = [Server.make(bridge.app(settings), settings)]
-        await stack.enter_async_context(_serving(servers[0], sockets.rosbridge))
+        bridge: Bridge | None = None
+        servers: list[Server] = []
+        if sockets.rosbridge:
+            bridge, server = _rosbridge(agents, settings)
+            await stack.enter_async_context(_serving(server, sockets.rosbridge))
+            servers.append(server)
         access = None
         dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
         if sockets.console is not None:
@@ -132,10 +153,20 @@ async def serving_fronts(
             server, access, dropped_by_tabs = _console(console, settings, orders)
             await stack.enter_async_context(_serving(server, [sockets.console]))
             servers.append(server)
-        if sockets.metrics is not None:
+        if sockets.mavlink:
+            vehicles = await _reached(stack, reach, "mavlink")
+            await stack.enter_async_context(serving_mavlink(vehicles, settings, sockets.mavlink))
+        if sockets.metrics is not None and bridge is not None:
             servers.append(_metrics(bridge, settings, dropped_by_tabs))
             await stack.enter_async_context(_serving(servers[-1], [sockets.metrics]))
         yield Fronts(agents, bridge, servers, access)
+
+
+def _rosbridge(agents: Mapping[str, AgentClient], settings: Settings) -> tuple[Bridge, Server]:
+    from m100link.station.web.server import Bridge, Server
+
+    bridge = Bridge(agents, max_clients=settings.max_clients, pages=settings.pages)
+    return bridge, Server.make(bridge.app(settings), settings)
 
 
 def _console(
@@ -144,6 +175,7 @@ def _console(
     try:
         from m100link.station.console.app import console_app
         from m100link.station.console.tabs import Tabs
+        from m100link.station.web.server import Server
     except ModuleNotFoundError as error:
         raise UsageError(
             f"the console needs {error.name}, which is not installed",
@@ -159,6 +191,7 @@ def _metrics(
 ) -> Server:
     try:
         from m100link.station.web.metrics import metrics_app
+        from m100link.station.web.server import Server
     except ModuleNotFoundError as error:
         raise UsageError(
             f"the metrics need {error.name}, which is not installed",

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from m100link.agent.agent import Agent
 from m100link.agent.carriers import Channel
 from m100link.agent.carriers.memory import memory_channels
-from m100link.agent.connect import by_driver, by_url
+from m100link.agent.connect import by_driver, by_url, envelope_of
 from m100link.agent.connection import Connect
 from m100link.agent.service import Service
 from m100link.errors import UsageError
@@ -26,7 +27,9 @@ from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import ONLY_NAME, Settings
 from m100link.station.console.orders import orders_in_process
 from m100link.station.fronts import Fronts, Sockets, open_sockets, serving_fronts
-from m100link.station.web.server import Bridge
+
+if TYPE_CHECKING:
+    from m100link.station.web.server import Bridge
 
 __all__ = ["BESIDE", "Owner", "Running", "owning", "running"]
 
@@ -76,6 +79,7 @@ class Running:
     @property
     def bridge(self) -> Bridge:
         """What rosbridge clients reach."""
+        assert self.fronts.bridge is not None
         return self.fronts.bridge
 
     @property
@@ -97,6 +101,11 @@ class Running:
     def metrics_port(self) -> int | None:
         """Port of the numbers for Prometheus, None without them."""
         return self.sockets.metrics_port
+
+    @property
+    def mavlink(self) -> list[str]:
+        """Where MAVLink is served."""
+        return self.sockets.mavlink_addresses
 
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
@@ -166,6 +175,7 @@ async def owning(
                 connect,
                 credentials=credentials,
                 keep_authority=settings.keep_authority,
+                envelope=envelope_of(settings.max_height, settings.max_radius),
                 leases_before=leases_before,
             )
         )
@@ -176,13 +186,18 @@ async def owning(
 
 @asynccontextmanager
 async def running(
-    settings: Settings, *, with_console: bool = False, virtual: VirtualAircraft | None = None
+    settings: Settings,
+    *,
+    with_console: bool = False,
+    with_rosbridge: bool = True,
+    virtual: VirtualAircraft | None = None,
 ) -> AsyncIterator[Running]:
     """Run a station in this event loop while the block runs.
 
     Args:
         settings: What it needs to know.
         with_console: Serve the console, too.
+        with_rosbridge: Serve rosbridge.
         virtual: The virtual aircraft to use with ``sim``; by default one that stands ready.
 
     Raises:
@@ -190,7 +205,9 @@ async def running(
     """
     settings.access_token()  # before anything is bound
     async with AsyncExitStack() as stack:
-        sockets = open_sockets(stack, settings, with_console=with_console)
+        sockets = open_sockets(
+            stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
+        )
         owner = await stack.enter_async_context(owning(settings, virtual))
 
         async def reach() -> Channel:

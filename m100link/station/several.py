@@ -31,7 +31,7 @@ END_TIMEOUT = 15.0
 
 _FOR_AGENTS = (
     *("url", "baud_rate", "firmware", "timeout", "sim", "app_id", "key", "key_file", "level"),
-    *("app_version", "bundle_id", "keep_authority"),
+    *("app_version", "bundle_id", "keep_authority", "max_height", "max_radius"),
 )
 
 Tell = Callable[[str, Event], None]
@@ -73,6 +73,11 @@ class RunningSeveral:
         """Port of the numbers for Prometheus, None without them."""
         return self.sockets.metrics_port
 
+    @property
+    def mavlink(self) -> list[str]:
+        """Where MAVLink is served."""
+        return self.sockets.mavlink_addresses
+
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
         return str(self.front.answer["console_path"])
@@ -86,7 +91,11 @@ def agent_settings(settings: Settings) -> dict[str, Any]:
 
 @asynccontextmanager
 async def running_several(
-    aircraft: Mapping[str, Settings], *, with_console: bool = False, tell: Tell = lambda *_: None
+    aircraft: Mapping[str, Settings],
+    *,
+    with_console: bool = False,
+    with_rosbridge: bool = True,
+    tell: Tell = lambda *_: None,
 ) -> AsyncIterator[RunningSeveral]:
     """Run a station while the block runs.
 
@@ -94,6 +103,7 @@ async def running_several(
         aircraft: Settings by the name of the aircraft; those of the first say who may connect and
             what is served.
         with_console: Serve the console, too.
+        with_rosbridge: Serve rosbridge.
         tell: Called with the name of an aircraft and each of its events.
 
     Raises:
@@ -108,7 +118,9 @@ async def running_several(
     front_settings(settings)
     settings.niceness()  # both before anything is bound
     async with AsyncExitStack() as stack:
-        sockets = open_sockets(stack, settings, with_console=with_console)
+        sockets = open_sockets(
+            stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
+        )
         directory = stack.enter_context(private_directory())
         agents: dict[str, AgentClient] = {}
 

@@ -26,7 +26,7 @@ def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it() -> None:
         ) as bridge,
     ):
         assert bridge.stdout is not None
-        found = re.search(r"udp://127\.0\.0\.1:(\d+)", bridge.stdout.readline())
+        found = re.search(r"mavlink: +udp://127\.0\.0\.1:(\d+)", bridge.stdout.readline())
         assert found is not None
         address = ("127.0.0.1", int(found[1]))
         station.bind(("127.0.0.1", 0))

@@ -11,7 +11,7 @@ pytest.importorskip("cyclopts")
 from m100link.cli.common import AppOptions
 from m100link.cli.options import attribute_texts, options_of
 from m100link.cli.sim import AssistantOptions, FaultOptions, MissionOptions, SiteOptions
-from m100link.cli.station import StationOptions
+from m100link.cli.station import StationOptions, settings_of
 from m100link.protocol.commands.activation import Credentials
 from m100link.sim import NO_FAULTS, AircraftSettings, AssistantSettings, LineFaults, MissionSettings
 from m100link.station.config import ENVIRONMENT, Settings
@@ -69,7 +69,7 @@ def test_every_setting_is_declared_once() -> None:
 
 def test_what_was_not_given_is_left_to_the_other_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("M100LINK_PORT", "1234")
-    settings = StationOptions(also_ports=(19871,), level=1).settings(url="tcp://a:1")
+    settings = settings_of(StationOptions(also_ports=(19871,), level=1), url="tcp://a:1")
     assert (settings.port, settings.also_ports, settings.level) == (1234, (19871,), 1)
     assert settings.origins == {
         "also_ports": "command line",

@@ -29,7 +29,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from websockets.asyncio.client import connect
 
-from m100link.cli.station import _MOST_UNTOLD, StationOptions, _Teller
+from m100link.cli.station import _MOST_UNTOLD, StationOptions, _Teller, aircraft_of
 from m100link.errors import M100Error
 from tests.station.test_apart import Pilot
 
@@ -367,7 +367,7 @@ async def test_tls(tmp_path: Path) -> None:
 def test_aircraft_have_the_names_that_they_are_given(
     words: tuple[str, ...], named: dict[str, str | None]
 ) -> None:
-    found = StationOptions().aircraft(words)
+    found = aircraft_of(StationOptions(), words)
     assert {name: one.url for name, one in found.items()} == named
     assert all(one.sim == (one.url is None and bool(words)) for one in found.values())
 
@@ -386,7 +386,7 @@ def test_aircraft_that_could_be_taken_for_each_other_are_refused(
     options: dict[str, Any], words: tuple[str, ...], says: str
 ) -> None:
     with pytest.raises(M100Error, match=says):
-        StationOptions(**options).aircraft(words)
+        aircraft_of(StationOptions(**options), words, is_sim=bool(options.get("sim")))
 
 
 def test_aircraft_of_the_configuration_file_keep_their_names(
@@ -397,7 +397,7 @@ def test_aircraft_of_the_configuration_file_keep_their_names(
         '[aircraft.kite]\nurl = "/dev/ttyUSB0"\nfirmware = "3.1"\n'
         '[aircraft.crow]\nurl = "/dev/ttyUSB1"\n'
     )
-    found = StationOptions().aircraft(("kite", "crow", "tcp://b:1"))
+    found = aircraft_of(StationOptions(), ("kite", "crow", "tcp://b:1"))
     assert {name: (one.url, one.firmware) for name, one in found.items()} == {
         "kite": ("/dev/ttyUSB0", "3.1"),
         "crow": ("/dev/ttyUSB1", None),
