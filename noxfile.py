@@ -237,7 +237,7 @@ def examples(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def interop(session: nox.Session) -> None:
-    """The ground station and clients that others wrote: roslibpy, and roslib where node is."""
+    """What others wrote: roslibpy, roslib where node is, Wireshark's tshark where that is."""
     run_kind(session, "interop")
 
 

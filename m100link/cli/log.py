@@ -18,6 +18,7 @@ from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
 from m100link.cli.log_frames import compare_files, frames
 from m100link.cli.log_plot import plot
 from m100link.cli.log_tables import csv, parquet
+from m100link.cli.log_wireshark import wireshark
 from m100link.cli.options import Above0, Firmware
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.cli.progress import reading
@@ -38,6 +39,7 @@ app = cyclopts.App(
 app.command(plot)
 app.command(csv)
 app.command(parquet)
+app.command(wireshark)
 app.command(frames)
 app.command(compare_files, name="compare")
 

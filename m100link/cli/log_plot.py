@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import IO, Annotated
 
 from cyclopts import Parameter
 
@@ -14,7 +16,7 @@ from m100link.cli.progress import reading
 from m100link.errors import UsageError
 from m100link.log.story import Story, read_story
 
-__all__ = ["cannot_write", "plot", "write_new"]
+__all__ = ["cannot_write", "new_file", "plot", "write_new"]
 
 
 def plot(
@@ -63,11 +65,30 @@ def write_new(target: Path, data: bytes) -> None:
     Raises:
         UsageError: It is, or it cannot be written.
     """
+    with new_file(target) as stream:
+        stream.write(data)
+
+
+@contextlib.contextmanager
+def new_file(target: Path) -> Iterator[IO[bytes]]:
+    """A file that must not be there yet; half of one is not left behind.
+
+    Raises:
+        UsageError: It is, or it cannot be written.
+    """
     try:
-        with target.open("xb") as stream:
-            stream.write(data)
+        stream = target.open("xb")
     except OSError as error:
         raise cannot_write(target, error) from error
+    try:
+        with stream:
+            yield stream
+    except OSError as error:
+        target.unlink()
+        raise cannot_write(target, error) from error
+    except BaseException:
+        target.unlink()
+        raise
 
 
 def cannot_write(target: Path, error: OSError) -> UsageError:

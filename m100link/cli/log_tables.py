@@ -12,7 +12,7 @@ from typing import IO, Annotated
 from cyclopts import Parameter
 
 from m100link.cli.common import out
-from m100link.cli.log_plot import cannot_write
+from m100link.cli.log_plot import cannot_write, new_file
 from m100link.cli.options import Firmware, offered
 from m100link.cli.outcome import ExitCode
 from m100link.cli.progress import reading
@@ -82,19 +82,7 @@ def parquet(
     """
     records = items_named(items)
     target = output or file.with_suffix(".parquet")
-    with reading(file) as flight:
-        try:
-            stream = target.open("xb")
-        except OSError as error:
-            raise cannot_write(target, error) from error
-        try:
-            with stream:
-                count = write_parquet(flight, stream, *records, firmware=firmware)
-        except OSError as error:
-            target.unlink()
-            raise cannot_write(target, error) from error
-        except BaseException:  # half of a file is none
-            target.unlink()
-            raise
+    with reading(file) as flight, new_file(target) as stream:
+        count = write_parquet(flight, stream, *records, firmware=firmware)
     out.print(f"{count} rows in {target}", soft_wrap=True)
     return ExitCode.OK

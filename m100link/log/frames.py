@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from m100link.errors import UsageError
 from m100link.link import Direction
-from m100link.log.reading import FlightLog
+from m100link.log.reading import Chunk, FlightLog
 from m100link.protocol.describing import Describer
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.wire import Cipher
 
-__all__ = ["read_frames"]
+__all__ = ["in_order", "read_frames"]
+
+_SAME_S = 2e-6  # times are written to a microsecond
+
+
+def in_order(chunks: Iterable[Chunk]) -> Iterator[Chunk]:
+    """What was sent before what came in the same moment, as it does on virtual time."""
+    group: list[Chunk] = []
+    for chunk in chunks:
+        if group and chunk.at - group[0].at > _SAME_S:
+            yield from sorted(group, key=_is_received)
+            group = []
+        group.append(chunk)
+    yield from sorted(group, key=_is_received)
+
+
+def _is_received(chunk: Chunk) -> bool:
+    return chunk.direction is Direction.RECEIVED
 
 
 def read_frames(
@@ -46,7 +63,7 @@ def read_frames(
     sent.answered, received.answered = received.asked, sent.asked
     last: dict[str, Any] = {}
     both = {Direction.SENT: sent, Direction.RECEIVED: received}
-    for chunk in flight.chunks():
+    for chunk in in_order(flight.chunks()):
         describer = both[chunk.direction]
         before = dict(describer.decoder.discards)
         last[chunk.direction.value] = head = {

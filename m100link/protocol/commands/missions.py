@@ -15,6 +15,8 @@ from m100link.protocol.firmware import FirmwareProfile, Generation
 
 __all__ = [
     "COMMAND_SET",
+    "EVENTS",
+    "STATUSES",
     "Finished",
     "FollowStatus",
     "HotpointStatus",
@@ -297,8 +299,12 @@ Status: TypeAlias = (
 )
 Event: TypeAlias = Uploaded | Finished | Reached | OtherKind
 
-_STATUSES = (IdleStatus, WaypointStatus, HotpointStatus, FollowStatus, IocStatus)
-_EVENTS = (Uploaded, Finished, Reached)
+STATUSES = (IdleStatus, WaypointStatus, HotpointStatus, FollowStatus, IocStatus)
+"""What a status may tell, by its kind."""
+
+EVENTS = (Uploaded, Finished, Reached)
+"""What a waypoint mission may tell, by its kind."""
+
 _PUSH_SIZE = 6
 
 
@@ -336,9 +342,9 @@ class MissionStatus(Notification):
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """6 bytes."""
         tail = exactly(value, _PUSH_SIZE, cls.NAME)[1:]
-        if value[0] >= len(_STATUSES):
+        if value[0] >= len(STATUSES):
             return cls(OtherKind(value[0], tail))
-        return cls(_STATUSES[value[0]].from_wire(tail))
+        return cls(STATUSES[value[0]].from_wire(tail))
 
     def fields(self) -> dict[str, Any]:
         """The kind in a word, and what is told in metres, degrees and words."""
@@ -387,9 +393,9 @@ class WaypointEvent(Notification):
         if len(value) == _PUSH_SIZE - 1 and value[0] == Reached.KIND:
             value += b"\0"
         tail = exactly(value, _PUSH_SIZE, cls.NAME)[1:]
-        if value[0] >= len(_EVENTS):
+        if value[0] >= len(EVENTS):
             return cls(OtherKind(value[0], tail))
-        return cls(_EVENTS[value[0]].from_wire(tail))
+        return cls(EVENTS[value[0]].from_wire(tail))
 
     def fields(self) -> dict[str, Any]:
         """The kind in a word, and what is told in seconds."""
