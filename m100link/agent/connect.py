@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 from m100link.aircraft import Aircraft, connect
+from m100link.aircraft.connecting import be_recorded
 from m100link.errors import PortNotFound
 from m100link.flight.guards import Envelope
 from m100link.link import Link
+from m100link.link.tap import TappedProtocol
 from m100link.protocol.firmware import profile
 
 if TYPE_CHECKING:
     from m100link.agent.connection import Connect
+    from m100link.log.folder import Flights
+    from m100link.log.recorder import Recorder
     from m100link.sim.ports.driver import Driver
 
 __all__ = ["by_driver", "by_url", "envelope_of"]
@@ -32,8 +38,16 @@ def by_url(
     baud_rate: int | None = None,
     firmware: str | None = None,
     timeout: float = 3.0,
+    flights: Flights | None = None,
 ) -> Connect:
     """Open a connection string.
+
+    Args:
+        url: The string.
+        baud_rate: Rate when it has none.
+        firmware: Force a firmware profile.
+        timeout: Seconds until an aircraft has to answer.
+        flights: Where connections are recorded.
 
     Raises (when it is called):
         UsageError: There is no such firmware profile.
@@ -41,22 +55,44 @@ def by_url(
     forced = None if firmware is None else profile(firmware)
 
     async def opened() -> Aircraft:
-        return await connect(url, firmware=forced, baud_rate=baud_rate, timeout=timeout)
+        async with _recording(flights) as log:
+            return await connect(
+                url, firmware=forced, baud_rate=baud_rate, timeout=timeout, record=log
+            )
 
     return opened
 
 
-def by_driver(driver: Driver, *, timeout: float = 3.0) -> Connect:
+def by_driver(driver: Driver, *, timeout: float = 3.0, flights: Flights | None = None) -> Connect:
     """Plug into a virtual aircraft of this process; it outlives the connection."""
 
     async def plugged_in() -> Aircraft:
         link = Link()
-        try:
-            driver.connect(link)
-        except ConnectionRefusedError as error:
-            raise PortNotFound(str(error), remedy="plug it in again") from error
-        await link.wait_connected()
-        link.name = "sim://"
-        return await connect(link, timeout=timeout)
+        async with _recording(flights) as log:
+            try:
+                driver.connect(link if log is None else TappedProtocol(link, log.tap, link.clock))
+            except ConnectionRefusedError as error:
+                raise PortNotFound(str(error), remedy="plug it in again") from error
+            await link.wait_connected()
+            link.name = "sim://"
+            aircraft = await connect(link, timeout=timeout)
+            if log is not None:
+                be_recorded(aircraft, log)
+            return aircraft
 
     return plugged_in
+
+
+@asynccontextmanager
+async def _recording(flights: Flights | None) -> AsyncIterator[Recorder | None]:
+    """A log for what is connected meanwhile; attempts that fail leave none."""
+    log = None if flights is None else flights.begin()
+    try:
+        yield log
+    except BaseException:
+        if flights is not None and log is not None:
+            await log.aclose()
+            flights.drop(log)
+        raise
+    if flights is not None and log is not None:
+        flights.keep(log)

@@ -18,7 +18,7 @@ from m100link.protocol.firmware import FirmwareProfile, profile
 if TYPE_CHECKING:
     from m100link.log.channels import Told
 
-__all__ = ["Connecting", "connect"]
+__all__ = ["Connecting", "be_recorded", "connect"]
 
 
 class Recording(Protocol):
@@ -182,16 +182,21 @@ async def _open(
         raise
     aircraft = Aircraft(link, firmware=forced)
     if recorder is not None:
-        from m100link.aircraft.observer import observer
-
-        recorder.watch(link, lambda: aircraft.firmware, observer(aircraft))
-        aircraft._at_end.append(recorder.aclose)
+        be_recorded(aircraft, recorder)
     try:
         await aircraft._requests.find_aircraft(timeout)
     except BaseException:
         await aircraft.aclose()
         raise
     return aircraft
+
+
+def be_recorded(aircraft: Aircraft, recorder: Recording) -> None:
+    """Have a log, which hears the bytes already, know the rest; it ends with the connection."""
+    from m100link.aircraft.observer import observer
+
+    recorder.watch(aircraft.link, lambda: aircraft.firmware, observer(aircraft))
+    aircraft._at_end.append(recorder.aclose)
 
 
 def _recorder(record: str | PathLike[str] | Recording) -> Recording:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import shlex
 import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter, validators
@@ -24,7 +26,8 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.activation import ActivationProgress
-from m100link.aircraft import Aircraft, connect
+from m100link.agent.connect import by_driver, by_url
+from m100link.aircraft import Aircraft
 from m100link.cli.canvas import line_plot, track_plot
 from m100link.cli.common import err, out
 from m100link.cli.logs import AS_IT_IS, LogOptions
@@ -33,10 +36,12 @@ from m100link.errors import M100Error, NotObserved
 from m100link.flight.control import Control
 from m100link.flight.guards import Guards
 from m100link.geodesy import LocalFrame
-from m100link.link import Link, LinkStatistics
+from m100link.link import LinkStatistics
+from m100link.log.folder import Flights, default_folder
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim import Driver, PtyPort, VirtualAircraft, loop_factory
+from m100link.station.config import RECORD_KEEP, RECORD_KEEP_MB
 
 __all__ = ["demo"]
 
@@ -71,6 +76,13 @@ class _Flight:
     firmware: str = ""
     port: str = ""
     line: LinkStatistics | None = None
+    flights: Flights | None = None
+
+    @property
+    def recording(self) -> str | None:
+        """Its log, if there is one."""
+        newest = None if self.flights is None else self.flights.newest
+        return None if newest is None else str(newest)
 
     @contextlib.contextmanager
     def during(self, stage: str) -> Iterator[None]:
@@ -115,6 +127,8 @@ def demo(
     firmware: str = "1.0",
     seed: int = 1,
     json: bool = False,
+    record: Path | None = None,
+    no_record: Annotated[bool, Parameter(negative=())] = False,
     log: LogOptions = AS_IT_IS,
 ) -> int:
     """Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.
@@ -128,9 +142,12 @@ def demo(
         firmware: Firmware of the virtual aircraft: 1.0, 2.3 or 3.1.
         seed: Of everything random.
         json: One summary object instead of pictures.
+        record: Folder for the flight log; by default m100link/flights of the user's state folder
+            (~/.local/state), where the oldest make room.
+        no_record: Record nothing.
         log: What is logged meanwhile.
     """
-    flight = _Flight()
+    flight = _Flight(flights=None if no_record else _flights(record))
     began_at = time.monotonic()
     failure: M100Error | None = None
     factor = math.inf if speed == "max" else float(speed)
@@ -163,14 +180,15 @@ async def _fly(
     display = asyncio.create_task(_display(flight, speed)) if shows_live else None
     try:
         with flight.during("connect"):
-            line = await _in_memory(driver) if is_in_memory else f"serial://{flight.port}:230400"
-            connection = connect(line)
-            aircraft = await connection.__aenter__()
+            if is_in_memory:
+                aircraft = await by_driver(driver, flights=flight.flights)()
+            else:
+                aircraft = await by_url(f"serial://{flight.port}:230400", flights=flight.flights)()
         try:
             await _mission(aircraft, flight, virtual, side, 1.0 if is_in_memory else speed)
         finally:
             flight.line = aircraft.statistics()
-            await connection.__aexit__(None, None, None)
+            await aircraft.aclose()
     finally:
         driver.stop()
         if display is not None:
@@ -178,11 +196,15 @@ async def _fly(
             await asyncio.wait([display])
 
 
-async def _in_memory(driver: Driver) -> Link:
-    link = Link()
-    driver.connect(link)
-    await link.wait_connected()
-    return link
+def _flights(record: Path | None) -> Flights:
+    if record is not None:
+        return Flights(record, tell=_say)
+    return Flights(default_folder(), keep=RECORD_KEEP, keep_mb=RECORD_KEEP_MB, tell=_say)
+
+
+def _say(text: str, level: str) -> None:
+    if level != "info":  # where it is, is told at the end
+        err.print(text, style="yellow", markup=False)
 
 
 async def _mission(
@@ -325,6 +347,7 @@ def _summary(
         "max_height_m": round(max(heights, default=0.0), 2),
         "setpoints_sent": flight.setpoints,
         "battery_percent": flight.battery_percent,
+        "recording": flight.recording,
         "line": None if flight.line is None else asdict(flight.line),
         "track": [[round(north, 2), round(east, 2)] for north, east in flight.track[::5]],
     }
@@ -373,3 +396,7 @@ def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
                 pictures.add_column(title, justify="left")
             pictures.add_row(*drawn.values())
         out.print(pictures)
+    if flight.recording is not None:
+        quoted = shlex.quote(flight.recording)
+        out.print(f"recorded in {flight.recording}", markup=False, soft_wrap=True)
+        out.print(f"to see it again: m100link replay {quoted}", markup=False, soft_wrap=True)

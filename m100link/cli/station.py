@@ -39,7 +39,7 @@ _MOST_UNTOLD = 200
 _LAST_WORDS = 1.0
 """Seconds that the end waits for what is still to be told."""
 
-_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "origins", "unused")
+_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "no_record", "origins", "unused")
 """Settings that are not options of both commands, or not of the command line at all."""
 
 _FromSettings: Any = options_of(
@@ -64,13 +64,18 @@ def settings_of(options: SettingsOptions, **more: Any) -> Settings:
     given = {name: value for name, value in vars(options).items() if name in known}
     flags = {name: value for name, value in given.items() if value != ()}
     configuration = read_configuration()
-    return resolve(
+    settings = resolve(
         flags | more,
         os.environ,
         config=options.config,
         launch=options.launch,
         of_aircraft=configuration.sources_of_station,
     )
+    if settings.record is None and hasattr(options, "no_record") and not settings.no_record:
+        from m100link.log.folder import default_folder  # who decodes a frame needs none
+
+        settings = replace(settings, record=default_folder())
+    return settings
 
 
 def aircraft_of(
@@ -126,6 +131,7 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
         json_output: Print one line of JSON when it runs.
         show_config: Print the settings and where each came from, and end.
         single_process: Let one process fly and talk to clients: to look into it, not to fly.
+        no_record: Record nothing.
         log: What is logged; as JSON it has the events, too, which are told as text otherwise.
     """
 
@@ -134,6 +140,7 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
     json_output: Annotated[bool, Parameter(name="--json")] = False
     show_config: bool = False
     single_process: bool = False
+    no_record: Annotated[bool | None, Parameter(negative=())] = None
     log: LogOptions = AS_IT_IS
 
 

@@ -34,7 +34,7 @@ from m100link.wire import Cipher
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
-__all__ = ["Recorder"]
+__all__ = ["Recorder", "is_being_written"]
 
 _logger = logging.getLogger(__name__)
 
@@ -48,7 +48,10 @@ FSYNC_S = 5.0
 """A computer that loses its power loses so much."""
 
 MAX_WAITING = 16_000_000
-"""Bytes that wait for a disk that stands still; what comes then is dropped and counted."""
+"""Bytes of memory for what waits for a disk that stands still; the rest is dropped and counted."""
+
+# Besides its bytes: a tuple, a time and a bytes object; a dictionary of counters.
+_EACH_CHUNK, _EACH_TOLD = 150, 3000
 
 END_TIMEOUT_S = 5.0
 """How long closing waits for the disk."""
@@ -67,9 +70,14 @@ class _Batch:
     dropped: int = 0
 
     @property
-    def size(self) -> int:
+    def heard(self) -> int:
         """Bytes that were heard."""
         return sum(len(data) for _, data, _ in self.chunks)
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that it holds, or more."""
+        return self.heard + _EACH_CHUNK * len(self.chunks) + _EACH_TOLD * len(self.told)
 
 
 class Recorder:
@@ -103,7 +111,8 @@ class Recorder:
         self._timer: asyncio.TimerHandle | None = None
         self._is_taken = False  # by a connection
         self._is_ended = False
-        self._given = self._taken = 0  # bytes, each counted by one side alone: loop, thread
+        # Bytes of memory, each counted by one side alone: loop, thread.
+        self._given = self._taken = 0
         self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
         self._scribe = _Scribe(writer, stream, self.path, rate_hz)
         self._thread = threading.Thread(target=self._write, name=f"log {self.path}", daemon=True)
@@ -190,7 +199,7 @@ class Recorder:
         if self._given - self._taken + size > MAX_WAITING:
             # But not what an echo must be compared with, lest it shows an app id.
             self._batch.chunks = [one for one in batch.chunks if may_hold_secret(*one[:2])]
-            self.dropped += size - self._batch.size
+            self.dropped += batch.heard - self._batch.heard
             return
         batch.dropped = self.dropped
         self._given += size
@@ -209,8 +218,8 @@ class Recorder:
                     continue
                 if batch is None:
                     break
-                self._taken += batch.size
                 scribe.write(batch)
+                self._taken += batch.size
                 scribe.flush_in_time()
             scribe.finish()
         except Exception as error:  # noqa: BLE001 - whatever it is ends the log and nothing else
@@ -230,6 +239,30 @@ class Recorder:
         self._thread.join(END_TIMEOUT_S)
 
 
+def is_being_written(path: Path) -> bool:
+    """Whether some program writes the log now, this one among them."""
+    try:
+        with path.open("rb") as stream:
+            return not _lock(stream)
+    except OSError:
+        return True  # whoever asks leaves it alone
+
+
+def _lock(stream: IO[bytes]) -> bool:
+    """Have the file for ourselves until it is closed, or the process is killed."""
+    try:
+        import fcntl
+    except ModuleNotFoundError:  # Windows removes no file that somebody has open
+        return True
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:  # a file system without locks
+        _logger.debug("a log without a lock: %s", error)
+    return True
+
+
 def _nothing() -> tuple[None, None]:
     return None, None
 
@@ -241,7 +274,9 @@ def _new_file(place: Path) -> tuple[Path, IO[bytes]]:
         names = [place / f"{stem}{mark}.mcap" for mark in ("", *(f"-{n}" for n in range(2, 1000)))]
     for path in names:
         try:
-            return path, path.open("xb")
+            stream = path.open("xb")
+            _lock(stream)
+            return path, stream
         except FileExistsError:  # by another process perhaps, in this very moment
             continue
         except OSError as error:

@@ -20,6 +20,7 @@ __all__ = [
     "MAGIC",
     "Channel",
     "End",
+    "Header",
     "Metadata",
     "Outline",
     "RawMessage",
@@ -34,9 +35,9 @@ MAGIC = b"\x89MCAP0\r\n"
 _MAX_RECORD = 64 << 20  # bytes; a damaged length must not ask for gigabytes
 _WINDOW = 4 << 20  # bytes in which the next part is looked for at once
 
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
 _INDEX, _METADATA = 0x07, 0x0C
-_READ = frozenset({_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA})
+_READ = frozenset({_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA})
 _LAST_KIND = 0x0F
 
 _HEAD = struct.Struct("<BQ")
@@ -51,6 +52,13 @@ _PART = re.compile(
     rb"\x06[\s\S]{4}\0{4}[\s\S]{20}\0{4}[\s\S]{4}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4})[\s\S]{4}\0{4}"
 )
 _LONGEST_PART_HEAD = 9 + _CHUNK_HEAD + 4 + 8
+
+
+class Header(NamedTuple):
+    """What the file says of whoever wrote it."""
+
+    profile: str
+    library: str
 
 
 class Schema(NamedTuple):
@@ -100,7 +108,7 @@ class Outline(NamedTuple):
     is_ended: bool
 
 
-Record = Schema | Channel | RawMessage | Metadata | End
+Record = Header | Schema | Channel | RawMessage | Metadata | End
 
 
 def mcap_module(name: str) -> Any:
@@ -341,6 +349,9 @@ def _unpacked(body: bytes) -> bytes:
 def _parsed(kind: int, body: bytes) -> Record | None:
     if kind == _MESSAGE:
         return RawMessage._make((*_message_head(body), body[_MESSAGE_HEAD:]))
+    if kind == _HEADER:
+        profile, at = _text(body, 0)
+        return Header(profile, _text(body, at)[0])
     if kind == _SCHEMA:
         name, at = _text(body, 2)
         encoding, at = _text(body, at)

@@ -26,7 +26,7 @@ from m100link.station.run import Owner, owning
 
 __all__ = ["RunningApart", "front_process", "front_settings", "kept", "running_apart"]
 
-_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins", "unused")
+_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "record", "origins", "unused")
 
 
 @dataclass(frozen=True, slots=True)

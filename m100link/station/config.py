@@ -38,6 +38,9 @@ MOST_AIRCRAFT = 8
 FRONT_NICENESS = 5
 """A third of the agent's share of a busy processor: it still serves, and holds nobody up."""
 
+RECORD_KEEP, RECORD_KEEP_MB = 200, 2000
+"""Flight logs, and megabytes of them: an hour has ten to forty."""
+
 _MAX_NICENESS = 19
 _MIN_TOKEN = 16
 _APP: dict[str, Any] = {one.name: one.default for one in fields(Credentials)}
@@ -89,6 +92,13 @@ class Settings:
         autopilot: What the heartbeat says that it is: px4, which ground stations know, or generic.
         signing_key_file: File with the key that signs MAVLink, 64 hex digits, readable by you
             alone; what is not signed with it moves nothing.
+        record: Folder for a flight log of each connection; nothing in it is ever removed. By
+            default `serve` and `console` keep them in m100link/flights of the user's state folder
+            (~/.local/state).
+        no_record: Record nothing.
+        record_keep: Flight logs that are kept there; older ones that this program wrote are
+            removed, 0 for none.
+        record_keep_mb: Megabytes of flight logs that are kept there, 0 for any number.
         origins: Where each value came from.
         unused: Parameters of the launch file that have no use here.
     """
@@ -127,6 +137,10 @@ class Settings:
     sysid: int = 1
     autopilot: str = "px4"
     signing_key_file: Path | None = None
+    record: Path | None = None
+    no_record: bool = False
+    record_keep: int = RECORD_KEEP
+    record_keep_mb: int = RECORD_KEEP_MB
     origins: dict[str, str] = field(default_factory=dict)
     unused: tuple[str, ...] = ()
 
@@ -329,6 +343,7 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
     return table
 
 
+_NOT_BELOW_0 = ("record_keep", "record_keep_mb")
 _ABOVE_0 = ("baud_rate", "timeout", "max_clients", "max_height", "max_radius", "sysid")
 
 _WANTED = {"int": "a whole number", "float": "a number", "bool": "true or false", "tuple": "a list"}
@@ -337,9 +352,10 @@ _WANTED = {"int": "a whole number", "float": "a number", "bool": "true or false"
 def _convert(name: str, value: Any, source: str) -> Any:
     kind = str(_KINDS[name])
     above = " above 0" if name in _ABOVE_0 else ""
+    not_below = ", 0 or more," if name in _NOT_BELOW_0 else ""
     try:
         made = _as(kind, value)
-        if above and not 0 < made < math.inf:
+        if (above and not 0 < made < math.inf) or (not_below and made < 0):
             raise ValueError
         return made
     except (TypeError, ValueError):
@@ -348,7 +364,7 @@ def _convert(name: str, value: Any, source: str) -> Any:
         called = ENVIRONMENT[name] if source == "environment" else f"{source}: {name}"
         wanted = next((words for start, words in _WANTED.items() if kind.startswith(start)), "text")
         raise UsageError(
-            f"{called} cannot be {shown}", remedy=f"{wanted}{above} is needed"
+            f"{called} cannot be {shown}", remedy=f"{wanted}{above}{not_below} is needed"
         ) from None
 
 

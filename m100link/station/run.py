@@ -6,7 +6,7 @@ serve`` does is in :mod:`m100link.station.apart`: the fronts in a process of the
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ from m100link.agent.connection import Connect
 from m100link.agent.service import Service
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
+from m100link.log.folder import Flights, default_folder
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim.ports.driver import Driver
@@ -130,6 +131,15 @@ def _virtual(credentials: Credentials | None, firmware: str | None, place: int) 
     )
 
 
+def _flights(settings: Settings, tell: Callable[[str, str], None]) -> Flights | None:
+    """Where connections are recorded; None for nowhere."""
+    if settings.record is None or settings.no_record:
+        return None
+    is_ours = settings.record == default_folder()  # in a folder of theirs nothing is removed
+    keep, keep_mb = (settings.record_keep, settings.record_keep_mb) if is_ours else (0, 0)
+    return Flights(settings.record, keep=keep, keep_mb=keep_mb, tell=tell)
+
+
 @asynccontextmanager
 async def owning(
     settings: Settings,
@@ -150,6 +160,11 @@ async def owning(
         UsageError, BadKey: Something in the settings cannot be.
     """
     credentials = settings.credentials()
+
+    def tell(text: str, level: str) -> None:
+        agent.journal.note(text, level)
+
+    flights = _flights(settings, tell)
     async with AsyncExitStack() as stack:
         if settings.sim:
             virtual = virtual or _virtual(credentials, settings.firmware, place)
@@ -157,13 +172,14 @@ async def owning(
             driver = Driver(virtual)
             driver.start()
             stack.callback(driver.stop)
-            connect: Connect = by_driver(driver)
+            connect: Connect = by_driver(driver, flights=flights)
         elif settings.url is not None:
             connect = by_url(
                 settings.url,
                 baud_rate=settings.baud_rate,
                 firmware=settings.firmware,
                 timeout=settings.timeout,
+                flights=flights,
             )
         else:
             raise UsageError(

@@ -32,6 +32,7 @@ END_TIMEOUT = 15.0
 _FOR_AGENTS = (
     *("url", "baud_rate", "firmware", "timeout", "sim", "app_id", "key", "key_file", "level"),
     *("app_version", "bundle_id", "keep_authority", "max_height", "max_radius"),
+    *("record", "no_record", "record_keep", "record_keep_mb"),
 )
 
 Tell = Callable[[str, Event], None]

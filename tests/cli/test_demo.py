@@ -9,10 +9,12 @@ import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from m100link.log import read
 from tests.cli.conftest import ROOT, CommandLine, process
 from tests.waiting import PATIENCE
 
@@ -53,6 +55,7 @@ def test_on_the_virtual_clock_equal_seeds_are_equal_flights(cli: CommandLine) ->
     one, again = (cli(*command, "5").objects[0] for _ in range(2))
     for summary in (one, again):
         assert summary.pop("real_seconds") > 0.0
+        assert Path(summary.pop("recording")).exists()
     assert one == again
 
 
@@ -78,6 +81,21 @@ def test_demo_shows_a_summary_and_pictures_to_people(cli: CommandLine) -> None:
     assert "back within" in outcome.out
     assert any(0x2800 < ord(c) <= 0x28FF for c in outcome.out), "no picture of the track"
     assert "north up" in outcome.out
+
+
+def test_demo_says_where_its_log_is_and_how_to_see_it_again(
+    cli: CommandLine, tmp_path: Path
+) -> None:
+    folder = tmp_path / "my flights"
+    outcome = cli("demo", "--side", "1", "--speed", "max", "--record", str(folder))
+    assert outcome.status == 0
+    [path] = folder.iterdir()
+    assert f"recorded in {path}" in outcome.out
+    assert f"m100link replay '{path}'" in outcome.out
+    assert read(path).summary().is_whole
+    outcome = cli("demo", "--side", "1", "--speed", "max", "--no-record")
+    assert outcome.status == 0
+    assert "recorded" not in outcome.out
 
 
 @pytest.mark.pty

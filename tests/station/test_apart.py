@@ -18,6 +18,7 @@ pytest.importorskip("uvicorn")
 from websockets.asyncio.client import ClientConnection, connect
 
 from m100link.errors import M100Error, UsageError
+from m100link.log import read
 from m100link.station import child
 from m100link.station.apart import RunningApart, front_settings, running_apart
 from m100link.station.config import FRONT_NICENESS, Settings, resolve
@@ -231,6 +232,22 @@ async def test_an_agent_that_is_killed_is_told_by_its_front_and_its_port_is_free
         async with asyncio.timeout(PATIENCE):
             while not await is_served_anew():  # noqa: ASYNC110 - another process has no event
                 await asyncio.sleep(0.1)
+
+
+def files_in(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir())
+
+
+async def test_what_it_is_told_to_record_is_recorded_and_told(tmp_path: Path) -> None:
+    settings = Settings(sim=True, port=0, record=tmp_path)
+    async with running_apart(settings) as station:
+        connection = station.agent.connection
+        await until(lambda: connection.aircraft is not None)
+        texts = [event.text for event in station.agent.journal.events]
+        await asyncio.sleep(0.5)
+    [path] = files_in(tmp_path)
+    assert f"recorded into {path}" in texts
+    assert read(path).summary().is_whole
 
 
 async def test_mistakes_in_what_is_served_are_told_as_ever(tmp_path: Path) -> None:

@@ -1,0 +1,126 @@
+"""A folder of flight logs that stays of a bounded size, for whoever records without being asked."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from m100link.errors import M100Error, UsageError
+from m100link.log.recorder import Recorder, is_being_written
+from m100link.log.records import MAGIC, Header, records
+
+__all__ = ["Flights", "default_folder"]
+
+_logger = logging.getLogger(__name__)
+
+# As Recorder names a file in a folder.
+_NAME = re.compile(r"m100link-\d{8}-\d{6}(-\d+)?\.mcap")
+
+
+def default_folder(environment: Mapping[str, str] | None = None) -> Path:
+    """Where flights are kept: ``m100link/flights`` in the folder of the user's state (XDG)."""
+    named = (os.environ if environment is None else environment).get("XDG_STATE_HOME", "")
+    base = Path(named) if Path(named).is_absolute() else Path("~/.local/state").expanduser()
+    return base / "m100link" / "flights"
+
+
+class _Kept(NamedTuple):
+    at: float
+    size: int
+    path: Path
+
+
+class Flights:
+    """Makes a log for each connection. Recording never keeps anybody from flying.
+
+    Args:
+        folder: Where; it is made when it is not there.
+        keep: Logs to keep; 0: all of them.
+        keep_mb: Megabytes of logs to keep; 0: all of them.
+        tell: Takes what people should know, and its level.
+
+    Attributes:
+        folder: As given.
+        newest: The log of the newest connection; None before the first.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        keep: int = 0,
+        keep_mb: int = 0,
+        tell: Callable[[str, str], None],
+    ) -> None:
+        self.folder = folder.expanduser()
+        self._keep = keep
+        self._keep_bytes = keep_mb * 1_000_000
+        self._tell = tell
+        self.newest: Path | None = None
+        self._told = ""  # why it is not recorded: once is enough
+
+    def begin(self) -> Recorder | None:
+        """A log for the next connection; None when it cannot be, which is told."""
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            return Recorder(self.folder)
+        except (M100Error, OSError) as error:
+            why = error.seen if isinstance(error, M100Error) else f"{error}"
+            remedy = error.remedy if isinstance(error, UsageError) else ""
+            if why != self._told:
+                self._told = why
+                self._tell(f"not recorded: {why}" + (f" ({remedy})" if remedy else ""), "warning")
+            return None
+
+    def keep(self, log: Recorder) -> None:
+        """An aircraft answered: this log is kept, the oldest make room for it."""
+        self._told = ""
+        self.newest = log.path
+        self._tell(f"recorded into {log.path}", "info")
+        self.make_room()
+
+    @staticmethod
+    def drop(log: Recorder) -> None:
+        """No aircraft answered: attempts to connect are not flights."""
+        with suppress(OSError):
+            log.path.unlink()
+
+    def make_room(self) -> None:
+        """Remove the oldest of our own logs that nobody writes, beyond what is kept."""
+        try:
+            kept = sorted(self._ours(), reverse=True)
+        except OSError as error:
+            _logger.debug("%s: %s", self.folder, error)
+            return
+        size = 0
+        for count, one in enumerate(kept, 1):
+            size += one.size
+            is_beyond = (self._keep and count > self._keep) or (
+                self._keep_bytes and size > self._keep_bytes
+            )
+            if is_beyond and count > 1 and not is_being_written(one.path) and _is_ours(one.path):
+                with suppress(OSError):  # another program of ours did it
+                    one.path.unlink()
+                    _logger.info("%s: removed, to make room for newer ones", one.path)
+
+    def _ours(self) -> list[_Kept]:
+        found = []
+        for path in self.folder.iterdir():
+            if _NAME.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+                told = path.stat()
+                found.append(_Kept(told.st_mtime, told.st_size, path))
+        return found
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether this library wrote it, by what the file says of itself."""
+    with path.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            return False
+        first = next(records(stream), None)
+    return isinstance(first, Header) and first.library.startswith("m100link ")

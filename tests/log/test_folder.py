@@ -1,0 +1,138 @@
+"""Logs that nobody asked for: where they are, which make room, and that none keeps from flying."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+
+import pytest
+
+from m100link import connect
+from m100link.agent.connect import by_driver, by_url
+from m100link.errors import NoAircraft
+from m100link.log import Recorder, read
+from m100link.log.folder import Flights, default_folder
+from m100link.sim import Driver, VirtualAircraft
+
+pytestmark = pytest.mark.anyio
+
+
+class Told:
+    """What people are told."""
+
+    def __init__(self) -> None:
+        self.all: list[tuple[str, str]] = []
+
+    def __call__(self, text: str, level: str) -> None:
+        self.all.append((level, text))
+
+
+async def made(folder: Path, name: str, age_s: float) -> Path:
+    """A log of ours, so old."""
+    path = folder / name
+    async with connect("sim://", record=path):
+        await asyncio.sleep(0.2)
+    stamp = 1_700_000_000 - age_s
+    os.utime(path, (stamp, stamp))
+    return path
+
+
+def files_in(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir())
+
+
+def test_flights_are_kept_where_the_system_wants_state(tmp_path: Path) -> None:
+    own = Path("~/.local/state/m100link/flights").expanduser()
+    assert default_folder({}) == own
+    assert default_folder({"XDG_STATE_HOME": "relative"}) == own
+    assert default_folder({"XDG_STATE_HOME": str(tmp_path)}) == tmp_path / "m100link/flights"
+
+
+async def test_the_oldest_of_ours_that_nobody_writes_make_room(tmp_path: Path) -> None:
+    names = [f"m100link-20260101-00000{n}.mcap" for n in range(6)]
+    paths = [await made(tmp_path, name, 600.0 - n) for n, name in enumerate(names)]
+    foreign = tmp_path / "m100link-20250101-000000.mcap"
+    foreign.write_bytes(b"\x89MCAP0\r\n" + b"\x01" + (8).to_bytes(8, "little") + bytes(8))
+    other, empty = tmp_path / "holiday.mcap", tmp_path / "m100link-20240101-000000.mcap"
+    other.write_bytes(paths[0].read_bytes())
+    empty.touch()
+    away = tmp_path / "elsewhere"
+    away.write_bytes(paths[0].read_bytes())
+    link = tmp_path / "m100link-20230101-000000.mcap"
+    link.symlink_to(away)
+    for path in (foreign, other, empty):
+        os.utime(path, (1_600_000_000, 1_600_000_000))
+    writing = Recorder(tmp_path / "m100link-20220101-000000.mcap")
+    async with connect("sim://", record=writing):
+        await asyncio.sleep(0.5)
+        os.utime(writing.path, (1_500_000_000, 1_500_000_000))
+        flights = Flights(tmp_path, keep=3, tell=Told())
+        flights.make_room()
+        assert [path.exists() for path in paths] == [False] * 3 + [True] * 3
+        assert writing.path.exists()
+    for path in (foreign, other, empty, link, away):
+        assert path.exists(), path
+    size = paths[-1].stat().st_size
+    assert size < 1_000_000
+    Flights(tmp_path, keep_mb=0, tell=Told()).make_room()
+    assert paths[3].exists()
+
+
+async def test_megabytes_are_counted_from_the_newest(tmp_path: Path) -> None:
+    paths = [await made(tmp_path, f"m100link-20260101-00000{n}.mcap", -n) for n in range(3)]
+    for path in paths[1:]:
+        stamp = path.stat().st_mtime
+        with path.open("ab") as stream:
+            stream.truncate(700_000)
+        os.utime(path, (stamp, stamp))
+    Flights(tmp_path, keep_mb=1, tell=Told()).make_room()
+    assert [path.exists() for path in paths] == [False, False, True]
+
+
+async def test_each_connection_of_an_agent_gets_a_log(tmp_path: Path) -> None:
+    told = Told()
+    flights = Flights(tmp_path / "made" / "by us", tell=told)
+    driver = Driver(VirtualAircraft(seed=3))
+    driver.start()
+    for opened in (by_url("sim://", flights=flights), by_driver(driver, flights=flights)):
+        aircraft = await opened()
+        await asyncio.sleep(1.0)
+        await aircraft.aclose()
+        assert flights.newest is not None
+        log = read(flights.newest)
+        summary = log.summary()
+        assert summary.is_whole
+        assert summary.firmware == "1.0"
+        assert sum(1 for _ in log.samples()) > 80
+    driver.stop()
+    assert len(list(flights.folder.iterdir())) == 2
+    assert [level for level, _ in told.all] == ["info", "info"]
+    assert flights.folder.stat().st_mode & 0o077 == 0, "where somebody flew is theirs to tell"
+
+
+async def test_an_attempt_that_found_no_aircraft_leaves_nothing(tmp_path: Path) -> None:
+    flights = Flights(tmp_path, tell=Told())
+    for _ in range(3):
+        with pytest.raises(NoAircraft):
+            await by_url("sim://?mute", timeout=0.5, flights=flights)()
+    assert files_in(tmp_path) == []
+
+
+async def test_what_cannot_be_recorded_is_told_once_and_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = Told()
+    file = tmp_path / "a file"
+    file.touch()
+    flights = Flights(file, tell=told)
+    for _ in range(2):
+        aircraft = await by_url("sim://", flights=flights)()
+        await aircraft.aclose()
+    assert [level for level, _ in told.all] == ["warning"]
+    assert "not recorded" in told.all[0][1]
+    monkeypatch.setitem(__import__("sys").modules, "mcap.writer", None)
+    told.all.clear()
+    aircraft = await by_url("sim://", flights=Flights(tmp_path / "there", tell=told))()
+    await aircraft.aclose()
+    assert "pip install 'm100link[log]'" in told.all[0][1]
