@@ -53,6 +53,8 @@ VIEWS: dict[str, tuple[str, tuple[Callable[[Deck], Part], ...]]] = {
 }
 """By name, ``page.view.<name>`` stands on its tab: its icon, and its parts in their order."""
 
+_PATIENCE = 30.0  # seconds that a busy browser has to say what it kept
+_SHELL = 'import("/console/shell.js").then(({m100}) => '
 _MAP_VIEWS = ("fly", "plan")
 
 
@@ -125,8 +127,25 @@ class Page:
                 self._deck.wording.put(attribute(section), f"page.view.{name}")
                 self._sections[name] = section
         self._show("fly")
-        ui.timer(0.0, lambda: load_settings(self._deck), once=True)
+        ui.timer(0.0, self._go_on, once=True)
         ui.timer(UPDATE_INTERVAL, self._update)
+
+    async def _go_on(self) -> None:
+        """Look and speak as it was chosen, and go on where the page was before a reload."""
+        await load_settings(self._deck)
+        deck, tab = self._deck, self._tab
+        try:
+            name, secret = await ui.run_javascript(_SHELL + "m100.kept())", timeout=_PATIENCE)
+        except TimeoutError:
+            return  # the page has gone, or hangs: it stays as it is
+        looks = deck.tabs.looks
+        tab.person = looks.person(secret)
+        ui.run_javascript(f"{_SHELL}m100.keep({json.dumps(tab.person)}))")
+        said_at = looks.said_at(tab.person, tab.aircraft, self._agent, deck.history)
+        if said_at is not None:
+            deck.memory.checklist.say_free(said_at, is_free=True)
+        if name in VIEWS:
+            self._show(name)
 
     def _build_bar(self) -> None:
         put = self._deck.wording.put

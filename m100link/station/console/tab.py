@@ -61,6 +61,7 @@ class Tab:
         aircraft: As given.
         kept: Control of other aircraft, kept as long as this tab is heard.
         name: As given; the operator may change it.
+        person: Who looks at it, past a reload: see :class:`~m100link.station.console.looks.Looks`.
         lease: Its lease, in force or not.
         refusal: What was refused last; None for nothing.
         plan: What was uploaded last, None before.
@@ -77,6 +78,7 @@ class Tab:
         self.aircraft = aircraft
         self.kept = KeptLeases()
         self.name = name
+        self.person = ""
         self.lease: Lease | None = None
         self.refusal: M100Error | None = None
         self.plan: WaypointPlan | None = None

@@ -13,6 +13,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from m100link.agent.client import AgentClient
 from m100link.station.console.kept import RENEWAL, KeptLeases
+from m100link.station.console.looks import Looks
 from m100link.station.console.tab import Tab
 from m100link.station.console.view.instruments import live, seen_from_afar
 from m100link.station.web.places import who_makes_room
@@ -77,6 +78,11 @@ class Tabs:
 
     Args:
         agents: The agent that owns an aircraft, by its name.
+
+    Attributes:
+        agents: As given.
+        tabs: Those that are open.
+        looks: What their operators said before a take-off.
     """
 
     def __init__(self, agents: Mapping[str, AgentClient]) -> None:
@@ -85,6 +91,7 @@ class Tabs:
         self._count = 0
         self._moves: dict[str, _Move] = {}  # by their codes
         self.tabs: dict[str, Tab] = {}
+        self.looks = Looks()
         self._places: dict[str, _Place] = {}
 
     def open(self, aircraft: str = "", moved: str = "") -> tuple[str, Tab]:

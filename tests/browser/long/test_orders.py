@@ -8,7 +8,7 @@ import pytest
 
 from m100link.station.console.view.actions import HELD
 from tests.browser.conftest import Console
-from tests.browser.operator import airborne, hold, look_at, press, shows
+from tests.browser.operator import airborne, hold, look_around, look_at, press, shows
 
 pytestmark = [pytest.mark.anyio]
 
@@ -95,3 +95,22 @@ async def test_what_flies_by_itself_is_held_and_a_short_press_says_so(console: C
     assert await page.inner_text("#task") == ""
     await hold(page, "go_home")
     await shows(page, "#task", "going home")
+
+
+async def test_a_reload_goes_on_where_the_page_was_and_with_what_was_seen(
+    console: Console,
+) -> None:
+    page = await console.open()
+    await look_around(page)
+    await look_at(page, "plan")
+    await page.wait_for_selector("#plan-summary")
+    await page.reload()
+    await page.wait_for_selector("[data-go=plan][aria-current=page]")
+    await page.wait_for_selector("#plan-summary:visible")
+    await look_at(page, "check")
+    await page.wait_for_selector("[data-check=free].right")
+    # Another tab is another person, who has not looked.
+    other = await console.open()
+    await other.wait_for_selector("[data-go=fly][aria-current=page]")
+    await look_at(other, "check")
+    await other.wait_for_selector("[data-check=free].wrong")

@@ -81,8 +81,11 @@ class ChecklistPart:
         return _Row(box, shape, state, seen, remedy)
 
     def _say_free(self, *, is_free: bool) -> None:
-        memory = self._deck.memory
-        memory.checklist.say_free(memory.situation.now, is_free=is_free)
+        deck, desk, now = self._deck, self._deck.memory.checklist, self._deck.agent.now
+        if is_free is desk.is_free(now):
+            return  # the box follows what was said, and says nothing by itself
+        desk.say_free(now, is_free=is_free)
+        deck.tabs.looks.say(deck.tab.person, deck.tab.aircraft, deck.agent, is_free=is_free)
 
     def update(self, view: View) -> None:
         """Show what is."""

@@ -11,6 +11,8 @@ const HOLD_MS = 1000;
 const SHIFTED_MS = 400;  // so long after the page shifted, a finger is where another button was
 const STOOD_STILL_MS = 500;  // later than this, nobody knows whether the button was held
 
+const PERSON = "m100link.person";  // who looks at this tab, also after a reload
+
 const listeners = [];
 const waiting = [];  // for the map
 
@@ -28,6 +30,19 @@ export const m100 = {
     return {at: this.socket.saidAt, press, shown: event.detail?.shown};
   },
   answered,
+  // The view that was shown, and the secret of whoever looks at this tab; null where none is kept.
+  kept() {
+    let person = null;
+    try {
+      person = sessionStorage.getItem(PERSON);
+    } catch { /* where nothing may be stored, a reload forgets it */ }
+    return [location.hash.slice(1), person];
+  },
+  keep(person) {
+    try {
+      sessionStorage.setItem(PERSON, person);
+    } catch { /* as above */ }
+  },
 };
 
 export function start(key) {
@@ -43,8 +58,13 @@ export function start(key) {
   stopAtOnce(find("[data-act=stop]"));
   holdToPress();
   for (const tab of document.querySelectorAll("[data-go]"))
-    tab.addEventListener("click", () => show(tab.dataset.go));
-  show("fly");
+    tab.addEventListener("click", () => {
+      show(tab.dataset.go);
+      history.replaceState(null, "", `#${tab.dataset.go}`);  // where a reload goes on
+    });
+  const named = () => find(`[data-go="${CSS.escape(location.hash.slice(1))}"]`);
+  show(named()?.dataset.go || "fly");  // the station learns of it by kept()
+  window.addEventListener("hashchange", () => named()?.click());
   keepAboveKeyboard();
   keepBelowHeader(find("#header"));
   FlightMap.find(find("#map"), (map) => {

@@ -240,6 +240,10 @@ class ChecklistDesk:
         """The operator looked around: nobody and nothing is near, and the way up is free."""
         self._free_said_at = at if is_free else -math.inf
 
+    def is_free(self, now: float) -> bool:
+        """Whether the operator's word for the place holds."""
+        return now - self._free_said_at <= FREE_FOR_S
+
     def say_why(self, reason: str) -> None:
         """Why the operator takes off although not everything is right."""
         self._reason = " ".join(reason.split())[:200]
@@ -248,7 +252,7 @@ class ChecklistDesk:
         """The list for a situation."""
         if now.is_on_ground is False:
             self._free_said_at, self._reason = -math.inf, ""  # the next take-off is another one
-        is_free = now.now - self._free_said_at <= FREE_FOR_S
+        is_free = self.is_free(now.now)
         findings = {item: find(now) for item, find in _FINDERS.items()}
         key = "checklist.free.said" if is_free else "checklist.free.unsaid"
         findings[Item.FREE] = _found(is_free, say(key))
