@@ -45,6 +45,7 @@ from m100link.agent.messages import (
     TakeOverOffered,
     Telemetry,
 )
+from m100link.agent.own_loop import OwnLoop
 from m100link.agent.plan_told import plan_of
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.errors import AuthorityLost, LayoutMismatch, M100Error
@@ -94,7 +95,7 @@ class AgentClient:
     def __init__(self, channel: Channel, name: str) -> None:
         loop = asyncio.get_running_loop()
         self._clock = loop.time
-        self._channel = channel
+        self._channel = OwnLoop(channel)
         self._name = name
         self.state = State(at=self.now)
         self.heard_at = self.now
@@ -114,7 +115,7 @@ class AgentClient:
         self.on_lease: list[Callable[[LeaseChanged], None]] = []
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
-        self._answers = Answers(channel.send)
+        self._answers = Answers(self._channel.send)
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
@@ -161,9 +162,12 @@ class AgentClient:
         return self.state.has_authority and not self.is_silent
 
     async def __aenter__(self) -> Self:
+        self._greet()
+        return self
+
+    def _greet(self) -> None:
         self._channel.send(Hello(VERSION, self._name, self.now))
         self._channel.open(self._receive, self._closed)
-        return self
 
     async def __aexit__(
         self,
@@ -171,6 +175,7 @@ class AgentClient:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        self._channel.require()
         await self.background.end()
         self._channel.close("the front ends")
         self._closed("it was closed here")
@@ -180,13 +185,13 @@ class AgentClient:
 
         Whoever held a lease there holds none here.
         """
+        self._channel.require()
         if self.events:
             self._known_until = self.events[-1].at
-        self.state, self._heard_at = State(at=self.now), self.now
-        self._channel = channel
-        self._answers.begin(channel.send)
-        channel.send(Hello(VERSION, self._name, self.now))
-        channel.open(self._receive, self._closed)
+        self.state, self.heard_at = State(at=self.now), self.now
+        self._channel = OwnLoop(channel)
+        self._answers.begin(self._channel.send)
+        self._greet()
 
     # -- what comes in ---------------------------------------------------------------------------
 
@@ -448,10 +453,7 @@ class AgentClient:
         await self.ask(Action[task.name], lease, accepted=accepted)
 
     async def guide(
-        self,
-        lease: Lease | None,
-        order: GuidedOrder,
-        accepted: Callable[[], None] | None = None,
+        self, lease: Lease | None, order: GuidedOrder, accepted: Callable[[], None] | None = None
     ) -> None:
         """Fly to where somebody points; done when it is there. :meth:`halt` ends it.
 
@@ -463,9 +465,7 @@ class AgentClient:
         Raises: as :meth:`m100link.agent.agent.Agent.guide`, and LinkError.
         """
         fence = lease.number if lease is not None else 0
-        await self._answers.question(
-            lambda number: replace(order, id=number, fence=fence), accepted
-        )
+        await self._answers.question(lambda n: replace(order, id=n, fence=fence), accepted)
 
     async def start_pattern(self, lease: Lease | None, number: int) -> None:
         """Let the simple task of that number fly, until it ends or anything stops it.

@@ -27,14 +27,14 @@ class UsageError(
     """The call itself is wrong; nothing was sent."""
 
 
-def of_another_loop() -> UsageError:
+def of_another_loop(name: str = "aircraft.link.loop") -> UsageError:
     """What whoever waits or sends gets outside the event loop in which the connection was made."""
     return UsageError(
         "the connection belongs to another event loop than the one that runs here, if any",
         cause="another thread uses it, or it was made by an asyncio.run() that has ended",
         remedy="connect and fly in the same asyncio.run(); from another thread "
-        "asyncio.run_coroutine_threadsafe(..., aircraft.link.loop), or for what does not wait "
-        "aircraft.link.loop.call_soon_threadsafe(...); m100link.sync may be used by any thread",
+        f"asyncio.run_coroutine_threadsafe(..., {name}), or for what does not wait "
+        f"{name}.call_soon_threadsafe(...); m100link.sync may be used by any thread",
     )
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
-from m100link.errors.usage import of_another_loop
+from m100link.link.own_loop import require_loop
 from m100link.link.statistics import LinkStatistics, RoundTripCounter, counted
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Event, Expired, SessionMode
@@ -118,10 +118,7 @@ class Link(asyncio.Protocol):
 
     def require_loop(self) -> None:
         """Raise a UsageError when another event loop runs here, or its own elsewhere or nowhere."""
-        here, own = _get_running_loop(), self._loop
-        # Between two runs of its loop, as at a prompt, none runs here.
-        if here is not own and (here or own.is_running() or own.is_closed()):
-            raise of_another_loop()
+        require_loop(self._loop)
 
     @property
     def cipher(self) -> Cipher | None:

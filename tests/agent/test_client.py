@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack
+from functools import partial
+from typing import Any
 
 import anyio
 import pytest
@@ -22,8 +25,9 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Attitude
 from m100link.protocol.setpoint import Setpoint
-from m100link.telemetry.subscription import Newest
+from m100link.telemetry.subscription import Newest, Subscription
 from tests.agent.conftest import Rig
+from tests.aircraft.test_other_loop import assert_told, elsewhere, entered, plainly
 
 pytestmark = pytest.mark.anyio
 
@@ -283,3 +287,69 @@ async def test_a_plan_that_cannot_be_read_is_counted(rig: Rig) -> None:
         its.open(lambda _: None, lambda _: None)
         its.send(PlanTold("somebody", b"\x02", (b"\xff",)))
         assert (client.plan, client.unread) == (None, 1)
+
+
+CALLS: dict[str, Callable[[AgentClient, Lease], Awaitable[object]]] = {
+    "acquire": lambda c, lease: c.acquire("other"),
+    "activate": lambda c, lease: c.activate(lease),
+    "confirm": lambda c, lease: c.confirm("code"),
+    "enter": lambda c, lease: entered(c),
+    "fly": lambda c, lease: c.fly(lease, Task.LAND),
+    "from_mobile": lambda c, lease: first_of(c.from_mobile(Newest(1))),
+    "guide": lambda c, lease: c.guide(lease, ChangeHeight(9.0)),
+    "halt": lambda c, lease: plainly(lambda: c.halt("other", lease)),
+    "keep": lambda c, lease: plainly(lambda: c.keep(lease)),
+    "leave": lambda c, lease: c.__aexit__(None, None, None),
+    "let_go": lambda c, lease: plainly(lambda: c.let_go(lease)),
+    "note": lambda c, lease: plainly(lambda: c.note("other")),
+    "obtain": lambda c, lease: c.obtain(lease),
+    "release": lambda c, lease: c.release(lease),
+    "reopen": lambda c, lease: plainly(lambda: c.reopen(memory_channels()[0])),
+    "samples": lambda c, lease: first_of(c.samples(Newest(1))),
+    "start_pattern": lambda c, lease: c.start_pattern(lease, 1),
+    "steer": lambda c, lease: plainly(lambda: c.steer(lease, NORTH.neutral())),
+    "stop": lambda c, lease: c.stop(),
+    "version": lambda c, lease: c.version(),
+}
+
+
+async def first_of(values: Subscription[Any]) -> object:
+    async with values:
+        return await anext(values)
+
+
+async def test_another_event_loop_is_refused_and_the_owner_flies_on(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    client = clients[0]
+    lease = await client.acquire("first")
+
+    async def keep() -> None:
+        while True:
+            client.keep(lease)
+            await anyio.sleep(0.5)
+
+    client.background.spawn(keep(), "lease")
+    await client.obtain(lease)
+    await client.fly(lease, Task.TAKE_OFF)
+    for name, call in CALLS.items():
+        client.steer(lease, NORTH)
+        told, before = len(rig.agent.journal.events), asyncio.all_tasks()
+        assert_told(elsewhere(partial(call, client, lease)), name)
+        assert asyncio.all_tasks() == before, name
+        await anyio.sleep(0.2)
+        assert rig.aircraft.autopilot.received_movements[-1].roll_or_x == NORTH.x, name
+        assert client.holds(lease), name
+        assert len(rig.agent.journal.events) == told, name
+    await client.release(lease)
+
+
+async def test_an_agent_that_is_started_again_is_heard_from_then_on(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    client = clients[0]
+    client._channel.close("gone")
+    await anyio.sleep(10.0)
+    assert client.is_silent
+    client.reopen(memory_channels()[0])
+    assert not client.is_silent  # it has two seconds for its first word

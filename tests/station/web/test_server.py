@@ -194,20 +194,23 @@ async def test_a_flood_does_not_delay_others(monkeypatch: pytest.MonkeyPatch) ->
         receive_frame(self, *args)
 
     monkeypatch.setattr(Client, "receive", counted)
-    async with station() as one, connect(address(one)) as calm:
-        async with connect(address(one), close_timeout=1) as hostile:
-            asking = asyncio.create_task(drown(hostile))
-            between = []
-            for _ in range(40):
-                before = len(served)
-                await send(calm, "call_service", service="/rosapi/services")
-                await receive(calm)
-                between.append(len(served) - before)
-            assert max(between) < 20, between  # a turn of the event loop for each
-            assert sum(between) > 120, "the flood was over before"
-            with contextlib.suppress(ConnectionClosed):
-                await asking
-            await until(lambda: len(one.bridge.graph.sessions) == 1)
+    async with (
+        station() as one,
+        connect(address(one)) as calm,
+        connect(address(one), close_timeout=1) as hostile,
+    ):
+        asking = asyncio.create_task(drown(hostile))
+        between = []
+        for _ in range(40):
+            before = len(served)
+            await send(calm, "call_service", service="/rosapi/services")
+            await receive(calm)
+            between.append(len(served) - before)
+        assert max(between) < 20, between  # a turn of the event loop for each
+        assert sum(between) > 120, "the flood was over before"
+        with contextlib.suppress(ConnectionClosed):
+            await asking
+        await until(lambda: len(one.bridge.graph.sessions) == 1)
 
 
 async def drown(client: ClientConnection) -> None:
