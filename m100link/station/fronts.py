@@ -150,7 +150,9 @@ async def serving_fronts(
         dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
         if sockets.console is not None:
             console = await _reached(stack, reach, "console")
-            server, access, dropped_by_tabs = _console(console, settings, orders)
+            server, access, dropped_by_tabs = _console(
+                console, settings, orders, dict if bridge is None else bridge.dropped
+            )
             await stack.enter_async_context(_serving(server, [sockets.console]))
             servers.append(server)
         if sockets.mavlink:
@@ -170,7 +172,10 @@ def _rosbridge(agents: Mapping[str, AgentClient], settings: Settings) -> tuple[B
 
 
 def _console(
-    agents: Mapping[str, AgentClient], settings: Settings, orders: Mapping[str, Orders]
+    agents: Mapping[str, AgentClient],
+    settings: Settings,
+    orders: Mapping[str, Orders],
+    dropped_by_clients: Callable[[], Mapping[str, int]],
 ) -> tuple[Server, Access | None, Callable[[], Mapping[str, int]]]:
     try:
         from m100link.station.console.app import console_app
@@ -181,7 +186,7 @@ def _console(
             f"the console needs {error.name}, which is not installed",
             remedy="pip install 'm100link[station]'",
         ) from None
-    tabs = Tabs(agents)
+    tabs = Tabs(agents, dropped_by_clients)
     app = console_app(agents, settings, orders, tabs)
     return Server.make(app, settings, lifespan="on"), app.access, tabs.dropped
 

@@ -191,6 +191,10 @@ class Page:
             for name, agent in self._deck.tabs.agents.items()
         )
 
+    def _dropped(self) -> tuple[tuple[str, int], ...]:
+        tabs = self._deck.tabs
+        return (*tabs.dropped().items(), *tabs.dropped_by_clients().items())
+
     def _view(self) -> View:
         agent, tab = self._agent, self._tab
         return view_of(
@@ -209,6 +213,7 @@ class Page:
                 front_lag=self._deck.history.lag,
                 page_trip=tab.round_trip,
                 fleet=self._fleet(),
+                dropped=self._dropped() if self._shown == "data" else (),
                 lease_end=tab.lease_end,
                 loss=tab.loss,
                 heard_at=agent.heard_at,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from urllib.parse import urlencode
 
@@ -78,15 +78,22 @@ class Tabs:
 
     Args:
         agents: The agent that owns an aircraft, by its name.
+        dropped_by_clients: Messages that the station's other clients did not get, by their names.
 
     Attributes:
         agents: As given.
+        dropped_by_clients: As given.
         tabs: Those that are open.
         looks: What their operators said before a take-off.
     """
 
-    def __init__(self, agents: Mapping[str, AgentClient]) -> None:
+    def __init__(
+        self,
+        agents: Mapping[str, AgentClient],
+        dropped_by_clients: Callable[[], Mapping[str, int]] = dict,
+    ) -> None:
         self.agents = agents
+        self.dropped_by_clients = dropped_by_clients
         self._agent = next(iter(agents.values()))  # the clock of all of them
         self._count = 0
         self._moves: dict[str, _Move] = {}  # by their codes

@@ -137,6 +137,10 @@ class Bridge:
     def _sessions(self) -> list[Client]:
         return [one for one in self.graph.sessions if isinstance(one, Client)]
 
+    def dropped(self) -> dict[str, int]:
+        """Messages that clients did not get because they are slow, by their names."""
+        return {one.name: one.dropped for one in self._sessions}
+
     def _make_room(self, peer: str) -> bool:
         """Whether one more client may come, for which another may have to go.
 

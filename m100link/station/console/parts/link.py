@@ -37,7 +37,7 @@ class LinkPart:
                 self._numbers[name] = field(name, f"link.{name}", wording)[1]
             field("age", "link.age", wording)
             self._reason = ui.label().classes("problem").props("id=connection-error")
-        for name in ("causes", "rates"):
+        for name in ("causes", "rates", "dropped"):
             with card(f"link.{name}", wording):
                 box = ui.element("div").props(f"id=link-{name}").classes("w-full")
                 self._tables[name] = box, ()
@@ -55,6 +55,8 @@ class LinkPart:
             (speak(one.name), one.rate, one.jitter, one.longest_gap) for one in view.link.rates
         )
         self._fill("rates", heads, rows)
+        heads = tuple(speak(Text(f"link.{name}")) for name in ("client", "not_got"))
+        self._fill("dropped", heads, view.link.dropped)
 
     def _fill(self, name: str, heads: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> None:
         """A table of texts: its cells stay as long as it has as many."""

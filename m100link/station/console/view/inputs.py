@@ -60,6 +60,8 @@ class Inputs:
         front_lag: Seconds that the front was late at worst in the last second.
         page_trip: Seconds to the page and back.
         fleet: Every aircraft of the station, this one among them.
+        dropped: Messages and pictures that each client of the station did not get because it is
+            slow, by its name.
     """
 
     now: float = 0.0
@@ -81,6 +83,7 @@ class Inputs:
     front_lag: float = 0.0
     page_trip: float | None = None
     fleet: tuple[Ship, ...] = ()
+    dropped: tuple[tuple[str, int], ...] = ()
 
     @property
     def is_heard(self) -> bool:

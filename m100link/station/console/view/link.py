@@ -51,12 +51,14 @@ class LinkView:
         texts: A text by the name of each of :data:`LINK_ITEMS`; a dash for what nobody knows.
         causes: Causes of damaged frames, each with how many, the most first.
         rates: How each telemetry item arrives that ever did.
+        dropped: Each client of the station with what it did not get, the most first.
         reason: Why there is no connection; empty when there is.
     """
 
     texts: dict[str, Text]
     causes: tuple[tuple[Text, str], ...]
     rates: tuple[ItemRate, ...]
+    dropped: tuple[tuple[str, str], ...]
     reason: str
 
 
@@ -91,8 +93,13 @@ def link_of(inputs: Inputs) -> LinkView:
         texts,
         tuple((_cause(cause), str(count)) for cause, count in causes.items()),
         _rates(inputs),
+        tuple((name, str(count)) for name, count in sorted(inputs.dropped, key=_most_first)),
         str(fault.error()) if fault is not None else "",
     )
+
+
+def _most_first(client: tuple[str, int]) -> tuple[int, str]:
+    return -client[1], client[0]
 
 
 def _ms(seconds: float) -> Text:

@@ -54,6 +54,11 @@ def test_with_one_everything_is() -> None:
     assert link.reason == ""
 
 
+def test_slow_clients_are_named_the_slowest_first() -> None:
+    link = link_of(Inputs(dropped=(("tab", 0), ("rosbridge 127.0.0.1:5", 12), ("a tab", 0))))
+    assert link.dropped == (("rosbridge 127.0.0.1:5", "12"), ("a tab", "0"), ("tab", "0"))
+
+
 def test_an_aircraft_that_does_not_answer_is_said_to() -> None:
     inputs = Inputs(state=State(0.0), telemetry=AircraftState(lambda: 0.0))
     assert SAY(link_of(inputs).texts["aircraft_ms"]) == "no answer"

@@ -45,6 +45,12 @@ WORDS: dict[str, tuple[str, str]] = {
     "link.cause.padding": ("padding", "Auffüllung"),
     "link.cause.no_key": ("encrypted, and no key", "verschlüsselt, ohne Schlüssel"),
     "link.cause.truncated": ("cut off", "abgeschnitten"),
+    "link.dropped": (
+        "What slow clients did not get",
+        "Was langsame Teilnehmer nicht bekamen",
+    ),
+    "link.client": ("client", "Teilnehmer"),
+    "link.not_got": ("dropped", "verworfen"),
     "link.rates": ("Telemetry items", "Telemetrie"),
     "link.item": ("item", "Wert"),
     "link.rate": ("Hz", "Hz"),
