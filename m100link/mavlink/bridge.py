@@ -41,7 +41,7 @@ class _Craft:
 
     def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
         self.vehicle = Vehicle(agent, system, autopilot=autopilot)
-        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, lambda _: None)
+        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, self.vehicle.leg)
         self.sequence = 0
         agent.on_event.append(self.vehicle.event)
 

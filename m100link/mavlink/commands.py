@@ -6,7 +6,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from m100link.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
+from m100link.agent.guided import (
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedOrder,
+    name_of,
+)
 from m100link.agent.preview import preview
 from m100link.errors import GuardRefused, UsageError
 from m100link.mavlink.codec import LAYOUTS, Message
@@ -72,7 +79,8 @@ class Commands:
         streams: Telemetry, whose rates may be asked for.
         tell: Takes reasons.
         request: Sends a message by its number to whoever asks; False where there is none.
-        mission: Makes the wish that flies the mission; None where none can be flown.
+        mission: Makes the wish that flies the mission; None where there is none.
+        fence: Why nobody may be at a place, with a radius around it; empty where one may.
     """
 
     def __init__(
@@ -85,6 +93,7 @@ class Commands:
         tell: Callable[[Severity, str], None],
         request: Callable[[int, float, Peer, float], bool],
         mission: Callable[[Peer, int | None], Wish | None],
+        fence: Callable[[float, float, float], str],
     ) -> None:
         self._world = world
         self._deck = deck
@@ -93,6 +102,7 @@ class Commands:
         self._tell = tell
         self._request = request
         self._mission = mission
+        self._fence = fence
         # What DO_CHANGE_SPEED said, until the next flight is over.
         self._speed: float | None = None
 
@@ -152,7 +162,7 @@ class Commands:
             if wish is None:
                 self._tell(Severity.WARNING, "there is no mission to fly")
                 return Result.DENIED
-            return self._deck.wish(wish, now)
+            return self._fly_mission(wish, now)
         if mode in (Mode.OFFBOARD, Mode.POSCTL, Mode.ALTCTL) and not self._deck.has_setpoint(
             mode, now
         ):
@@ -243,7 +253,28 @@ class Commands:
         if wish is None:
             self._tell(Severity.WARNING, "there is no mission to fly")
             return Result.DENIED
+        return self._fly_mission(wish, now)
+
+    def _fly_mission(self, wish: Wish, now: float) -> Result:
+        """Check each place of it first.
+
+        Raises:
+            GuardRefused, UsageError: See :meth:`_check`.
+        """
+        if isinstance(wish.order, Flight):
+            for leg in wish.order.legs:
+                self._check(leg)
         return self._deck.wish(wish, now)
+
+    def set_current(self, asked: Asked, now: float) -> Result:
+        """DO_SET_MISSION_CURRENT: the item to go on from, at once if the mission flies."""
+        number = asked.parameters[0]
+        if not math.isfinite(number) or number < 0:
+            return Result.DENIED
+        wish = self._mission(asked.peer, int(number))
+        if wish is None:
+            return Result.DENIED
+        return self._fly_mission(wish, now) if self._deck.flies_mission else Result.ACCEPTED
 
     def change_speed(self, asked: Asked, now: float) -> Result:
         """DO_CHANGE_SPEED: of the flights that come."""
@@ -287,8 +318,13 @@ class Commands:
         """Refuse now what the agent would refuse in flight.
 
         Raises:
-            GuardRefused, UsageError: Outside of the envelope, or not a flight at all.
+            GuardRefused, UsageError: Outside of the envelope or the fence, or not a flight at all.
         """
+        if isinstance(order, FlyTo | FlyAround):
+            radius = order.radius if isinstance(order, FlyAround) else 0.0
+            why = self._fence(order.latitude_deg, order.longitude_deg, radius)
+            if why:
+                raise UsageError(f"{name_of(order)}: {why}")
         known = self._world.known
         is_standing = self._world.is_on_ground is not False or self._deck.phase is Phase.DISARMED
         for error in preview(order, known.telemetry, known.state.limits).refusals:
@@ -378,6 +414,7 @@ COMMANDS: Mapping[int, CommandRow] = {
     Command.DO_PAUSE_CONTINUE: CommandRow(Commands.pause, "hold, or the mission"),
     Command.DO_CHANGE_SPEED: CommandRow(Commands.change_speed, "of later flights to a place"),
     Command.MISSION_START: CommandRow(Commands.start_mission, "flies the mission"),
+    Command.DO_SET_MISSION_CURRENT: CommandRow(Commands.set_current, "the item to go on from"),
     Command.SET_MESSAGE_INTERVAL: CommandRow(Commands.set_interval, "up to 50 Hz, for everybody"),
     Command.GET_MESSAGE_INTERVAL: CommandRow(Commands.get_interval, "answers MESSAGE_INTERVAL"),
     Command.REQUEST_MESSAGE: CommandRow(Commands.request_message, "telemetry, version, modes"),

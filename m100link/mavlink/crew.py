@@ -38,11 +38,15 @@ class Crew:
         agent: The agent.
         world: What is known of the aircraft; it gets the lease.
         deck: What decides.
-        on_leg: Called with the number of each leg of a flight that is done.
+        on_leg: Called with a flight, the number of its leg and whether that is done, or begins.
     """
 
     def __init__(
-        self, agent: AgentClient, world: World, deck: Deck, on_leg: Callable[[int], None]
+        self,
+        agent: AgentClient,
+        world: World,
+        deck: Deck,
+        on_leg: Callable[[Flight, int, bool], None],
     ) -> None:
         self._agent = agent
         self._world = world
@@ -155,10 +159,11 @@ class Crew:
             await self._agent.fly(self._world.lease, Task.TAKE_OFF)
             self._deck.took_off(order, self._agent.now)
         for number, leg in enumerate(order.legs):
+            self._on_leg(order, number, False)
             await self._agent.guide(self._world.lease, leg)
             if number < len(order.waits):
                 await asyncio.sleep(order.waits[number])
-            self._on_leg(number)
+            self._on_leg(order, number, True)
 
     async def end(self) -> None:
         """Give back what is held."""

@@ -318,6 +318,9 @@ class Deck:
         self._mode = Mode.HOLD
         if error is None and isinstance(order, Land | GoHome):
             self._disarm()
+        elif waiting is None and error is None and isinstance(order, Flight) and order.then:
+            mode = Mode.LAND if isinstance(order.then, Land) else Mode.RTL
+            self._begin(Wish(mode, order.then))
         elif waiting is not None and self._world.phase is Phase.AIRBORNE:
             self._begin(waiting)
 
@@ -377,6 +380,11 @@ class Deck:
             self._waiting, self._mode = Wish(Mode.HOLD, Halt(why=why)), Mode.HOLD
         else:
             self._begin(Wish(Mode.HOLD, Halt(why=why)))
+
+    @property
+    def flies_mission(self) -> bool:
+        """Whether the mission is flown now."""
+        return self._mode is Mode.MISSION and self.phase is Phase.AIRBORNE
 
     def operator_lost(self) -> None:
         """Whoever flew is not heard any more: hover, unless it is on its way to the ground."""

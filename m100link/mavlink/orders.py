@@ -94,11 +94,13 @@ class Flight:
         legs: Each an order of the agent.
         waits: Seconds to hover after each.
         takes_off: Take off first.
+        then: The way to the ground that follows them; None hovers.
     """
 
     legs: tuple[GuidedOrder, ...]
     waits: tuple[float, ...] = ()
     takes_off: bool = False
+    then: Land | GoHome | None = None
 
 
 @dataclass(frozen=True, slots=True)

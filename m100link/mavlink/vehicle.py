@@ -6,24 +6,30 @@ import math
 from collections.abc import Callable
 
 from m100link import __version__
+from m100link.agent.guided import ChangeHeight, GuidedOrder
 from m100link.agent.messages import Event
-from m100link.errors import M100Error
+from m100link.errors import M100Error, UsageError
+from m100link.geodesy import LocalFrame
 from m100link.mavlink.codec import LAYOUTS, Message
 from m100link.mavlink.commands import Asked, Commands, read_command
 from m100link.mavlink.deck import Deck, Stream, Wish
 from m100link.mavlink.manual import Manual
-from m100link.mavlink.modes import Mode
+from m100link.mavlink.missions import Missions
+from m100link.mavlink.modes import Mode, Phase, Running
 from m100link.mavlink.numbers import (
     AUTOPILOT_PX4,
     BaseMode,
     Capability,
     Command,
+    MissionType,
     Result,
     Severity,
 )
 from m100link.mavlink.offboard import Offboard
+from m100link.mavlink.orders import Flight, GoHome, Land
 from m100link.mavlink.parameters import Parameters
 from m100link.mavlink.peers import Peer
+from m100link.mavlink.route import Refused
 from m100link.mavlink.standard_modes import available, current, mode_of_number
 from m100link.mavlink.statustext import Texts, severity_of
 from m100link.mavlink.telemetry import NUMBERS, Streams, heartbeat
@@ -39,6 +45,13 @@ _PROGRESS_S = 0.3
 _UNKNOWN_PROGRESS = 255
 _VENDOR, _PRODUCT = 0x2CA3, 0x0100  # DJI's number at the USB forum; the product is ours
 _TO_ALL = (0, COMPONENT)
+_AHEAD_S = 1.0
+"""Seconds ahead that the fence is looked at: what the aircraft needs to stop."""
+
+_MISSION_MESSAGES = (
+    *("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"),
+    *("MISSION_REQUEST", "MISSION_CLEAR_ALL", "MISSION_ACK"),
+)
 
 
 class Vehicle:
@@ -79,7 +92,18 @@ class Vehicle:
             tell=self._texts.tell,
             request=self._request,
             mission=self._mission,
+            fence=lambda *place: self._missions.fence.refusal(*place),
         )
+        self._missions = Missions(
+            self._send,
+            self._texts.tell,
+            ground=lambda: self.world.ground_altitude,
+            speed=lambda: self._parameters["MPC_XY_CRUISE"],
+            may_change=self._may_change,
+        )
+        # The items of the legs of the flight that flies the mission.
+        self._legs: tuple[Flight, tuple[int | None, ...]] | None = None
+        self._was_inside = True
         # Who waits for the answer to arming, and when they were told last that it takes time.
         self._arming: dict[Peer, float] = {}
         self._beaten_at = -math.inf
@@ -94,6 +118,8 @@ class Vehicle:
             "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
             "SET_ATTITUDE_TARGET": self._setpoint,
             "MANUAL_CONTROL": self._sticks,
+            **dict.fromkeys(_MISSION_MESSAGES, self._mission_message),
+            "MISSION_SET_CURRENT": self._set_current,
             "PING": self._ping,
             "TIMESYNC": self._timesync,
             "LOG_REQUEST_LIST": self._no_logs,
@@ -196,8 +222,92 @@ class Vehicle:
         to = {"target_system": peer.system, "target_component": peer.component}
         self._send(Message("FILE_TRANSFER_PROTOCOL", {"payload": tuple(answer)} | to), peer)
 
+    # -- missions --------------------------------------------------------------------------------
+
+    def _mission_message(self, message: Message, peer: Peer, now: float) -> None:
+        self._missions.receive(message, peer, now)
+
+    def _set_current(self, message: Message, peer: Peer, now: float) -> None:
+        number = (float(message["seq"]), math.nan, math.nan, math.nan)
+        nowhere = math.nan
+        asked = Asked(Command.DO_SET_MISSION_CURRENT, number, nowhere, nowhere, nowhere, 0, peer)
+        self._commands.carry_out(asked, now)
+        self._send(self._missions.current_message(is_flying=self.deck.flies_mission))
+
+    def _may_change(self, peer: Peer, kind: int) -> str:
+        if kind == MissionType.FENCE and not self.world.is_armed:
+            return ""
+        if self.deck.flies_mission and kind == MissionType.MISSION:
+            return "it is flown: hold first"
+        if self.world.is_armed and self.deck.operator not in (None, peer):
+            return f"{self.deck.operator.name} flies" if self.deck.operator else ""
+        return ""
+
     def _mission(self, peer: Peer, first: int | None) -> Wish | None:
-        return None
+        """The wish that flies the mission on, from an item on if one is named."""
+        missions = self._missions
+        try:
+            route = missions.route()
+        except Refused as refused:
+            raise UsageError(f"mission: {refused.why}") from None
+        if route is None or (first is not None and first >= len(missions.items)):
+            return None
+        if first is not None:
+            missions.flies_to(first)
+        elif missions.is_over:
+            missions.restart()
+        legs = [leg for leg in route.legs if leg.item >= missions.current]
+        orders: list[GuidedOrder] = [leg.order for leg in legs]
+        waits, items = [leg.wait for leg in legs], [leg.item for leg in legs]
+        takes_off = self.world.is_on_ground is not False
+        climb: list[None] = []
+        if takes_off and legs:
+            # Up first, in place: what stands between the ground and the first leg is not known.
+            height = legs[0].order.height if route.height is None else route.height
+            orders, waits, climb = [ChangeHeight(height), *orders], [0.0, *waits], [None]
+        ends: dict[Mode, Land | GoHome] = {Mode.LAND: Land(), Mode.RTL: GoHome()}
+        then = ends.get(route.then)
+        flight = Flight(tuple(orders), tuple(waits), takes_off, then)
+        self._legs = flight, (*climb, *items)
+        return Wish(Mode.MISSION, flight, peer)
+
+    def leg(self, flight: Flight, number: int, is_done: bool) -> None:
+        """A leg of a flight begins, or is done."""
+        if self._legs is None or self._legs[0] is not flight:
+            return
+        items = self._legs[1]
+        item = items[number]
+        if item is None:
+            return
+        if not is_done:
+            self._missions.flies_to(item)
+            return
+        self._missions.reached(item)
+        if number == len(items) - 1:
+            self._missions.over()
+
+    def _watch_fence(self) -> None:
+        """Hold whoever leaves the fence; from outside only flights lead back, not setpoints."""
+        position, velocity = self.world.position, self.world.velocity
+        if position is None or self.deck.phase is not Phase.AIRBORNE:
+            self._was_inside = True
+            return
+        place = position.latitude_deg, position.longitude_deg
+        why = self._missions.fence.refusal(*place)
+        if (
+            not why
+            and velocity is not None
+            and self.deck.running in (Running.FLIGHT, Running.STREAM)
+        ):
+            frame = LocalFrame(*place)
+            ahead = velocity.north_m_s * _AHEAD_S, velocity.east_m_s * _AHEAD_S
+            why = self._missions.fence.refusal(*frame.to_geodetic(*ahead))
+        is_moving = self.deck.running is Running.STREAM or (
+            self._was_inside and self.deck.running is Running.FLIGHT
+        )
+        if why and is_moving:
+            self.deck.hold(f"hold: {why}")
+        self._was_inside = not why
 
     # -- what is asked for -----------------------------------------------------------------------
 
@@ -212,6 +322,9 @@ class Vehicle:
         made = {
             LAYOUTS["AUTOPILOT_VERSION"].number: lambda: [self._version()],
             LAYOUTS["AVAILABLE_MODES"].number: lambda: available(_whole(parameter)),
+            LAYOUTS["MISSION_CURRENT"].number: lambda: [
+                self._missions.current_message(is_flying=self.deck.flies_mission)
+            ],
             LAYOUTS["CURRENT_MODE"].number: lambda: [current(self.deck.mode)],
             LAYOUTS["HEARTBEAT"].number: lambda: [self._heartbeat()],
             LAYOUTS["MESSAGE_INTERVAL"].number: lambda: [self._interval(_whole(parameter))],
@@ -229,6 +342,8 @@ class Vehicle:
             | Capability.SET_ATTITUDE_TARGET
             | Capability.SET_POSITION_TARGET_LOCAL_NED
             | Capability.MAVLINK2
+            | Capability.MISSION_INT
+            | Capability.MISSION_FENCE
         )
         # Ground stations warn of a PX4 below 1.4.1: the version of m100link is the vendor's.
         fields = {
@@ -262,6 +377,7 @@ class Vehicle:
         operator = self.deck.operator
         if operator is not None and lost(operator):
             self.deck.operator_lost()
+        self._watch_fence()
         self.deck.advance(now)
         for peer, told_at in self._arming.items():
             if now - told_at >= _PROGRESS_S:
@@ -285,6 +401,8 @@ class Vehicle:
             self._beaten, self._beaten_at = told, now
             self._send(beat)
         for message in self._streams.due(now):
+            self._send(message)
+        for message in self._missions.due(now, is_flying=self.deck.flies_mission):
             self._send(message)
 
 

@@ -1,0 +1,185 @@
+"""What commands fly: a place, a height, a circle; and what is refused at the command."""
+
+from __future__ import annotations
+
+import math
+
+import anyio
+import pytest
+
+from m100link.geodesy import LocalFrame
+from m100link.mavlink.commands import COMMANDS
+from m100link.mavlink.modes import MODES, Mode
+from m100link.mavlink.numbers import Command, Result
+from tests.mavlink.conftest import Ground, Rig
+
+pytestmark = pytest.mark.anyio
+
+NAN = math.nan
+FRAME = LocalFrame(22.5431, 113.9589)
+
+
+def place(north: float, east: float) -> tuple[float, float]:
+    return FRAME.to_geodetic(north, east)
+
+
+async def reposition(
+    ground: Ground, frame: int, x: float = NAN, y: float = NAN, z: float = NAN, yaw: float = NAN
+) -> Result:
+    """DO_REPOSITION as COMMAND_INT, which names its frame."""
+    known = len(ground.heard)
+    whole = [0x7FFFFFFF if math.isnan(one) else round(one * 1e7) for one in (x, y)]
+    ground.send(
+        "COMMAND_INT",
+        command=Command.DO_REPOSITION,
+        target_system=1,
+        target_component=1,
+        frame=frame,
+        param1=-1.0,
+        param2=1.0,
+        param4=yaw,
+        x=whole[0],
+        y=whole[1],
+        z=z,
+    )
+    [ack] = [one for one in ground.heard[known:] if one.name == "COMMAND_ACK"]
+    return Result(ack["result"])
+
+
+@pytest.mark.parametrize("frame", [0, 3, 5, 6])
+async def test_a_place_is_flown_to_in_every_frame(rig: Rig, ground: Ground, frame: int) -> None:
+    await ground.fly(6.0)
+    sea_level = rig.ground_altitude if frame in (0, 5) else 0.0
+    where = place(12.0, -9.0)
+    assert await reposition(ground, frame, *where, sea_level + 9.0, math.pi / 2) is Result.ACCEPTED
+    await rig.until(lambda: math.dist(rig.aircraft.position, (12.0, -9.0)) < 1.0)
+    await anyio.sleep(3.0)
+    assert rig.height == pytest.approx(9.0, abs=1.0)
+    assert ground.last("GLOBAL_POSITION_INT")["hdg"] == pytest.approx(9000, abs=500)
+
+
+async def test_no_place_and_no_height_is_a_pause(rig: Rig, ground: Ground) -> None:
+    await ground.fly(6.0)
+    assert await reposition(ground, 6, *place(60.0, 0.0), 6.0) is Result.ACCEPTED
+    await rig.until(lambda: rig.speed > 2.0)
+    assert await ground.ask(Command.DO_REPOSITION, -1, 1, 0) is Result.ACCEPTED
+    await anyio.sleep(4.0)
+    assert rig.speed < 0.1
+
+
+async def test_a_height_alone_and_a_heading_alone(rig: Rig, ground: Ground) -> None:
+    await ground.fly(4.0)
+    assert await reposition(ground, 6, z=9.0) is Result.ACCEPTED
+    await rig.until(lambda: abs(rig.height - 9.0) < 0.5)
+    assert await reposition(ground, 6, yaw=-math.pi / 2) is Result.ACCEPTED
+    await rig.until(lambda: abs(ground.last("GLOBAL_POSITION_INT")["hdg"] - 27000) < 500)
+
+
+@pytest.mark.parametrize("radius", [10.0, -10.0])
+async def test_a_circle_is_flown_and_held(rig: Rig, ground: Ground, radius: float) -> None:
+    await ground.fly(6.0)
+    where = place(20.0, 0.0)
+    args = (radius, 3.0, 0.0, NAN, *where, rig.ground_altitude + 8.0)
+    assert await ground.ask(Command.DO_ORBIT, *args) is Result.ACCEPTED
+    await rig.until(lambda: ground.mode is Mode.ORBIT)
+    await anyio.sleep(15.0)
+    turned = []
+    for _ in range(30):
+        north, east = rig.aircraft.position
+        turned.append(math.atan2(east, north - 20.0))
+        assert math.hypot(north - 20.0, east) == pytest.approx(10.0, abs=1.0)
+        await anyio.sleep(0.1)
+    step = math.remainder(turned[1] - turned[0], math.tau)
+    assert (step > 0) == (radius > 0)
+    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    await anyio.sleep(4.0)
+    assert rig.speed < 0.1
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z"),
+    [
+        (*place(500.0, 0.0), 5.0),
+        (*place(5.0, 0.0), 90.0),
+        (*place(5.0, 0.0), -20.0),
+        (0.0, 0.0, 5.0),
+        (91.0, 0.0, 5.0),
+        (*place(5.0, 0.0), math.inf),
+    ],
+)
+async def test_a_target_that_is_not_flown_to_is_denied_at_once(
+    rig: Rig, ground: Ground, x: float, y: float, z: float
+) -> None:
+    await ground.fly(5.0)
+    assert await reposition(ground, 6, x, y, z) is Result.DENIED
+    await anyio.sleep(1.0)
+    assert rig.speed < 0.1
+    assert len(ground.texts.splitlines()) > 3
+
+
+async def test_a_take_off_beyond_the_envelope_is_denied_on_the_ground(
+    rig: Rig, ground: Ground
+) -> None:
+    await ground.arm()
+    args = (0, 0, 0, NAN, NAN, NAN, rig.ground_altitude + 80.0)
+    assert await ground.ask(Command.NAV_TAKEOFF, *args) is Result.DENIED
+    await rig.until(lambda: "the envelope ends at 50 m" in ground.texts.replace("\n", ""))
+    await anyio.sleep(3.0)
+    assert not rig.motors_on
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("given", [NAN, math.inf, -math.inf, -1e30, 3e38])
+async def test_numbers_that_are_none_move_nothing(
+    rig: Rig, ground: Ground, command: int, given: float
+) -> None:
+    ground.command(command, *[given] * 7)
+    await anyio.sleep(1.0)
+    assert ground.all("COMMAND_ACK")
+    assert rig.height < 0.1
+
+
+@pytest.mark.parametrize("mode", [mode for mode, row in MODES.items() if row.is_selectable])
+async def test_no_mode_moves_an_aircraft_that_is_not_armed(
+    rig: Rig, ground: Ground, mode: Mode
+) -> None:
+    await ground.set_mode(mode)
+    await anyio.sleep(12.0)
+    assert not rig.motors_on
+    assert not ground.armed()
+
+
+async def test_another_speed_is_flown_with(rig: Rig, ground: Ground) -> None:
+    await ground.fly(5.0)
+    assert await ground.ask(Command.DO_CHANGE_SPEED, 1, 2.0) is Result.ACCEPTED
+    assert await reposition(ground, 6, *place(40.0, 0.0), 5.0) is Result.ACCEPTED
+    speeds: list[float] = []
+    for _ in range(60):
+        await anyio.sleep(0.1)
+        speeds.append(rig.speed)
+    assert max(speeds) == pytest.approx(2.0, abs=0.4)
+
+
+async def test_sticks_move_it_and_let_go_when_they_are_silent(rig: Rig, ground: Ground) -> None:
+    await ground.fly(5.0)
+
+    async def hold(seconds: float, **sticks: int) -> None:
+        for _ in range(int(seconds / 0.05)):
+            ground.send("MANUAL_CONTROL", target=1, **({"z": 500} | sticks))
+            await anyio.sleep(0.05)
+
+    assert await ground.set_mode(Mode.POSCTL) is Result.DENIED, "nobody holds the sticks"
+    await hold(0.2)
+    assert await ground.set_mode(Mode.POSCTL) is Result.ACCEPTED
+    await hold(3.0, x=600)
+    assert ground.mode is Mode.POSCTL
+    assert rig.aircraft.position[0] > 3.0
+    assert rig.speed == pytest.approx(3.0, abs=0.5)
+    await hold(3.0)
+    assert rig.speed < 0.1
+    await hold(2.0, z=1000)
+    assert rig.height > 7.0
+    await hold(0.5, y=1000)
+    await anyio.sleep(4.0)
+    assert rig.speed < 0.1
+    await rig.until(lambda: ground.mode is Mode.HOLD)
