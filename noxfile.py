@@ -398,6 +398,20 @@ def run_lines(
 
 
 @nox.session(default=False)
+def foxglove(session: nox.Session) -> None:
+    """Foxglove's reader of logs and its client of live flights, both by npm."""
+    if not (shutil.which("npm") and shutil.which("node")):
+        session.skip("node and npm are not installed")
+    place = Path(session.create_tmp())
+    packages = ("ws-protocol", "wasm-zstd")
+    wanted = ("ws", "@mcap/core", "@mcap/nodejs", *(f"@foxglove/{one}" for one in packages))
+    session.run("npm", "install", "--silent", "--prefix", str(place), *wanted, external=True)
+    install(session, PACKAGE, *group("test"))
+    modules = {"FOXGLOVE_MODULES": str(place / "node_modules")}
+    session.run(*pytest("tests/interop/test_foxglove.py"), env=modules)
+
+
+@nox.session(default=False)
 def rosbridge(session: nox.Session) -> None:
     """The station beside rosbridge_suite's own library. Needs a Python with rospy: ROS_PYTHON.
 

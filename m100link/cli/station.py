@@ -46,7 +46,12 @@ _FromSettings: Any = options_of(
     Settings,
     [one.name for one in fields(Settings) if one.name not in _ELSEWHERE],
     environment=ENVIRONMENT,
-    called={"also_ports": "--also-port", "baud_rate": "--baud", "metrics_port": "--metrics"},
+    called={
+        "also_ports": "--also-port",
+        "baud_rate": "--baud",
+        "metrics_port": "--metrics",
+        "foxglove_port": "--foxglove",
+    },
     is_layer=True,
 )
 
@@ -390,6 +395,8 @@ class _Station(Protocol):
     @property
     def metrics_port(self) -> int | None: ...
     @property
+    def foxglove_port(self) -> int | None: ...
+    @property
     def mavlink(self) -> list[str]: ...
     def console_path(self) -> str: ...
 
@@ -409,6 +416,8 @@ def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool
     if running.metrics_port is not None:
         http = "http" if settings.tls_cert is None else "https"
         metrics_url = f"{http}://{settings.authority(running.metrics_port)}/metrics"
+    viewed = running.foxglove_port
+    viewers = [] if viewed is None else [f"{scheme}://{settings.authority(viewed)}"]
     if as_json:
         told: dict[str, Any] = {"sim": settings.sim}
         if addresses:
@@ -416,9 +425,11 @@ def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool
         if running.mavlink:
             told |= {"mavlink": running.mavlink}
         told |= {} if metrics_url is None else {"metrics": metrics_url}
+        told |= {"foxglove": viewers[0]} if viewers else {}
         print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
     else:
-        for name, served in (("rosbridge", addresses), ("mavlink", running.mavlink)):
+        all_served = {"rosbridge": addresses, "mavlink": running.mavlink, "foxglove": viewers}
+        for name, served in all_served.items():
             if served:
                 out.print(f"{name + ':':10} {', '.join(served)}", markup=False, soft_wrap=True)
         if console_url is not None:

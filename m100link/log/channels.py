@@ -14,9 +14,12 @@ __all__ = [
     "EVENT",
     "FIX",
     "LINK",
+    "MESSAGE",
     "RX",
     "SCHEMAS",
+    "STATE",
     "TELEMETRY",
+    "TRANSFORM",
     "TX",
     "Schema",
     "Told",
@@ -30,6 +33,9 @@ CHUNKS = "/m100/raw/chunks"
 
 FIX, TELEMETRY = "/m100/fix", "/m100/telemetry"
 COMMAND, EVENT, LINK = "/m100/command", "/m100/event", "/m100/link"
+
+TRANSFORM, MESSAGE, STATE = "/tf", "/m100/log", "/m100/state"
+"""What is told live besides, to who watches a flight."""
 
 Told = tuple[str, dict[str, Any]]
 """A topic, and what is said on it."""
@@ -47,11 +53,11 @@ class Schema(NamedTuple):
     text: str
 
 
-def _schema(name: str, **properties: dict[str, Any]) -> Schema:
+def _schema(called: str, /, **properties: dict[str, Any]) -> Schema:
     text = json.dumps(
-        {"title": name, "type": "object", "properties": properties, "required": list(properties)}
+        {"title": called, "type": "object", "properties": properties, "required": list(properties)}
     )
-    return Schema(name, text)
+    return Schema(called, text)
 
 
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
@@ -62,6 +68,15 @@ _TIME = {
     "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer"}},
     "required": ["sec", "nsec"],
 }
+
+
+def _numbers(*names: str) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": dict.fromkeys(names, _NUMBER),
+        "required": list(names),
+    }
+
 
 SCHEMAS = {
     CHUNKS: _schema(
@@ -84,4 +99,22 @@ SCHEMAS = {
     COMMAND: _schema("m100.Command", command=_TEXT, is_ack={"type": "boolean"}),
     EVENT: _schema("m100.Event", event=_TEXT),
     LINK: _schema("m100.Link", firmware=_TEXT),
+    TRANSFORM: _schema(
+        "foxglove.FrameTransform",
+        timestamp=_TIME,
+        parent_frame_id=_TEXT,
+        child_frame_id=_TEXT,
+        translation=_numbers("x", "y", "z"),
+        rotation=_numbers("x", "y", "z", "w"),
+    ),
+    MESSAGE: _schema(
+        "foxglove.Log",
+        timestamp=_TIME,
+        level=_WHOLE,
+        message=_TEXT,
+        name=_TEXT,
+        file=_TEXT,
+        line=_WHOLE,
+    ),
+    STATE: _schema("m100.State", connection=_TEXT, has_authority={"type": "boolean"}, task=_TEXT),
 }

@@ -17,7 +17,7 @@ from m100link.protocol.records import Position
 from m100link.telemetry.sample import Sample
 from m100link.wire import Cipher, Frame, FrameDecoder
 
-__all__ = ["Witness", "is_telemetry"]
+__all__ = ["Witness", "fix_of", "is_telemetry", "row_of"]
 
 _TELEMETRY = bytes(PushTelemetry.ADDRESS)
 
@@ -25,6 +25,26 @@ _TELEMETRY = bytes(PushTelemetry.ADDRESS)
 def is_telemetry(frame: Frame) -> bool:
     """Whether the frame is a package of telemetry, whose value stands behind two bytes."""
     return frame.data.startswith(_TELEMETRY) and not frame.is_ack
+
+
+def row_of(sample: Sample) -> dict[str, float | None]:
+    """The numbers of a package by their columns; None for what is not a number."""
+    return {
+        name: None if math.isnan(number) else number
+        for name, number in zip(sample.columns, sample.row(), strict=True)
+    }
+
+
+def fix_of(position: Position) -> dict[str, Any]:
+    """A position as ``foxglove.LocationFix``, without its time."""
+    return {
+        "frame_id": "m100",
+        "latitude": position.latitude_deg,
+        "longitude": position.longitude_deg,
+        "altitude": position.altitude_m,
+        "position_covariance": [0.0] * 9,
+        "position_covariance_type": 0,  # unknown
+    }
 
 
 class Witness:
@@ -66,24 +86,10 @@ class Witness:
         except LayoutMismatch:
             return  # the bytes are kept, and the link counts it
         self._telemetry_at = now
-        row = {
-            name: None if math.isnan(number) else number
-            for name, number in zip(sample.columns, sample.row(), strict=True)
-        }
-        yield TELEMETRY, {"received_at": now, **row}
+        yield TELEMETRY, {"received_at": now, **row_of(sample)}
         position = sample.get(Position)
         if position is not None:
-            yield (
-                FIX,
-                {
-                    "frame_id": "m100",
-                    "latitude": position.latitude_deg,
-                    "longitude": position.longitude_deg,
-                    "altitude": position.altitude_m,
-                    "position_covariance": [0.0] * 9,
-                    "position_covariance_type": 0,  # unknown
-                },
-            )
+            yield FIX, fix_of(position)
 
     def _frame(self, frame: Frame, profile: FirmwareProfile, *, is_ours: bool) -> Iterator[Told]:
         if not frame.data:

@@ -69,6 +69,11 @@ class RunningApart:
         return self.sockets.metrics_port
 
     @property
+    def foxglove_port(self) -> int | None:
+        """Port of Foxglove's viewers, None without them."""
+        return self.sockets.foxglove_port
+
+    @property
     def mavlink(self) -> list[str]:
         """Where MAVLink is served."""
         return self.sockets.mavlink_addresses
@@ -124,17 +129,19 @@ def front_process(
     datagrams = [one.fileno() for one in sockets.mavlink]
     console = None if sockets.console is None else sockets.console.fileno()
     metrics = None if sockets.metrics is None else sockets.metrics.fileno()
+    foxglove = None if sockets.foxglove is None else sockets.foxglove.fileno()
     numbers = [one.fileno() for one in sockets.rosbridge]
     request = {
         "settings": front_settings(settings),
         "rosbridge": numbers,
         "console": console,
         "metrics": metrics,
+        "foxglove": foxglove,
         "mavlink": datagrams,
         "agents": as_json(dict(agents)),
         "orders": as_json(dict(orders)),
     }
-    others = [one for one in (console, metrics) if one is not None]
+    others = [one for one in (console, metrics, foxglove) if one is not None]
     inherited = [*numbers, *datagrams, *others]
     return Child("m100link.station.front", "the fronts", request, note, inherited=inherited)
 

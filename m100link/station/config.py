@@ -69,6 +69,7 @@ class Settings:
         also_ports: One more port for it; may be repeated.
         console_port: Port of the console.
         metrics_port: Serve the numbers of the station to Prometheus on this port (9464 is usual).
+        foxglove_port: Serve Foxglove and Lichtblick, which only look, on this port (8765 is usual).
         allow_host: A name that this station goes by; may be repeated.
         allow_origin: A page from elsewhere that may connect, such as http://127.0.0.1:8000; null
             is a page opened from a file. May be repeated.
@@ -119,6 +120,7 @@ class Settings:
     also_ports: tuple[int, ...] = ()
     console_port: int = CONSOLE_PORT
     metrics_port: int | None = None
+    foxglove_port: int | None = None
     allow_host: tuple[str, ...] = ()
     allow_origin: tuple[str, ...] = ()
     token: str | None = field(default=None, repr=False)

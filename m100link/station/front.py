@@ -42,12 +42,13 @@ async def _serve(request: dict[str, Any]) -> None:
         loop.add_signal_handler(number, ended.set)
     settings = resolve(request["settings"], {})
     os.nice(settings.niceness())
-    console, metrics = request["console"], request["metrics"]
+    console, metrics, foxglove = (request[one] for one in ("console", "metrics", "foxglove"))
     sockets = Sockets(
         [socket.socket(fileno=number) for number in request["rosbridge"]],
         None if console is None else socket.socket(fileno=console),
         None if metrics is None else socket.socket(fileno=metrics),
         tuple(socket.socket(fileno=number) for number in request["mavlink"]),
+        None if foxglove is None else socket.socket(fileno=foxglove),
     )
     reach = {name: partial(connect_unix, Path(path)) for name, path in request["agents"].items()}
     orders = {name: await orders_by_socket(Path(path)) for name, path in request["orders"].items()}

@@ -37,12 +37,14 @@ class Sockets:
         console: That of the console, None without it.
         metrics: That of the numbers for Prometheus, None without them.
         mavlink: Those of MAVLink, for datagrams.
+        foxglove: That of Foxglove's viewers, None without them.
     """
 
     rosbridge: list[socket.socket]
     console: socket.socket | None
     metrics: socket.socket | None = None
     mavlink: tuple[socket.socket, ...] = ()
+    foxglove: socket.socket | None = None
 
     @property
     def mavlink_addresses(self) -> list[str]:
@@ -64,6 +66,11 @@ class Sockets:
     def metrics_port(self) -> int | None:
         """Port of the numbers for Prometheus, None without them."""
         return None if self.metrics is None else self.metrics.getsockname()[1]
+
+    @property
+    def foxglove_port(self) -> int | None:
+        """Port of Foxglove's viewers, None without them."""
+        return None if self.foxglove is None else self.foxglove.getsockname()[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +122,7 @@ def open_sockets(
         opened(settings.console_port) if with_console else None,
         None if settings.metrics_port is None else opened(settings.metrics_port),
         tuple(open_mavlink(stack, settings)),
+        None if settings.foxglove_port is None else opened(settings.foxglove_port),
     )
 
 
@@ -161,6 +169,10 @@ async def serving_fronts(
         if sockets.metrics is not None and bridge is not None:
             servers.append(_metrics(bridge, settings, dropped_by_tabs))
             await stack.enter_async_context(_serving(servers[-1], [sockets.metrics]))
+        if sockets.foxglove is not None:
+            viewed = await _reached(stack, reach, "foxglove")
+            servers.append(await _foxglove(stack, viewed, settings))
+            await stack.enter_async_context(_serving(servers[-1], [sockets.foxglove]))
         yield Fronts(agents, bridge, servers, access)
 
 
@@ -203,6 +215,17 @@ def _metrics(
             remedy="pip install 'm100link[station]'",
         ) from None
     return Server.make(metrics_app(bridge, settings, dropped_by_tabs), settings)
+
+
+async def _foxglove(
+    stack: AsyncExitStack, agents: Mapping[str, AgentClient], settings: Settings
+) -> Server:
+    from m100link.station.foxglove.app import FoxgloveServer
+    from m100link.station.web.server import Server
+
+    viewed = FoxgloveServer(agents)
+    await stack.enter_async_context(viewed.feeding())
+    return Server.make(viewed.app(settings), settings)
 
 
 @asynccontextmanager

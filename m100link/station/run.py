@@ -104,6 +104,11 @@ class Running:
         return self.sockets.metrics_port
 
     @property
+    def foxglove_port(self) -> int | None:
+        """Port of Foxglove's viewers, None without them."""
+        return self.sockets.foxglove_port
+
+    @property
     def mavlink(self) -> list[str]:
         """Where MAVLink is served."""
         return self.sockets.mavlink_addresses
