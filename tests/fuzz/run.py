@@ -113,10 +113,12 @@ def _guide(names: list[str], seconds: int, seed: int) -> int:
             str(seed & 0x7FFFFFFF),
         )
         done = subprocess.run(words, check=False, capture_output=True, text=True)
-        lines = done.stderr.splitlines()
+        said, lines = done.stdout.splitlines(), done.stderr.splitlines()
         shown = [one for one in lines if one.startswith("stat::") or " DONE " in one]
-        # Python's own report of a finding, and the bytes that libFuzzer prints, stand at the end.
-        sys.stdout.write("\n".join(lines[-60:] if done.returncode else shown) + "\n")
+        # The engine prints Python's traceback of a finding to its output, libFuzzer the bytes of it
+        # to the other one; both stand at the end.
+        report = [*said[-60:], *lines[-60:]] if done.returncode else shown
+        sys.stdout.write("\n".join(report) + "\n")
         status |= done.returncode != 0
     return status
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
+import subprocess
 from random import Random
 
 import pytest
 
+from tests.fuzz import run
 from tests.fuzz.guided import quoted
 from tests.fuzz.mutation import MOST, changed
 from tests.fuzz.run import Finding, execute
@@ -58,3 +61,20 @@ def test_a_table_as_the_default_aircraft_is_refused_as_promised() -> None:
     with pytest.raises(target.refuses, match="there is no aircraft"):
         target.read(b"[defaults]\naircraft.aud = 23\n")
     TARGETS["telemetry"].read(bytes(2))  # a package of nothing is one
+
+
+def test_a_finding_of_the_other_engine_is_shown_with_its_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Python's report comes by one of its outputs, the input by the other."""
+
+    def found(*_: object, **__: object) -> subprocess.CompletedProcess[str]:
+        python, engine = "Traceback (most recent call last):\nKeyError: 7\n", "Base64: AAE=\n"
+        return subprocess.CompletedProcess([], 77, python, f"#1 INITED\n{engine}")
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
+    monkeypatch.setattr(subprocess, "run", found)
+    assert run._guide(["frame"], 1, 1) == 1
+    told = capsys.readouterr().out
+    assert "KeyError: 7" in told
+    assert "Base64: AAE=" in told
