@@ -232,8 +232,8 @@ class Flying:
             self._pattern = None
             self._journal.note(outcome, level)
 
-    def _end_program(self, why: str) -> None:
-        self.guiding.end(why)
+    def _end_program(self, why: str, *, hovers: bool = True) -> None:
+        self.guiding.end(why, hovers=hovers)
         pattern, self._pattern = self._pattern, None
         if pattern is not None:
             name, work = pattern
@@ -321,7 +321,7 @@ class Flying:
             broken_off = self.mission.cut_off()
         else:
             self.mission.end("control ended")
-        self._end_program("control ended")
+        self._end_program("control was lost" if is_lost else "control ended", hovers=not is_lost)
         if self._running_task is not None:
             self._running_task.cancel()
             with anyio.CancelScope(shield=True):  # a lost authority cancels this block, too

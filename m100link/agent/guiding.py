@@ -47,6 +47,7 @@ class _Flight:
         work: The task in which it flies.
         progress: How far it is; None before it has begun.
         ended_because: Why something else ended it; empty while nothing did.
+        hovers: Whether the aircraft hovers then, as far as this side decides it.
     """
 
     order: GuidedOrder
@@ -54,6 +55,7 @@ class _Flight:
     work: asyncio.Task[None] | None = None
     progress: GuidanceProgress | None = None
     ended_because: str = ""
+    hovers: bool = True
 
 
 class Guiding:
@@ -99,10 +101,9 @@ class Guiding:
             await asyncio.shield(work)
         except asyncio.CancelledError:
             if work.cancelled():
-                raise NotObserved(
-                    f"the {name_of(order)} was ended, and the aircraft hovers: "
-                    f"{flight.ended_because or 'the agent ends'}"
-                ) from None
+                state = ", and the aircraft hovers" if flight.hovers else ""
+                why = flight.ended_because or "the agent ends"
+                raise NotObserved(f"the {name_of(order)} was ended{state}: {why}") from None
             self.end("nobody waits for it")
             raise
 
@@ -188,11 +189,16 @@ class Guiding:
             seconds=seconds,
         )
 
-    def end(self, why: str) -> None:
-        """End it: neutral goes out, the aircraft hovers. Not waited for."""
+    def end(self, why: str, *, hovers: bool = True) -> None:
+        """End it: neutral goes out, the aircraft hovers. Not waited for.
+
+        Args:
+            why: For people.
+            hovers: Whether it does; when control is lost somebody else flies, or nobody sees it.
+        """
         flight, self._flight = self._flight, None
         if flight is not None and flight.work is not None:
-            flight.ended_because = why
+            flight.ended_because, flight.hovers = why, hovers
             flight.work.cancel()
 
     async def ended(self) -> None:
