@@ -30,7 +30,7 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
     """The orders that can be given now; STOP always can.
 
     What leaves the ground is offered by the checklist. Where nobody knows whether the aircraft
-    stands, it counts as standing.
+    stands, it counts as standing. What flies does not take off.
     """
     offered = {"stop"}
     if inputs.is_connected:
@@ -47,4 +47,6 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
         offered |= FLIGHTS
         if now.is_on_ground is not False and not checklist.may_take_off:
             offered -= FROM_GROUND
+        if now.is_on_ground is False:
+            offered.discard("take_off")
     return frozenset(offered)
