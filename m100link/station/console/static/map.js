@@ -221,22 +221,31 @@ export class FlightMap {
   }
 }
 
-// What of the map is not covered: each thing over it takes the side where it costs least.
+const OVER_MAP = ".place.steering, .place.hud > *, .place.orders > *, .place.clicked > .card";
+let free = {key: "", box: null};
+
+// The most room that nothing covers: as wide and high as can be, and looked for only when something
+// has come, gone or moved.
 function freeOf(view) {
-  const free = {left: view.left, top: view.top, right: view.right, bottom: view.bottom};
-  for (const element of document.querySelectorAll(".place.steering, .place.hud > *, .place.orders > *, .place.clicked > .card")) {
-    const box = element.getBoundingClientRect();
-    if (!box.width || !box.height) continue;
-    const wide = free.right - free.left, high = free.bottom - free.top;
-    const costs = {
-      left: Math.max(0, box.right - free.left) * high, right: Math.max(0, free.right - box.left) * high,
-      top: Math.max(0, box.bottom - free.top) * wide, bottom: Math.max(0, free.bottom - box.top) * wide,
-    };
-    const side = Object.keys(costs).reduce((one, two) => costs[two] < costs[one] ? two : one);
-    const edge = {left: box.right, right: box.left, top: box.bottom, bottom: box.top}[side];
-    free[side] = side === "left" || side === "top" ? Math.max(free[side], edge) : Math.min(free[side], edge);
+  const boxes = [...document.querySelectorAll(OVER_MAP)].map((one) => one.getBoundingClientRect());
+  const over = [view, ...boxes.filter((box) => box.width && box.height)];
+  const key = over.map((box) => [box.left, box.top, box.right, box.bottom].map(Math.round)).join();
+  if (key !== free.key) free = {key, box: widest(view, over.slice(1))};
+  return free.box;
+}
+
+function widest(view, boxes) {
+  const edges = (low, high) => [...new Set([view[low], view[high], ...boxes.flatMap((box) => [box[low], box[high]])])]
+    .filter((at) => at >= view[low] && at <= view[high]).sort((one, two) => one - two);
+  const across = edges("left", "right"), down = edges("top", "bottom");
+  let best = view, most = [0, 0];
+  for (const left of across) for (const right of across) for (const top of down) for (const bottom of down) {
+    const wide = right - left, high = bottom - top, least = Math.min(wide, high);
+    if (least < most[0] || (least === most[0] && wide * high <= most[1]) || least <= 0) continue;
+    const isCovered = (box) => box.left < right && box.right > left && box.top < bottom && box.bottom > top;
+    if (!boxes.some(isCovered)) [best, most] = [{left, top, right, bottom}, [least, wide * high]];
   }
-  return free;
+  return best;
 }
 
 // A grid in metres, for where there are no tiles: its lines go through home.
