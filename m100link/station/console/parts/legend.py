@@ -24,7 +24,8 @@ class LegendPart:
         """Lay it out."""
         put = self._wording.put
         with ui.element("div").classes("legend"):
-            put(ui.label().classes("idle").set_text, "page.legend.idle")
+            put(ui.label().classes("idle by-keys").set_text, "page.legend.idle")
+            put(ui.label().classes("idle by-finger").set_text, "page.legend.idle.finger")
             ui.element("div").props("id=did role=status")
             put(ui.label().classes("keys").set_text, "page.legend.keys")
             with ui.element("div").classes("choices"):

@@ -22,6 +22,7 @@ WORDS: dict[str, tuple[str, str]] = {
         "click here, then hold keys to fly",
         "hier klicken, dann Tasten halten",
     ),
+    "page.legend.idle.finger": ("hold a stick to fly", "zum Fliegen einen Knüppel halten"),
     "page.legend.keys": (
         "W A S D move, Q E turn, Z C climb and sink, Esc leaves, gamepad: hold a shoulder button",
         "W A S D bewegen, Q E drehen, Z C steigen, sinken, Esc verlässt, Gamepad: Schultertaste",
