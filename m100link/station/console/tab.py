@@ -44,6 +44,8 @@ BEAT_LIFETIME = 0.3
 SPENT_AFTER = 1.0
 """Seconds of the page without a beat after which it has let go of everything by itself."""
 
+_STOPPED, _OBTAINED = "STOP was pressed", "control was obtained meanwhile"
+
 MAX_BEAT = 2000
 _COMPLAINT_PAUSE = 1.0
 
@@ -93,9 +95,11 @@ class Tab:
         self._is_closed = False
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
         agent.on_steer_refused.append(self._steer_refused)
-        # After STOP, whoever it was, a hand that still holds something moves nothing.
-        self._has_to_let_go = False
+        # What a hand that still holds something had no part in, whoever it was: until it has let go
+        # it moves nothing. Empty when it may.
+        self._has_to_let_go = ""
         self._beat_at = -math.inf  # the last one, flown or refused, by the page's clock
+        self._late_since: float | None = None  # the first late one since one was in time
         self._stop_press: object = None  # which press of STOP the task above answers
         agent.on_event.append(self._event)
         agent.on_lease.append(self._lease_changed)
@@ -146,6 +150,7 @@ class Tab:
         if not self.has_lease:
             self.lease = await self._agent.acquire(self.name)
         self.lease_end = None
+        self._has_to_let_go = self._has_to_let_go or _OBTAINED
         try:
             await self._agent.obtain(self.lease)
         except M100Error:
@@ -161,6 +166,7 @@ class Tab:
         """Second step: take the lease, and authority if the station does not hold it."""
         self.lease = await self._agent.confirm(wanted.token)
         self.lease_end = None
+        self._has_to_let_go = self._has_to_let_go or _OBTAINED
         await self._agent.obtain(self.lease)
         self.loss = None
 
@@ -287,9 +293,11 @@ class Tab:
                 self._steer(self.lease, message, late, held)
             else:
                 if message["op"] == "rest":
-                    self._has_to_let_go = False
+                    self._has_to_let_go, self._late_since = "", None
                     self._agent.halt(lease=self.lease)
                 self._agent.keep(self.lease)
+        elif message["op"] == "beat":
+            self._beat_at = message["at"] / 1000.0
         return answer | {"told": now}
 
     def _stop_now(self, press: object) -> None:
@@ -329,37 +337,60 @@ class Tab:
 
     def _event(self, event: Event) -> None:
         if event.topic is Topic.STOPPED:
-            self._has_to_let_go = True
+            self._has_to_let_go = _STOPPED
 
-    def _check_let_go(self, lease: Lease, at: float) -> None:
-        """Refuse what is held since before a STOP.
+    def _heard_beat(self, lease: Lease, at: float) -> None:
+        """Note a beat; after a gap of the page's own it is a new press.
 
         Args:
             lease: Of this tab.
             at: When the beat was sent, s of the page's clock: beats that wait on their way leave a
                 gap here as well, with the key held all the time.
+        """
+        if self._has_to_let_go and at - self._beat_at > SPENT_AFTER:
+            if self._has_to_let_go == _STOPPED:
+                self._agent.halt(lease=lease)
+            self._has_to_let_go = ""
+        self._beat_at = at
+
+    def _check_let_go(self) -> None:
+        """Refuse what is held since before a STOP, a loss of control, or a way that was too slow.
 
         Raises:
             GuardRefused: It was not let go of since.
         """
-        if self._has_to_let_go and at - self._beat_at > SPENT_AFTER:
-            self._has_to_let_go = False
-            self._agent.halt(lease=lease)
-        self._beat_at = at
         if self._has_to_let_go:
             raise GuardRefused(
-                "STOP was pressed, and something is still held; it was not flown",
+                f"{self._has_to_let_go}, and something is still held; it was not flown",
                 guard="let_go",
                 measured=None,
                 limit=None,
                 remedy="let go of keys, sticks and shoulder buttons, then press again",
             )
 
-    def _steer(self, lease: Lease, message: dict[str, Any], late: float, held: float) -> None:
-        self.refusal = None
+    def _check_in_time(self, at: float, late: float, held: float) -> None:
+        """Refuse what is old; who could not steer for a second has to let go of everything first.
+
+        The aircraft stood meanwhile, and perhaps nobody looks when the way is fast again.
+
+        Raises:
+            GuardRefused: See :meth:`_check_way`.
+        """
         try:
-            self._check_let_go(lease, message["at"] / 1000.0)
             self._check_way(late, held)
+        except GuardRefused:
+            self._late_since = at if self._late_since is None else self._late_since
+            if at - self._late_since > SPENT_AFTER:
+                self._has_to_let_go = self._has_to_let_go or "the way was too slow"
+            raise
+        self._late_since = None
+
+    def _steer(self, lease: Lease, message: dict[str, Any], late: float, held: float) -> None:
+        self.refusal, at = None, message["at"] / 1000.0
+        try:
+            self._heard_beat(lease, at)
+            self._check_in_time(at, late, held)
+            self._check_let_go()
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]
             )
@@ -390,6 +421,7 @@ class Tab:
     def _authority_taken(self, error: AuthorityLost) -> None:
         if self.has_lease:
             self.loss = LossReason(error.reason)  # a text once it has been a message
+            self._has_to_let_go = "control was lost meanwhile"
 
     # -- the end ---------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
@@ -373,6 +374,92 @@ async def test_who_holds_something_while_somebody_presses_stop_has_to_let_go(rig
     await flying.hold(1.0, x=-8)
     assert speed(rig) > 0.3
     assert flying.tab.problem == ""
+
+
+async def pilot_flies_a_while(flying: Browser) -> None:
+    flying.rig.aircraft.leave_f()
+    await flying.hold(3.0, x=-8)
+    flying.rig.aircraft.return_to_f()
+    await flying.hold(0.05, x=-8)
+
+
+async def the_way_is_slow_a_while(flying: Browser) -> None:
+    late: list[str] = []
+    for _ in range(60):
+        late.append(flying.message("beat", mode=1, x=-8, y=0, z=0, w=0))
+        await anyio.sleep(0.05)
+        if len(late) > 12:
+            flying.hear(flying.tab.receive(late.pop(0)))
+    for message in late:
+        flying.hear(flying.tab.receive(message))
+
+
+async def the_cable_is_out_a_while(flying: Browser) -> None:
+    rig = flying.rig
+    rig.aircraft.unplug()
+    await flying.hold(2.0, x=-8)
+    rig.aircraft.replug()
+    while not rig.front.is_connected:
+        await flying.hold(0.1, x=-8)
+    await flying.hold(0.5, x=-8)
+    obtaining = asyncio.create_task(flying.tab.obtain())
+    while not obtaining.done():
+        await flying.hold(0.1, x=-8)
+    await obtaining
+
+
+@pytest.mark.parametrize(
+    ("happens", "why"),
+    [
+        (pilot_flies_a_while, "control was lost meanwhile"),
+        (the_way_is_slow_a_while, "the way was too slow"),
+        (the_cable_is_out_a_while, "meanwhile"),
+    ],
+)
+async def test_what_is_held_while_nobody_could_steer_moves_nothing_when_somebody_can(
+    rig: Rig, happens: Callable[[Browser], Awaitable[None]], why: str
+) -> None:
+    flying = await airborne(rig)
+    await flying.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    await happens(flying)
+    await flying.hold(3.0, x=-8)
+    assert rig.agent.holding.has_authority
+    assert speed(rig) < 0.2
+    assert f"{why}, and something is still held" in flying.tab.problem
+    flying.say("rest")
+    await flying.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    assert flying.tab.problem == ""
+
+
+async def test_what_is_held_as_control_is_obtained_moves_nothing(rig: Rig) -> None:
+    first = await airborne(rig)
+    await first.tab.release()
+    browser = Browser(rig)
+    await browser.hold(1.0, x=-8)  # one hand on the stick, the other on the button
+    obtaining = asyncio.create_task(browser.tab.obtain())
+    while not obtaining.done():
+        await browser.hold(0.1, x=-8)
+    await browser.hold(2.0, x=-8)
+    assert browser.tab.has_lease
+    assert speed(rig) < 0.2
+    assert "control was obtained meanwhile" in browser.tab.problem
+    await keep_alive(browser, anyio.sleep(1.5))  # let go, and that was not heard
+    await browser.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+
+
+async def test_one_beat_that_is_late_asks_for_no_new_press(rig: Rig) -> None:
+    flying = await airborne(rig)
+    await flying.hold(1.0, x=-8)
+    late = flying.message("beat", mode=1, x=-8, y=0, z=0, w=0)
+    await anyio.sleep(0.6)
+    flying.hear(flying.tab.receive(late))
+    assert "late on its way" in flying.tab.problem
+    await flying.hold(1.0, x=-8)
+    assert flying.tab.problem == ""
+    assert speed(rig) > 0.3
 
 
 async def test_stop_by_the_socket_needs_no_lease_and_runs_once_at_a_time(rig: Rig) -> None:

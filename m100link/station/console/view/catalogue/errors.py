@@ -46,7 +46,10 @@ _GUARDS: dict[str, str] = {
     "guard_refused.way_round_trip": "Das Netz ist zum Steuern zu langsam, geflogen wurde nichts",
     "guard_refused.setpoint_age": "Der Steuerwert kam zu spät an und wurde nicht geflogen",
     "guard_refused.stopped": "STOPP war gedrückt: loslassen, dann neu beginnen",
-    "guard_refused.let_go": "STOPP war gedrückt: Tasten und Knüppel loslassen, dann neu drücken",
+    "guard_refused.let_go": (
+        "Seit STOPP, einem Verlust der Steuerung oder langsamem Netz wird noch etwas gehalten: "
+        "Tasten und Knüppel loslassen, dann neu drücken"
+    ),
     "guard_refused.order_late": "Die Taste kam zu spät oder ungewiss an, nichts geschah",
     "guard_refused.not_offered": "Der Befehl galt beim Halten nicht mehr, nichts geschah",
     "guard_refused.page_shifted": "Die Seite verschob sich beim Drücken, nichts geschah",
