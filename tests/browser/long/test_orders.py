@@ -64,6 +64,9 @@ async def test_stop_is_answered_by_either_way_and_told_when_both_are_cut(
     await press(page, "stop")
     await asyncio.sleep(3.5)  # longer than an answer may take
     assert await page.locator("#unanswered").is_hidden()
+    # The instruments go on, and what the banner says is of before: nobody is to believe it.
+    await page.wait_for_selector("#page-lost:visible")
+    await page.wait_for_selector("#banner", state="hidden")
     await page.evaluate(CUT_BOTH)
     await press(page, "stop")
     await page.wait_for_selector("#unanswered:visible")

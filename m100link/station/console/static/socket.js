@@ -80,11 +80,15 @@ export class Socket {
     return performance.now() - this.heardAt > LOST_MS;
   }
 
+  // How old the texts of the page are; they come by another way than the instruments.
+  get textsAgeMs() {
+    const beat = document.getElementById("view-beat")?.dataset.at;
+    return beat === undefined ? 0 : 1000 * (this.stationNow - Number(beat));
+  }
+
   // What is shown is old: nothing arrives, it was long on its way, or the page itself hangs back.
   get isLost() {
-    const beat = document.getElementById("view-beat")?.dataset.at;
-    const isViewOld = beat !== undefined && this.stationNow - Number(beat) > VIEW_MS / 1000;
-    return this.isUnheard || this.age * 1000 > LOST_MS || isViewOld;
+    return this.isUnheard || this.age * 1000 > LOST_MS || this.textsAgeMs > VIEW_MS;
   }
 
   roundTrip(ms) {
