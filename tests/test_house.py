@@ -194,6 +194,8 @@ TESTED_ELSEWHERE = {
     "agent/orders.py": ("agent/test_service.py", "each is asked for by a message"),
     "agent/patterns.py": ("station/ros/test_node_2015.py", "flown by the commands of 2015"),
     "agent/plan_told.py": ("agent/test_client.py", "there and back is what a client sees"),
+    "station/console/parts/replay.py": ("browser/test_replay.py", "a page is seen in a browser"),
+    "agent/replay_told.py": ("agent/test_replays.py", "what a front is told of a replay"),
     "agent/steering.py": ("station/console/test_tab.py", "steered by the pad of the console"),
     "aircraft/events.py": ("aircraft/test_aircraft.py", "two names and what they carry"),
     "aircraft/connecting.py": ("aircraft/test_aircraft.py", "whoever tests it connects first"),

@@ -39,6 +39,7 @@ class Action(Enum):
     MISSION_SPEED = "mission_speed"
     VERSION = "version"
     SEND_TO_MOBILE = "send_to_mobile"
+    REPLAY = "replay"  # an order to a recording; the data says which, in words
 
 
 class LeaseAction(Enum):

@@ -22,6 +22,7 @@ from m100link.agent.inherited import Inherited
 from m100link.agent.journal import Journal
 from m100link.agent.lease import Flown, Lease, LeaseChange, LeaseDesk
 from m100link.agent.messages import Topic
+from m100link.agent.replays import Replays
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import GuardRefused, UsageError
@@ -64,6 +65,7 @@ class Agent:
         leases_before: Number of the last lease that an agent before may have granted; above 0 what
             that one may have held is given back, once the aircraft answers.
         envelope: How far whoever has the lease may fly; that of every control block by default.
+        replay: The recording that stands in the place of an aircraft; nobody gets a lease.
 
     Attributes:
         journal: What happened.
@@ -72,6 +74,7 @@ class Agent:
         activation: How the aircraft was activated.
         desk: Who may steer.
         holding: Control authority for whoever may.
+        replay: As given.
         on_lease: Called with the reason, the lease in force, or None, and what was flown for the
             one before, after each change.
     """
@@ -85,6 +88,7 @@ class Agent:
         keep_authority: float = 0.0,
         leases_before: int = 0,
         envelope: Envelope | None = None,
+        replay: Replays | None = None,
     ) -> None:
         if not 0.0 <= keep_authority <= LONGEST_KEPT:
             raise UsageError(
@@ -92,6 +96,7 @@ class Agent:
                 remedy=f"choose 0 to {LONGEST_KEPT:g} s: somebody has to be there to fly",
             )
         self._clock = asyncio.get_running_loop().time
+        self.replay = replay
         self.journal = Journal(self._clock)
         self.background = BackgroundTasks()
         self.connection = Connection(connect, self.journal)
@@ -134,6 +139,9 @@ class Agent:
         await self.background.end()
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
+        if aircraft is not None and self.replay is not None:
+            self.background.spawn(self.replay.watch(aircraft), "replay")
+            return
         version = self.connection.version
         if aircraft is None or version is None:
             return
@@ -229,6 +237,16 @@ class Agent:
         """
         self._renewed(token)
         await self.connection.require_aircraft().send_to_mobile(data)
+
+    async def order_replay(self, text: str) -> None:
+        """Move, stop or go on with a recording; anybody may.
+
+        Raises:
+            UsageError: It is not one, or there is no such order.
+        """
+        if self.replay is None:
+            raise UsageError("this is not a replay", remedy="m100link replay FILE")
+        await self.replay.order(text)
 
     def _camera_of(self, token: str | None) -> Aircraft:
         """The aircraft, for what needs no authority: for the holder of the lease, or without one.

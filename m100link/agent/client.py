@@ -228,7 +228,7 @@ class AgentClient:
         if state.connection != "connected":
             self.telemetry = self.link = None
         elif self.telemetry is None:
-            self.telemetry = AircraftState(self._clock)
+            self.telemetry = AircraftState(lambda: self.state.flight_time(self.now))
 
     def _on_link_counted(self, message: LinkCounted) -> None:
         self.link = message

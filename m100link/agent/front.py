@@ -36,6 +36,7 @@ from m100link.agent.messages import (
 )
 from m100link.agent.orders import Orders, Result
 from m100link.agent.plan_told import told_of
+from m100link.agent.replays import refused
 from m100link.errors import GuardRefused, M100Error, UsageError
 from m100link.missions.plan import WaypointPlan
 
@@ -162,6 +163,8 @@ class Front:
 
     def _lease(self, ask: LeaseAsk) -> Message:
         desk, now = self._agent.desk, self._agent.now
+        if self._agent.replay is not None and ask.action is not LeaseAction.RELEASE:
+            raise refused()
         if ask.action is LeaseAction.RELEASE:
             desk.release(ask.token, now)
             return Outcome(ask.id, Stage.DONE)

@@ -32,6 +32,7 @@ from m100link.agent.guided import (
     GuidedFlight,
 )
 from m100link.agent.lease import Flown, LeaseChange
+from m100link.agent.replay_told import Replay
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = [
@@ -64,7 +65,7 @@ __all__ = [
     "Topic",
 ]
 
-VERSION = 8
+VERSION = 9
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 # -- both ways ------------------------------------------------------------------------------------
@@ -202,6 +203,7 @@ class State:
         dropped_writes: Frames that were not written.
         mismatches: Telemetry packages that do not fit the firmware.
         limits: What the guards allow.
+        replay: Where the replay is; None for an aircraft, real or virtual.
     """
 
     at: float
@@ -226,6 +228,11 @@ class State:
     dropped_writes: int = 0
     mismatches: int = 0
     limits: Limits = Limits()
+    replay: Replay | None = None
+
+    def flight_time(self, now: float) -> float:
+        """What telemetry is received by when the agent's clock says ``now``, s."""
+        return now if self.replay is None else self.replay.time(now - self.at)
 
 
 @dataclass(frozen=True, slots=True)

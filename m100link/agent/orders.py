@@ -81,6 +81,7 @@ class Orders:
             Action.MISSION_RESUME: lambda: agent.order_mission(token, "resume"),
             Action.MISSION_SPEED: lambda: self._set_speed(token, ask.number / 1000),
             Action.VERSION: self._version,
+            Action.REPLAY: lambda: agent.order_replay(ask.data.decode("ascii", "replace")),
             Action.SEND_TO_MOBILE: lambda: agent.send_to_mobile(token, ask.data),
         }
         return doing[ask.action]()

@@ -176,11 +176,17 @@ class Service:
             holding.pattern,
             holding.guided_order,
             connection.aircraft.mission if connection.aircraft is not None else None,
+            self._replay_told(),
         )
         if told != self._told:
             self._told = told
             if self._fronts:
                 self._tell(self._state())
+
+    def _replay_told(self) -> object:
+        """What people change of a replay; its place changes by itself."""
+        told = None if self._agent.replay is None else self._agent.replay.told()
+        return None if told is None else (told.rate, told.is_paused, told.clock - told.position_s)
 
     def _state(self) -> State:
         agent = self._agent
@@ -213,4 +219,5 @@ class Service:
             dropped_writes=link.dropped_writes if link else 0,
             mismatches=aircraft.telemetry_mismatches if aircraft is not None else 0,
             limits=holding.limits,
+            replay=None if agent.replay is None else agent.replay.told(),
         )

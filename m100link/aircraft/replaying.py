@@ -135,6 +135,7 @@ async def open_replay(
             decode=link.decode,
             deliver=link.deliver,
             tell=lambda told: _tell(aircraft.authority, told),
+            forget=lambda: _forget(aircraft.authority),
             end=link.end,
             has_consumers=lambda: telemetry.has_consumers,
             has_room=lambda: telemetry.has_room,
@@ -146,6 +147,12 @@ async def open_replay(
 
 def _unheard(direction: Direction, data: bytes, now: float) -> None:
     """Nobody listens."""
+
+
+def _forget(authority: Authority) -> None:
+    if authority.state is not AuthorityState.NONE:
+        authority.feed(_I.RELEASE)
+        authority.feed(_I.RELEASED)
 
 
 def _tell(authority: Authority, told: dict[str, Any]) -> None:

@@ -95,6 +95,10 @@ VERBS = {
         "log:record",
         "Record what goes over the line, until Ctrl-C: every byte, and what the bytes say.",
     ),
+    "replay": (
+        "replay:replay",
+        "Show a recorded flight in the console, as it was: pause, move, change its speed.",
+    ),
     "log": (
         "log:app",
         "Look at flight logs, make tables of them, mend what was cut off; no aircraft is needed.",

@@ -71,7 +71,7 @@ class Configuration:
     def sources(self, word: str | None) -> list[tuple[str, Mapping[str, Any]]]:
         """What it says of an aircraft, strongest first; a ``url`` is what the word stands for.
 
-        The defaults are a real aircraft's: they do not hold for ``sim://``.
+        The defaults are a real aircraft's: they do not hold for ``sim://`` and ``replay://``.
 
         Args:
             word: A name or a URL; None: nobody says which.
@@ -87,7 +87,7 @@ class Configuration:
         elif word is not None:
             self._refuse_strange(word)
         url = word or "" if named is None else named["url"]
-        if not url.startswith("sim:"):
+        if not url.startswith(("sim:", "replay:")):
             found.append((f"{shown(self.path)} [defaults]", self.defaults))
         return found
 

@@ -166,7 +166,8 @@ def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> N
             raise UsageError(
                 f"two aircraft are called {name}", remedy="name them: first=URL second=URL"
             )
-        if settings.url is not None and settings.url == one.url:
+        is_same = settings.url is not None and settings.url == one.url
+        if is_same and not str(settings.url).startswith("replay://"):
             raise UsageError(f"{other} and {name} are at the same place: {settings.url}")
 
 
@@ -225,6 +226,7 @@ def run_station(
     with_console: bool = False,
     with_rosbridge: bool = True,
     open_browser: bool = False,
+    keys: Keys | None = None,
 ) -> int:
     """Run a station until it is told to end.
 
@@ -234,6 +236,7 @@ def run_station(
         with_console: Serve the console.
         with_rosbridge: Serve rosbridge.
         open_browser: Open the console.
+        keys: Takes what is pressed at the terminal while it runs.
 
     Raises:
         UsageError: Something is missing, or cannot be.
@@ -247,7 +250,7 @@ def run_station(
     if with_rosbridge or with_console:
         _require_packages()
     served = _Served(with_console, with_rosbridge)
-    return run_async(_serve(aircraft, options, served, open_browser))
+    return run_async(_serve(aircraft, options, served, open_browser, keys))
 
 
 def _require_packages() -> None:
@@ -261,6 +264,10 @@ def _require_packages() -> None:
             f"the ground station needs {error.name}, which is not installed",
             remedy="pip install 'm100link[station]'",
         ) from None
+
+
+Keys = Callable[[Any, asyncio.Event], contextlib.AbstractContextManager[None]]
+"""With the station that runs, and what ends it."""
 
 
 @dataclass(frozen=True)
@@ -287,6 +294,7 @@ async def _serve(
     options: RunOptions,
     served: _Served,
     open_browser: bool,
+    keys: Keys | None,
 ) -> int:
     from m100link.agent.journal import JOURNAL_LOG
 
@@ -318,7 +326,8 @@ async def _serve(
                 front.on_restart.append(lambda: teller.do(announce))
             if station.console_port is not None and open_browser:
                 await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
-            await ended.wait()
+            with contextlib.nullcontext() if keys is None else keys(station, ended):
+                await ended.wait()
             end = "ending: control authority goes back, an aircraft that flies hovers"
             told = end if station.has_authority else "ending"
             teller.do(lambda: err.print(told))

@@ -48,6 +48,7 @@ class Begin(NamedTuple):
         is_ended: Whether the file was ended.
         version: What the aircraft answered first; None when it did not in the first minute.
         firmware: By which telemetry was read; None when that was never known.
+        events: Who had control, and when.
     """
 
     at: float
@@ -56,6 +57,7 @@ class Begin(NamedTuple):
     is_ended: bool
     version: Version | None
     firmware: FirmwareProfile | None
+    events: tuple[Message, ...] = ()
 
 
 async def begin_of(flight: FlightLog) -> Begin:
@@ -98,7 +100,8 @@ def _begin_of(flight: FlightLog) -> Begin:
             "m100link log info FILE says what it holds",
         )
     duration = max(0.0, line.last_ns / 1e9 - first.utc)
-    return Begin(first.at, first.utc, duration, line.is_ended, version, flight.firmware)
+    events = tuple(flight.messages(EVENT))
+    return Begin(first.at, first.utc, duration, line.is_ended, version, flight.firmware, events)
 
 
 def _version(frame: Frame) -> Version | None:
@@ -115,6 +118,7 @@ class Stage(NamedTuple):
         decode: Makes frames of the bytes of a read, and of the time when they came.
         deliver: Takes a frame, and the time when it came.
         tell: Takes what happened beside the bytes.
+        forget: Called before it begins anywhere: what was told so far is void.
         end: Called with why there is no more.
         has_consumers: Whether somebody takes what is delivered.
         has_room: Whether nobody would lose an older package by another one.
@@ -124,6 +128,7 @@ class Stage(NamedTuple):
     decode: Callable[[bytes, float], Sequence[Frame]]
     deliver: Callable[[Frame, float], None]
     tell: Callable[[dict[str, Any]], None]
+    forget: Callable[[], None]
     end: Callable[[ReplayEnded], None]
     has_consumers: Callable[[], bool]
     has_room: Callable[[], bool]
@@ -246,13 +251,35 @@ class Player:
         At the highest speed it waits up to a second for somebody who takes telemetry.
         """
         self._stage = stage
-        self._moments = self.flight.moments(since_utc=self.begin.utc + self._from - RUN_UP_S - 1.0)
         self._begins_by = self._loop.time() + _BEGIN_WITHIN_S
-        if self._from:
-            self._tell_before()
+        self._open(stage)
+
+    def _open(self, stage: Stage) -> None:
+        """Stand where it begins, with who had control there."""
+        since = self.begin.at + self._from - RUN_UP_S
+        self._moments = self.flight.moments(since_utc=since + self.begin.utc - self.begin.at - 1.0)
+        stage.forget()
+        for message in self.begin.events:
+            if message.at < since:
+                stage.tell(message.content())
         self._advance()
         self._set_clock(self.begin.at + self._from)
         self._schedule()
+
+    def seek(self, to_s: float) -> None:
+        """Go on from another place; its clock goes on where it stood.
+
+        Args:
+            to_s: Seconds from its first byte; what is beyond either end is that end.
+        """
+        now = self.time()
+        self._from = min(max(0.0, to_s), self._to)
+        self._shift = now - (self.begin.at + self._from)
+        self._set_clock(self.begin.at + self._from)
+        self._frames.clear()
+        self.is_at_end = False
+        if self._stage is not None:
+            self._open(self._stage)
 
     def stop(self) -> None:
         """Play no more."""
@@ -260,14 +287,6 @@ class Player:
         self._moments = iter(())
         self._frames.clear()
         self._schedule()
-
-    def _tell_before(self) -> None:
-        """What happened before where it begins: who had control goes on having it."""
-        assert self._stage is not None
-        since = self.begin.at + self._from - RUN_UP_S
-        for message in self.flight.messages(EVENT):
-            if message.at < since:
-                self._stage.tell(message.content())
 
     def _advance(self) -> None:
         since, until = self.begin.at + self._from - RUN_UP_S, self.begin.at + self._to
@@ -282,9 +301,13 @@ class Player:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        if self._stage is None or self._is_paused or self.is_at_end:
+        if self._stage is None or self.is_at_end:
             return
-        if delay is not None:
+        if self._is_paused:
+            # Where it was moved to is shown all the same.
+            if self._frames or (self._next is not None and self._next.at <= self._here[0]):
+                self._timer = self._loop.call_soon(self._go)
+        elif delay is not None:
             self._timer = self._loop.call_later(delay, self._go)
         elif self._frames or math.isinf(self._speed):
             self._timer = self._loop.call_soon(self._go)
@@ -305,13 +328,13 @@ class Player:
 
     def _play_some(self) -> float | None:
         """Play what is due; returns seconds to wait, or None."""
-        is_as_fast_as_taken = math.isinf(self._speed)
+        is_as_fast_as_taken = math.isinf(self._speed) and not self._is_paused
         if is_as_fast_as_taken and self._begins_by and not self._is_awaited():
             return _LONGEST_PAUSE_S / 10
         self._begins_by = 0.0
         for _ in range(_BATCH):
             stage = self._stage
-            if stage is None or self._is_paused:
+            if stage is None:
                 return None
             if self._frames:
                 if is_as_fast_as_taken and not stage.has_room():
@@ -319,6 +342,8 @@ class Player:
                 self._waits = 0
                 stage.deliver(*self._frames.popleft())
             elif self._next is None:
+                if self._is_paused:
+                    return None
                 if is_as_fast_as_taken or self._then() >= self.begin.at + self._to - 1e-6:
                     self._end()
                 return None

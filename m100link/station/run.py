@@ -16,6 +16,7 @@ from m100link.agent.carriers import Channel
 from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.connect import by_driver, by_url, envelope_of
 from m100link.agent.connection import Connect
+from m100link.agent.replays import Replays
 from m100link.agent.service import Service
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
@@ -171,13 +172,19 @@ async def owning(
 
     flights = _flights(settings, tell)
     async with AsyncExitStack() as stack:
-        if settings.sim:
+        replay: Replays | None = None
+        if settings.url is not None and settings.url.startswith("replay://"):
+            credentials, flights = None, None
+            replay = Replays(settings.url, settings.firmware, lambda text: tell(text, "info"))
+            await replay.look()
+            connect: Connect = replay.connect
+        elif settings.sim:
             virtual = virtual or _virtual(credentials, settings.firmware, place)
             credentials = virtual.credentials
             driver = Driver(virtual)
             driver.start()
             stack.callback(driver.stop)
-            connect: Connect = by_driver(driver, flights=flights)
+            connect = by_driver(driver, flights=flights)
         elif settings.url is not None:
             connect = by_url(
                 settings.url,
@@ -198,6 +205,7 @@ async def owning(
                 keep_authority=settings.keep_authority,
                 envelope=envelope_of(settings.max_height, settings.max_radius),
                 leases_before=leases_before,
+                replay=replay,
             )
         )
         service = Service(agent)

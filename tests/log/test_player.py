@@ -34,6 +34,7 @@ class Heard:
             decode=lambda data, _: self._decoder.feed(data),
             deliver=self.deliver,
             tell=lambda _: None,
+            forget=lambda: None,
             end=lambda error: self.ends.append(error.cause),
             has_consumers=lambda: True,
             has_room=lambda: True,
@@ -129,6 +130,42 @@ async def test_one_that_holds_stands_at_its_end(player: Player) -> None:
     assert heard.ends == []
     first = heard.frames[0][0] - at
     assert -5.0 - 2.5 <= first <= -5.0 - 2.4, "what came just before comes at once"
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0, float("inf")])
+@pytest.mark.parametrize("is_paused", [False, True])
+async def test_it_is_moved_and_its_clock_goes_on(
+    player: Player, speed: float, is_paused: bool
+) -> None:
+    player = Player(player.flight, player.begin, holds=True)
+    heard = Heard(player)
+    player.play(heard.stage())
+    await asyncio.sleep(4.0)
+    player.set_speed(speed)
+    if is_paused:
+        player.pause()
+    for place in (12.0, 1.0, -5.0, 1e9):
+        at = player.time()
+        player.seek(place)
+        place = min(max(0.0, place), player.begin.duration_s)
+        assert player.time() == pytest.approx(at)
+        assert player.position_s == pytest.approx(place)
+        count = len(heard.frames)
+        await asyncio.sleep(0.0)
+        await asyncio.sleep(0.05)
+        if place > 0.0:
+            assert len(heard.frames) > count, "where it was moved to is seen, while paused, too"
+        if is_paused:
+            assert player.position_s == pytest.approx(place)
+            assert player.time() == pytest.approx(at)
+        elif speed < 10 and not player.is_at_end:
+            assert player.position_s == pytest.approx(place + 0.05 * speed)
+    player.seek(0.0)
+    player.resume()
+    player.set_speed(1.0)
+    await asyncio.sleep(1.0)
+    assert not player.is_at_end, "it goes on after its end"
+    assert player.position_s == pytest.approx(1.0)
 
 
 async def test_whoever_raises_does_not_end_it(player: Player) -> None:

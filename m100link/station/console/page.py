@@ -28,6 +28,7 @@ from m100link.station.console.parts.map import MapPart
 from m100link.station.console.parts.part import Deck, Part
 from m100link.station.console.parts.plan import PlanPart
 from m100link.station.console.parts.plots import PlotsPart
+from m100link.station.console.parts.replay import ReplayPart
 from m100link.station.console.parts.settings import SettingsPart, load_settings
 from m100link.station.console.parts.status import StatusPart
 from m100link.station.console.parts.telemetry import TelemetryPart
@@ -99,6 +100,7 @@ class Page:
             FleetPart(self._deck),
             StatusPart(self._deck),
             AlarmsPart(self._deck),
+            ReplayPart(self._deck),
         )
         self._map = MapPart(self._deck)
         self._sections: dict[str, ui.element] = {}
@@ -197,9 +199,10 @@ class Page:
 
     def _view(self) -> View:
         agent, tab = self._agent, self._tab
+        now = agent.state.flight_time(agent.now)  # of a replay: that of then
         return view_of(
             Inputs(
-                now=agent.now,
+                now=now,
                 state=agent.state,
                 holder=agent.holder,
                 telemetry=agent.telemetry,
@@ -216,7 +219,7 @@ class Page:
                 dropped=self._dropped() if self._shown == "data" else (),
                 lease_end=tab.lease_end,
                 loss=tab.loss,
-                heard_at=agent.heard_at,
+                heard_at=now - (agent.now - agent.heard_at),
                 wall=time.time(),
                 is_virtual=self._deck.orders is not None,
             ),

@@ -27,11 +27,13 @@ FROM_GROUND = frozenset({"take_off", "simple_task", "mission_start"})
 
 
 def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozenset[str]:
-    """The orders that can be given now; STOP always can.
+    """The orders that can be given now; STOP always can, where something may fly.
 
     What leaves the ground is offered by the checklist. Where nobody knows whether the aircraft
     stands, it counts as standing. What flies does not take off.
     """
+    if inputs.is_replay:
+        return frozenset()  # nothing flies, and nothing would obey
     offered = {"stop"}
     if inputs.is_connected:
         offered.add("activate")

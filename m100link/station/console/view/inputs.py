@@ -86,6 +86,11 @@ class Inputs:
     dropped: tuple[tuple[str, int], ...] = ()
 
     @property
+    def is_replay(self) -> bool:
+        """Whether it is a recorded flight."""
+        return self.state.replay is not None
+
+    @property
     def is_heard(self) -> bool:
         """Whether what the agent told is news."""
         return not self.is_silent and not self.is_gone

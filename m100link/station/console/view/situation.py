@@ -104,6 +104,7 @@ class Situation:
         aborted: Number of the newest event that tells of a mission broken off; 0 for none.
         aborted_why: Its text, in English.
         is_virtual: Whether the aircraft is a simulated one.
+        is_replay: Whether it is a recorded flight.
     """
 
     now: float = 0.0
@@ -137,6 +138,7 @@ class Situation:
     aborted: int = 0
     aborted_why: str = ""
     is_virtual: bool = False
+    is_replay: bool = False
 
     @property
     def telemetry_age(self) -> float | None:
@@ -195,6 +197,7 @@ def situation_of(inputs: Inputs) -> Situation:
         aborted=aborted.number if aborted is not None else 0,
         aborted_why=aborted.text if aborted is not None else "",
         is_virtual=inputs.is_virtual,
+        is_replay=inputs.is_replay,
         **_measured(inputs.telemetry, state.limits),
     )
 

@@ -39,6 +39,7 @@ class Cause(Enum):
     AIRCRAFT_SILENT = "aircraft_silent"  # the line is open, and telemetry has ended
     APP = "app"  # CTRL_DEVICE names the mobile app
     SWITCH = "switch"  # the mode switch is seen out of F: the pilot flies
+    REPLAY = "replay"  # a recorded flight: nobody controls anything
     OTHER = "other"  # another client of the station has the lease
     NOT_ACTIVATED = "not_activated"
     PENDING = "pending"  # authority was asked for
@@ -87,6 +88,7 @@ RULES: tuple[Rule, ...] = (
     Rule(_C.AIRCRAFT_SILENT, _L.DANGER, _is_aircraft_silent),
     Rule(_C.APP, _L.WARNING, lambda now: now.device is Device.APP),
     Rule(_C.SWITCH, _L.WARNING, lambda now: now.switch not in (None, RcMode.F)),
+    Rule(_C.REPLAY, _L.NEUTRAL, lambda now: now.is_replay),
     Rule(_C.OTHER, _L.WARNING, lambda now: bool(now.holder) and not now.has_lease),
     Rule(_C.NOT_ACTIVATED, _L.WARNING, lambda now: not now.is_activated),
     Rule(_C.PENDING, _L.WARNING, lambda now: now.holding in ("obtaining", "resuming")),

@@ -19,6 +19,7 @@ from m100link.station.console.view.instruments import Instruments, instruments_o
 from m100link.station.console.view.link import LinkView, link_of
 from m100link.station.console.view.memory import Memory
 from m100link.station.console.view.mission import MissionView, mission_of
+from m100link.station.console.view.replay import ReplayView, replay_of
 from m100link.station.console.view.situation import Level, Situation
 from m100link.station.console.view.status import StatusLine, activation_of, status_line
 from m100link.station.console.view.words import Text
@@ -46,6 +47,7 @@ class View:
         link: The link in numbers.
         events: What happened, oldest first.
         fleet: A row for each aircraft, when there are several.
+        replay: Where the replay is; None for an aircraft.
     """
 
     at: float
@@ -63,6 +65,7 @@ class View:
     link: LinkView
     events: tuple[Line, ...]
     fleet: tuple[FleetRow, ...]
+    replay: ReplayView | None
 
 
 def view_of(inputs: Inputs, memory: Memory | None = None) -> View:
@@ -85,4 +88,5 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> View:
         link=link_of(inputs),
         events=tuple(memory.diary.lines),
         fleet=fleet_of(inputs.fleet),
+        replay=replay_of(inputs.state.replay),
     )

@@ -31,6 +31,7 @@ ALONE: dict[Cause, dict[str, Any]] = {
     C.AIRCRAFT_SILENT: {"telemetry_at": 98.0},
     C.APP: {"device": Device.APP},
     C.SWITCH: {"switch": RcMode.P},
+    C.REPLAY: {"is_replay": True},
     C.OTHER: {"holder": "Anna"},
     C.NOT_ACTIVATED: {"is_activated": False},
     C.PENDING: {"holding": "obtaining"},
@@ -142,7 +143,7 @@ def test_every_combination_says_what_a_glance_must_say() -> None:
         line = status_line(now)
         assert line.cause is by_hand(now), now
         told.add(line.cause)
-    assert told == set(Cause) - {C.PENDING, C.GIVING_BACK, C.MISSION, C.TAKEN}
+    assert told == set(Cause) - {C.REPLAY, C.PENDING, C.GIVING_BACK, C.MISSION, C.TAKEN}
 
 
 NOT_HEARD = (C.AGENT_GONE, C.AGENT_SILENT, C.LINE_LOST, C.CONNECTING, C.AIRCRAFT_SILENT)

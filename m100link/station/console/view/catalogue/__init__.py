@@ -20,6 +20,7 @@ from m100link.station.console.view.catalogue import (
     page,
     plan,
     plots,
+    replay,
     settings,
     sim,
     status,
@@ -30,7 +31,7 @@ __all__ = ["CATALOGUE", "PARTS"]
 
 PARTS = (
     *(actions, alarms, browser, checklist, click, errors, events, fleet, instruments, link),
-    *(mission, page, plan, plots, settings, sim, status, unit),
+    *(mission, page, plan, plots, replay, settings, sim, status, unit),
 )
 """The files."""
 

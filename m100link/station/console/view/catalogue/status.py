@@ -133,6 +133,14 @@ WORDS: dict[str, tuple[str, str]] = {
     "status.activation.done": ("Activation: active", "Aktivierung: aktiv"),
     "status.activation.none": ("Activation: not done", "Aktivierung: nicht gemacht"),
     "status.activation.failed": ("Activation: {why}", "Aktivierung: {why}"),
+    "status.replay": (
+        "Replay of a recorded flight: nothing flies",
+        "Wiedergabe eines aufgezeichneten Flugs: es fliegt nichts",
+    ),
+    "status.replay.remedy": (
+        "Values, ages and alarms are those of then.",
+        "Werte, Alter und Alarme sind die von damals.",
+    ),
     "status.virtual": ("Virtual aircraft", "Virtuelles Fluggerät"),
     "status.since": ("for {seconds} s", "seit {seconds} s"),
     "status.task.take_off": ("take-off", "Start"),
