@@ -129,11 +129,13 @@ async def steer(
 ) -> None:
     """Hold something until the aircraft moves so; it is held on.
 
-    Begun again where the page let go by itself.
+    Begun again where the page let go by itself, or the station asks for that.
     """
 
     async def answered() -> bool:
-        return moves() or not await page.evaluate(STEERS)
+        if moves() or not await page.evaluate(STEERS):
+            return True
+        return "still held" in await page.inner_text("#problem")
 
     for _ in range(ATTEMPTS):
         await begin()

@@ -28,6 +28,7 @@ from m100link.sim.ports.tcp import serve_tcp
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.browser.conftest import ARGUMENTS, CHROMIUM, playwright, until
+from tests.browser.operator import hold_key
 from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
@@ -119,8 +120,7 @@ class Flight:
         """Hold a key until it flies."""
         await self.page.click("#pad")
         await self.page.keyboard.press("Digit4")
-        await self.page.keyboard.down("w")
-        await until(lambda: self.speed > 0.8, what="it does not fly")
+        await hold_key(self.page, "w", lambda: self.speed > 0.8)
 
     async def after(self, disturb: Callable[[], Awaitable[Any]]) -> Measured:
         """What it does from this disturbance on."""

@@ -10,7 +10,7 @@ import pytest
 
 from tests.browser.boxes import faults
 from tests.browser.conftest import Console, console_in_browser, context_of, until
-from tests.browser.operator import GAMEPAD, airborne, is_still
+from tests.browser.operator import GAMEPAD, airborne, is_still, steer
 
 pytestmark = [pytest.mark.anyio]
 
@@ -76,11 +76,14 @@ async def fingers(browser: Any) -> AsyncIterator[tuple[Console, Fingers]]:
         hand = Fingers(page, await phone.new_cdp_session(page))
         for _ in range(4):
             await page.tap("[data-steer=faster]")
-        await hand.down(1, RIGHT)
-        await asyncio.sleep(0.5)
-        assert is_still(console)  # to touch is not to move
-        await hand.move(1, 0, -60)
-        await until(lambda: console.watch.speed[1] > 0.5)
+
+        async def push() -> None:
+            await hand.down(1, RIGHT)
+            await asyncio.sleep(0.5)
+            assert is_still(console)  # to touch is not to move
+            await hand.move(1, 0, -60)
+
+        await steer(page, push, hand.up, lambda: console.watch.speed[1] > 0.5)
         yield console, hand
 
 
