@@ -347,10 +347,10 @@ class Tab:
             at: When the beat was sent, s of the page's clock: beats that wait on their way leave a
                 gap here as well, with the key held all the time.
         """
-        if self._has_to_let_go and at - self._beat_at > SPENT_AFTER:
+        if at - self._beat_at > SPENT_AFTER:
             if self._has_to_let_go == _STOPPED:
                 self._agent.halt(lease=lease)
-            self._has_to_let_go = ""
+            self._has_to_let_go, self._late_since = "", None
         self._beat_at = at
 
     def _check_let_go(self) -> None:

@@ -457,6 +457,10 @@ async def test_one_beat_that_is_late_asks_for_no_new_press(rig: Rig) -> None:
     await anyio.sleep(0.6)
     flying.hear(flying.tab.receive(late))
     assert "late on its way" in flying.tab.problem
+    await keep_alive(flying, anyio.sleep(3.0))  # let go, and that was not heard
+    late = flying.message("beat", mode=1, x=-8, y=0, z=0, w=0)
+    await anyio.sleep(0.6)
+    flying.hear(flying.tab.receive(late))  # the first of another press, and late again
     await flying.hold(1.0, x=-8)
     assert flying.tab.problem == ""
     assert speed(rig) > 0.3
