@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
-from m100link.errors import BadAck, LayoutMismatch
+from m100link.errors import BadAck
 from m100link.log.channels import COMMAND, FIX, TELEMETRY, Told
+from m100link.log.thinning import Thinning
 from m100link.protocol.command import Acknowledged, Command, Unrecognised
 from m100link.protocol.commands.activation import Activate
 from m100link.protocol.commands.monitor import PushTelemetry
 from m100link.protocol.commands.registry import COMMANDS, address_of, parse_command
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Position
-from m100link.telemetry.sample import Sample
 from m100link.wire import Cipher, Frame, FrameDecoder
 
-__all__ = ["Witness", "fix_of", "is_telemetry", "row_of"]
+__all__ = ["Witness", "fix_of", "is_telemetry"]
 
 _TELEMETRY = bytes(PushTelemetry.ADDRESS)
 
@@ -25,14 +24,6 @@ _TELEMETRY = bytes(PushTelemetry.ADDRESS)
 def is_telemetry(frame: Frame) -> bool:
     """Whether the frame is a package of telemetry, whose value stands behind two bytes."""
     return frame.data.startswith(_TELEMETRY) and not frame.is_ack
-
-
-def row_of(sample: Sample) -> dict[str, float | None]:
-    """The numbers of a package by their columns; None for what is not a number."""
-    return {
-        name: None if math.isnan(number) else number
-        for name, number in zip(sample.columns, sample.row(), strict=True)
-    }
 
 
 def fix_of(position: Position) -> dict[str, Any]:
@@ -56,8 +47,7 @@ class Witness:
 
     def __init__(self, rate_hz: float) -> None:
         self._sent, self._received = FrameDecoder(), FrameDecoder()
-        self._interval = 1.0 / rate_hz if rate_hz else 0.0
-        self._telemetry_at = -math.inf
+        self._thinning = Thinning(1.0 / rate_hz if rate_hz else 0.0)
         # What was asked by session and sequence; the answer does not say it. A number is used again
         # within 65536 requests, so there are never more.
         self._asked: dict[tuple[int, int, bool], type[Command]] = {}
@@ -75,18 +65,16 @@ class Witness:
         self._received.cipher = cipher
         for frame in self._received.feed(data):
             if is_telemetry(frame):
-                if now - self._telemetry_at >= self._interval * 0.999:
-                    yield from self._telemetry(frame.data[2:], now, profile)
+                yield from self._telemetry(frame.data[2:], now, profile)
             else:
                 yield from self._frame(frame, profile, is_ours=False)
 
     def _telemetry(self, value: bytes, now: float, profile: FirmwareProfile) -> Iterator[Told]:
-        try:
-            sample = Sample(value, profile, now)
-        except LayoutMismatch:
-            return  # the bytes are kept, and the link counts it
-        self._telemetry_at = now
-        yield TELEMETRY, {"received_at": now, **row_of(sample)}
+        told = self._thinning.hear(value, profile, now)
+        if told is None:
+            return
+        sample, row = told
+        yield TELEMETRY, row
         position = sample.get(Position)
         if position is not None:
             yield FIX, fix_of(position)

@@ -11,7 +11,8 @@ from typing import Any
 from m100link.agent.client import AgentClient
 from m100link.agent.messages import Event
 from m100link.log.channels import FIX, MESSAGE, SCHEMAS, STATE, TELEMETRY, TRANSFORM
-from m100link.log.witness import fix_of, row_of
+from m100link.log.thinning import Thinning
+from m100link.log.witness import fix_of
 from m100link.protocol.records import Attitude, Position
 from m100link.station.config import namespace_of
 from m100link.station.foxglove.session import Channel
@@ -53,7 +54,7 @@ class Feed:
         self._is_wanted, self._publish = is_wanted, publish
         self.channels: list[Channel] = []
         self._numbers: dict[tuple[str, str], int] = {}
-        self._last: dict[str, float] = {}
+        self._thinning = {name: Thinning(_INTERVAL_S) for name in agents}
         for place, name in enumerate(agents):
             prefix = f"/{namespace_of(name)}" if place else ""
             for topic in _TOPICS:
@@ -66,11 +67,11 @@ class Feed:
     def hear(self, name: str, sample: Sample) -> None:
         """A telemetry package; at most twenty a second are told."""
         at = sample.received_at
-        if at - self._last.get(name, -math.inf) < _INTERVAL_S * 0.999:
+        told = self._thinning[name].hear(sample.value, sample.profile, at)
+        if told is None:
             return
-        self._last[name] = at
         if self._wants(name, TELEMETRY):
-            self._tell(name, TELEMETRY, at, {"received_at": at, **row_of(sample)})
+            self._tell(name, TELEMETRY, at, told[1])
         position = sample.get(Position)
         if position is not None and position.is_possible and self._wants(name, FIX):
             self._tell(name, FIX, at, {"timestamp": self._stamp(at), **fix_of(position)})
