@@ -15,6 +15,7 @@ from cyclopts import Parameter
 
 from m100link.aircraft import connect
 from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
+from m100link.cli.log_exports import layout, ros2
 from m100link.cli.log_frames import compare_files, frames
 from m100link.cli.log_plot import plot
 from m100link.cli.log_tables import csv, parquet
@@ -40,6 +41,8 @@ app.command(plot)
 app.command(csv)
 app.command(parquet)
 app.command(wireshark)
+app.command(ros2)
+app.command(layout)
 app.command(frames)
 app.command(compare_files, name="compare")
 
