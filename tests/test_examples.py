@@ -184,6 +184,15 @@ def test_record_a_flight(run: Run, tmp_path: Path) -> None:
     assert [line.split()[-1] for line in lines[2:]] == ["take_off", "land"]
 
 
+def test_plot_a_flight(run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="the extra `log` is not installed")
+    out = run("plot_a_flight", "sim://", str(tmp_path / "flight.mcap"))
+    told = dict(re.split(r"\s{2,}|: ", line, maxsplit=1) for line in out.splitlines())
+    assert float(told["Farthest"].split()[0]) == pytest.approx(11.3, abs=0.6)
+    assert float(told["Highest"].split()[0]) == pytest.approx(3.2, abs=0.3)
+    assert "start_task" in (tmp_path / "flight.html").read_text("utf-8")
+
+
 @each_firmware
 def test_telemetry_to_csv(run: Run, url: str) -> None:
     rows = list(csv.DictReader(io.StringIO(run("telemetry_to_csv", url))))

@@ -49,7 +49,7 @@ def picture(story: Story, *, width_px: int = 1400) -> bytes:
             axes.axvspan(span.begin_s, span.end_s, color=_colour(span.name), alpha=0.1, lw=0)
         for span in story.alarms:
             axes.axvspan(span.begin_s, max(span.end_s, span.begin_s + duration / 300), color=_ALARM,
-                         alpha=0.25, lw=0)  # fmt: skip
+                         alpha=0.15, lw=0)  # fmt: skip
         for one in story.commands:
             axes.axvline(one.at_s, color="#667", lw=0.6, ls=":")
         for line in panel.lines:

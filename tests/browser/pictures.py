@@ -1,6 +1,6 @@
 """Makes the pictures of README and manual: the console in flight, and the demo in a terminal.
 
-    python -m tests.browser.pictures [console] [demo] [manual]
+    python -m tests.browser.pictures [console] [demo] [flight] [manual]
 
 All are of this very code; nothing in them is drawn.
 """
@@ -10,14 +10,20 @@ from __future__ import annotations
 import asyncio
 import base64
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from playwright.async_api import async_playwright
 
+from m100link.log import read
+from m100link.log.picture import picture as picture_of
+from m100link.log.story import read_story
+from m100link.sim import VirtualClockEventLoop
 from tests.browser.conftest import ARGUMENTS, CHROMIUM, console_in_browser
 from tests.browser.operator import airborne
 from tests.browser.recording import film, record
+from tests.test_examples import load
 
 IMAGES = Path(__file__).parents[2] / "docs/images"
 
@@ -101,12 +107,24 @@ def demo() -> None:
     (IMAGES / "demo.svg").write_text(picture, encoding="utf-8")
 
 
+def flight() -> None:
+    """What `m100link log plot` makes of the flight of the example, with a gusty wind."""
+    with tempfile.TemporaryDirectory() as place:
+        log = Path(place) / "flight.mcap"
+        url = "sim://?seed=7&wind-north=3&wind-east=2&gusts=2"
+        with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+            runner.run(load("plot_a_flight").main(url, str(log)))
+        (IMAGES / "flight.png").write_bytes(picture_of(read_story(read(log)), width_px=1100))
+
+
 if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
-    wanted = sys.argv[1:] or ["demo", "console", "manual"]
+    wanted = sys.argv[1:] or ["demo", "console", "flight", "manual"]
     if "demo" in wanted:
         demo()
     if "console" in wanted:
         asyncio.run(console())
+    if "flight" in wanted:
+        flight()
     if "manual" in wanted:
         asyncio.run(manual())
