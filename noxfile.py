@@ -126,6 +126,7 @@ def elsewhere(*folders: str) -> list[str]:
 
 OWN_SESSIONS = ("tests/interop", "tests/browser")
 CONSOLE = "tests/browser/long"
+MAVLINK = "tests/interop/mavlink"
 # It takes off by a page that each message reaches a second late: minutes on a busy machine.
 SLOW_WAY = (
     "tests/browser/test_console.py::test_nobody_steers_with_a_second_each_way_and_the_page_says_why"
@@ -160,7 +161,15 @@ KINDS = {
     "examples": Kind({program: [("python", "-W", "error", program)] for program in PROGRAMS}),
     # Beside rosbridge_suite's own library it has a session to itself.
     "interop": Kind(
-        {"interop": [pytest("--ignore=tests/interop/test_rosbridge_library.py", "tests/interop")]},
+        {
+            "interop": [
+                pytest(
+                    "--ignore=tests/interop/test_rosbridge_library.py",
+                    f"--ignore={MAVLINK}",
+                    "tests/interop",
+                )
+            ]
+        },
         groups=("test", "interop"),
     ),
     "types": Kind(
@@ -239,6 +248,13 @@ def examples(session: nox.Session) -> None:
 def interop(session: nox.Session) -> None:
     """What others wrote: roslibpy, roslib where node is, Wireshark's tshark where that is."""
     run_kind(session, "interop")
+
+
+@nox.session(name="interop-mavlink", default=False)
+def interop_mavlink(session: nox.Session) -> None:
+    """MAVSDK in both its kinds and pymavlink fly through the bridge; 30 min, real time."""
+    install(session, PACKAGE, *group("test", "interop-mavlink"))
+    session.run(*pytest(MAVLINK, *session.posargs))
 
 
 @nox.session(default=False)

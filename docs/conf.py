@@ -25,6 +25,7 @@ extensions = [
     "public_names",
     "tables",
     "command_tables",
+    "mavlink_tables",
     "error_list",
     "figures",
 ]

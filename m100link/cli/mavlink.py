@@ -16,8 +16,8 @@ from m100link.station.config import ENVIRONMENT, Settings
 
 __all__ = ["mavlink"]
 
-LISTEN = "udp://127.0.0.1:14550"
-"""Where ground stations look for a vehicle."""
+USUAL = ("udp://127.0.0.1:14550", "udp://127.0.0.1:14540")
+"""Where ground stations and programs listen for a vehicle, as PX4's simulator knows them."""
 
 _FromSettings: Any = options_of(
     Settings,
@@ -62,7 +62,8 @@ def mavlink(
     """Let programs that speak MAVLink see and fly aircraft, until Ctrl-C.
 
     MAVSDK, QGroundControl, MAVProxy and pymavlink take each for a vehicle with PX4's modes. Without
-    --listen it is reached at udp://127.0.0.1:14550: `m100link mavlink sim://`.
+    --listen and --to those are spoken to that listen on this machine, at the usual ports 14550 and
+    14540: `m100link mavlink sim://`.
 
     Args:
         url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
@@ -71,5 +72,5 @@ def mavlink(
     aircraft = aircraft_of(options, url)
     first = next(iter(aircraft.values()))
     if not first.mavlink and not first.mavlink_to:
-        aircraft = aircraft_of(options, url, mavlink=(LISTEN,))
+        aircraft = aircraft_of(options, url, mavlink_to=USUAL)
     return run_station(aircraft, options, with_rosbridge=False)
