@@ -183,3 +183,19 @@ async def test_sticks_move_it_and_let_go_when_they_are_silent(rig: Rig, ground: 
     await anyio.sleep(4.0)
     assert rig.speed < 0.1
     await rig.until(lambda: ground.mode is Mode.HOLD)
+
+
+@pytest.mark.parametrize("mode", [Mode.POSCTL, Mode.ALTCTL])
+async def test_an_axis_that_is_not_there_is_not_a_full_one(
+    rig: Rig, ground: Ground, mode: Mode
+) -> None:
+    await ground.fly(5.0)
+    none = dict.fromkeys("xyzr", 0x7FFF)
+    ground.send("MANUAL_CONTROL", target=1, **none)
+    assert await ground.set_mode(mode) is Result.ACCEPTED
+    for _ in range(40):
+        ground.send("MANUAL_CONTROL", target=1, **none)
+        await anyio.sleep(0.05)
+    assert ground.mode is mode
+    assert rig.speed < 0.1
+    assert rig.height == pytest.approx(5.0, abs=0.5)
