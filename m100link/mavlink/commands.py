@@ -111,6 +111,10 @@ class Commands:
         row = COMMANDS.get(asked.command)
         if row is None:
             return Result.UNSUPPORTED
+        if any(map(math.isinf, (*asked.parameters, asked.x, asked.y, asked.z))):
+            # NaN says that nothing is said; infinity has no meaning in any command.
+            self._tell(Severity.WARNING, f"command {asked.command}: a parameter is not finite")
+            return Result.DENIED
         try:
             return row.handler(self, asked, now)
         except (UsageError, GuardRefused) as error:

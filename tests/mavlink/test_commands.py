@@ -199,3 +199,18 @@ async def test_an_axis_that_is_not_there_is_not_a_full_one(
     assert ground.mode is mode
     assert rig.speed < 0.1
     assert rig.height == pytest.approx(5.0, abs=0.5)
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+@pytest.mark.parametrize("given", [math.inf, -math.inf, 3e38, -3e38, 1e-45])
+async def test_no_number_of_a_command_is_too_much_for_it(
+    rig: Rig, ground: Ground, command: int, given: float
+) -> None:
+    """Whatever it is, the command is answered, and nothing leaves the ground by it."""
+    for number in range(7):
+        parameters = [NAN] * 7
+        parameters[number] = given
+        assert await ground.ask(command, *parameters) is not Result.FAILED
+    assert await ground.ask(command, *[given] * 7) is not Result.FAILED
+    await anyio.sleep(1.0)
+    assert not rig.motors_on

@@ -61,7 +61,10 @@ async def test_nobody_gets_more_than_fifty_a_second(ground: Ground) -> None:
 async def test_rates_that_are_not_numbers_are_denied(ground: Ground, given: float) -> None:
     asked = Command.SET_MESSAGE_INTERVAL, number("ATTITUDE")
     assert await ground.ask(*asked, given) is Result.DENIED
-    assert await ground.ask(Command.SET_MESSAGE_INTERVAL, given, 0) is Result.UNSUPPORTED
+    assert await ground.ask(Command.SET_MESSAGE_INTERVAL, given, 0) in (
+        Result.UNSUPPORTED,
+        Result.DENIED,
+    )
 
 
 @pytest.mark.parametrize(
