@@ -8,7 +8,7 @@ from typing import Any
 
 from m100link.agent.client import AgentClient
 from m100link.agent.guided import ChangeHeight
-from m100link.errors import LinkError, M100Error
+from m100link.errors import LinkError, M100Error, NoAuthority
 from m100link.mavlink.deck import Deck
 from m100link.mavlink.orders import (
     Arm,
@@ -54,6 +54,8 @@ class Crew:
         self._on_leg = on_leg
         # The order under way; a new one ends it.
         self._work: asyncio.Task[None] | None = None
+        # Giving back ends before authority is asked for anew: they would cross.
+        self._is_disarming = False
         # A request for authority is never ended: its answer decides who has it.
         self._arming: asyncio.Task[None] | None = None
         self._renewed_at = agent.now
@@ -87,6 +89,7 @@ class Crew:
         if self._work is not None:
             self._work.cancel()
         self._work = self._agent.background.spawn(self._carry_out(order), type(order).__name__)
+        self._is_disarming = isinstance(order, Disarm)
 
     async def _carry_out(self, order: Order) -> None:
         error = None
@@ -100,16 +103,28 @@ class Crew:
 
     async def _arm(self, order: Arm) -> None:
         error = None
+        if self._is_disarming and self._work is not None:
+            await asyncio.wait({self._work})
         try:
             if not self._world.has_lease:
                 self._world.lease = await self._agent.acquire(order.name)
             if not self._agent.state.is_activated:
                 await self._agent.activate(self._world.lease)
+            self._check_wanted()
             await self._agent.obtain(self._world.lease)
+            self._check_wanted()
         except M100Error as met:
             error = met
             await self._let_go()
         self._deck.armed(error, self._agent.now)
+
+    def _check_wanted(self) -> None:
+        if self._deck.is_unwanted:
+            raise NoAuthority(
+                "it was disarmed before it was armed",
+                cause="a ground station gave control back meanwhile",
+                remedy="arm again",
+            )
 
     async def _disarm(self, order: Disarm) -> None:
         await self._let_go()

@@ -98,6 +98,7 @@ class Deck:
         orders: What the crew has to carry out, oldest first.
         operator: Who armed the aircraft, or moved it first after that one was lost.
         running: What flies.
+        is_unwanted: Whether it was disarmed while authority was asked for: it is given back.
         on_armed: Called with whether and why not, when a request for authority has ended.
     """
 
@@ -113,6 +114,7 @@ class Deck:
         self.orders: list[Order | Steer] = []
         self.operator: Peer | None = None
         self.running = Running.NOTHING
+        self.is_unwanted = False
         self.on_armed: Callable[[M100Error | None], None] = lambda _: None
         # What the aircraft was asked for last, while it is in force.
         self._mode = Mode.HOLD
@@ -130,6 +132,8 @@ class Deck:
     def phase(self) -> Phase:
         """Where the flight stands; a take-off that was ordered counts as flown."""
         phase = self._world.phase
+        if phase is Phase.ARMED and isinstance(self._current, Disarm):
+            return Phase.DISARMED  # it was asked for, and holds before it is carried out
         is_flying = self.running not in (Running.NOTHING, Running.STREAM)
         return Phase.AIRBORNE if phase is Phase.ARMED and is_flying else phase
 
@@ -256,6 +260,7 @@ class Deck:
         return None
 
     def _arm(self, peer: Peer | None) -> None:
+        self.is_unwanted = False
         if not self._world.is_arming:
             self._world.is_arming = True
             self._idle_since = None
@@ -267,7 +272,9 @@ class Deck:
         if other is not None:
             self._tell(Severity.WARNING, f"disarm: {other.name} flies")
             return Result.TEMPORARILY_REJECTED
-        verdict = DISARM_VERDICTS[self.phase]
+        # A take-off that was ordered counts as flown for all wishes but this one: whoever stands
+        # beside motors that stand still is obeyed.
+        verdict = DISARM_VERDICTS[self._world.phase]
         if verdict is Verdict.REJECT:
             self._tell(Severity.WARNING, f"disarm: {self.explain()}")
             return Result.TEMPORARILY_REJECTED
@@ -282,6 +289,7 @@ class Deck:
 
     def _disarm(self) -> None:
         self._settle()
+        self.is_unwanted = self._world.is_arming
         self._current, self.running, self.operator = Disarm(), Running.NOTHING, None
         self.orders.append(self._current)
 
@@ -290,6 +298,7 @@ class Deck:
     def armed(self, error: M100Error | None, now: float) -> None:
         """The request for authority has ended."""
         self._world.is_arming = False
+        self.is_unwanted = False
         remembered, self._remembered = self._remembered, None
         if error is not None:
             self._tell(Severity.ERROR, f"arm: {error.seen}")
@@ -339,10 +348,11 @@ class Deck:
         elif not (self._is_interrupting or self._world.is_arming):
             # Control was lost: what was wanted is not wanted by whoever flies now.
             self._waiting, self._mode = None, Mode.HOLD
-            self._current, self.running = None, Running.NOTHING
+            is_disarming = isinstance(self._current, Disarm)
+            self._current, self.running = self._current if is_disarming else None, Running.NOTHING
             if phase in (Phase.DISARMED, Phase.OTHER) and self._remembered is None:
                 self.operator = None
-            if phase is Phase.DISARMED and self._world.has_lease:
+            if phase is Phase.DISARMED and self._world.has_lease and not is_disarming:
                 self._disarm()
 
     def _look_idle(self, phase: Phase, now: float) -> None:

@@ -230,3 +230,50 @@ async def test_the_bridge_ends_and_gives_control_back(rig: Rig, ground: Ground) 
     await rig.until(lambda: not rig.agent.holding.has_authority, within=5.0)
     await anyio.sleep(3.0)
     assert rig.speed < 0.1
+
+
+_ARM, _DISARM = (Command.COMPONENT_ARM_DISARM, 1), (Command.COMPONENT_ARM_DISARM, 0)
+_UP = (Command.NAV_TAKEOFF,)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.02, 0.3, 1.0, 1.9, 2.1])
+@pytest.mark.parametrize("firmware", ["1.0", "2.3"])
+async def test_what_is_disarmed_while_it_is_armed_does_not_take_off(
+    firmware: str, gap: float
+) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        for command in (_ARM, _DISARM, _UP):
+            rig.ground.command(*command)
+            await anyio.sleep(gap if command is _ARM else 0.0)
+        await anyio.sleep(8.0)
+        assert not rig.motors_on
+        assert not rig.agent.holding.has_authority
+        assert not rig.client.holder.number
+        await rig.ground.arm()
+        assert rig.agent.holding.has_authority
+
+
+@pytest.mark.parametrize("commands", [(_DISARM, _UP), (_UP, _DISARM), (_DISARM, _UP, _UP)])
+@pytest.mark.parametrize("gap", [0.0, 0.02, 0.05])
+async def test_disarming_on_the_ground_wins_over_a_take_off(
+    rig: Rig, ground: Ground, commands: tuple[tuple[float, ...], ...], gap: float
+) -> None:
+    await ground.arm()
+    for number, *parameters in commands:
+        ground.command(int(number), *parameters)
+        await anyio.sleep(gap)
+    await anyio.sleep(10.0)
+    assert not rig.motors_on
+    assert not rig.agent.holding.has_authority
+    assert not ground.armed()
+
+
+async def test_arming_after_disarming_waits_until_control_is_given_back(
+    rig: Rig, ground: Ground
+) -> None:
+    await ground.arm()
+    ground.command(*_DISARM)
+    assert await ground.ask(*_ARM) is Result.ACCEPTED
+    await anyio.sleep(1.0)
+    assert rig.agent.holding.has_authority
+    assert ground.armed()
