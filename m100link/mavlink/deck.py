@@ -54,6 +54,8 @@ STEER_LIFETIME = 0.25
 
 _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
+_BEFORE_CONTROL = (Phase.DISARMED, Phase.ARMING, Phase.OBTAINING)
+_TAKEN = (Phase.ARMING, Phase.OBTAINING, Phase.ARMED, Phase.AIRBORNE)
 
 
 class Stream(Protocol):
@@ -143,7 +145,7 @@ class Deck:
         phase = self.phase
         if phase in (Phase.ARMED, Phase.AIRBORNE) or self._is_interrupting:
             return Mode.HOLD if self._mode is Mode.GOTO else self._mode
-        if self._remembered is not None and phase in (Phase.DISARMED, Phase.ARMING):
+        if self._remembered is not None and phase in _BEFORE_CONTROL:
             return self._remembered[0].mode
         return self._world.mode_of_others()
 
@@ -164,7 +166,7 @@ class Deck:
             return "on the ground: arm, and take off first"
         if phase is Phase.ARMED:
             return "on the ground: take off first"
-        if phase is Phase.FREE:
+        if phase in (Phase.FREE, Phase.OBTAINING):
             return "control authority is not held: arm first"
         return str(phase.value)
 
@@ -197,7 +199,7 @@ class Deck:
 
     def _other_operator(self, peer: Peer | None) -> Peer | None:
         """Who flies, where that is not whoever asks."""
-        is_taken = self.phase in (Phase.ARMING, Phase.ARMED, Phase.AIRBORNE)
+        is_taken = self.phase in _TAKEN
         return self.operator if is_taken and peer not in (None, self.operator) else None
 
     def _take_operator(self, peer: Peer | None) -> None:
@@ -399,7 +401,8 @@ class Deck:
     def operator_lost(self) -> None:
         """Whoever flew is not heard any more: hover, unless it is on its way to the ground."""
         lost, self.operator = self.operator, None
-        self._remembered = None
+        if self._remembered is not None and self._remembered[0].mode not in _TO_THE_GROUND:
+            self._remembered = None
         phase = self.phase
         if lost is None:
             return

@@ -89,7 +89,8 @@ class Phase(Enum):
     AWAY = "no aircraft is heard"
     OTHER = "another client of the station has control"
     DISARMED = "on the ground, control authority is not held"
-    ARMING = "control authority is being obtained"
+    ARMING = "on the ground, control authority is being obtained"
+    OBTAINING = "in the air, control authority is being obtained"
     ARMED = "on the ground, control authority is held"
     AIRBORNE = "in the air, control authority is held"
     FREE = "in the air, the mode switch is in F, and nobody asked for control authority"
@@ -129,6 +130,7 @@ VERDICTS: dict[Phase, dict[Mode, Verdict]] = {
     Phase.AIRBORNE: dict.fromkeys(_M, _V.START) | {_M.TAKEOFF: _V.DENY},
     # Whoever wants more than an end of the flight says so by arming.
     Phase.FREE: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.OBTAIN),
+    Phase.OBTAINING: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.REMEMBER),
     Phase.PILOT: dict.fromkeys(_M, _V.REJECT),
 }
 """Phase of the flight, wish, what becomes of it."""
@@ -177,6 +179,7 @@ ARM_VERDICTS: dict[Phase, Verdict] = {
     Phase.ARMED: _V.NOTHING,
     Phase.AIRBORNE: _V.NOTHING,
     Phase.FREE: _V.START,
+    Phase.OBTAINING: _V.START,
     Phase.PILOT: _V.REJECT,
 }
 """What becomes of the wish to arm: to obtain control authority."""
@@ -190,6 +193,7 @@ DISARM_VERDICTS: dict[Phase, Verdict] = {
     # The M100 has no command that stops motors in the air, forced or not.
     Phase.AIRBORNE: _V.DENY,
     Phase.FREE: _V.DENY,
+    Phase.OBTAINING: _V.DENY,
     Phase.PILOT: _V.DENY,
 }
 """What becomes of the wish to disarm: to give control authority back."""

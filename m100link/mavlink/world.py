@@ -213,7 +213,7 @@ class World:
         if self.has_authority:
             return Phase.ARMED if on_ground else Phase.AIRBORNE
         if self.is_arming:
-            return Phase.ARMING
+            return Phase.ARMING if on_ground else Phase.OBTAINING
         if on_ground:
             return Phase.DISARMED
         return Phase.FREE if self.switch is RcMode.F else Phase.PILOT

@@ -8,7 +8,7 @@ from random import Random
 import anyio
 import pytest
 
-from m100link.mavlink.modes import Mode
+from m100link.mavlink.modes import Mode, Phase
 from m100link.mavlink.numbers import Command, Result
 from m100link.mavlink.peers import MOST_PEERS
 from tests.mavlink.conftest import Ground, Rig
@@ -277,3 +277,43 @@ async def test_arming_after_disarming_waits_until_control_is_given_back(
     await anyio.sleep(1.0)
     assert rig.agent.holding.has_authority
     assert ground.armed()
+
+
+async def in_the_air_and_free(rig: Rig, ground: Ground) -> None:
+    """Another client flew it up and gave the lease back."""
+    await ground.fly(6.0)
+    rig.work.cancel()
+    await rig.until(lambda: not rig.client.holder.number)
+    rig.work = rig.agent.background.spawn(rig.bridge.run(), "bridge")
+    await rig.until(lambda: rig.vehicle.world.phase is Phase.FREE)
+
+
+@pytest.mark.parametrize("copies", [2, 3])
+@pytest.mark.parametrize("firmware", ["1.0", "2.3"])
+async def test_copies_of_a_landing_are_one_while_control_is_obtained(
+    firmware: str, copies: int
+) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        await in_the_air_and_free(rig, rig.ground)
+        for _ in range(copies):
+            assert await rig.ground.ask(Command.NAV_LAND) is Result.ACCEPTED
+        await rig.until(lambda: not rig.motors_on)
+
+
+async def test_a_landing_goes_on_when_who_asked_is_lost_before_control_is_obtained(
+    rig: Rig, ground: Ground
+) -> None:
+    await in_the_air_and_free(rig, ground)
+    ground.command(Command.NAV_LAND)
+    rig.vehicle.deck.operator_lost()
+    await rig.until(lambda: not rig.motors_on)
+
+
+async def test_the_newest_end_of_a_flight_counts_while_control_is_obtained(
+    rig: Rig, ground: Ground
+) -> None:
+    await in_the_air_and_free(rig, ground)
+    ground.command(Command.NAV_LAND)
+    ground.command(Command.NAV_RETURN_TO_LAUNCH)
+    await anyio.sleep(2.0)
+    assert ground.mode is Mode.RTL
