@@ -38,7 +38,7 @@ def test_nothing_moves_an_aircraft_that_others_fly(mode: Mode) -> None:
         assert VERDICTS[phase][mode] is Verdict.REJECT
 
 
-@pytest.mark.parametrize("mode", set(Mode) - {Mode.HOLD, Mode.LAND, Mode.RTL})
+@pytest.mark.parametrize("mode", sorted(set(Mode) - {Mode.HOLD, Mode.LAND, Mode.RTL}, key=str))
 def test_only_a_hover_and_a_way_to_the_ground_end_a_landing(mode: Mode) -> None:
     assert RUNNING[Running.LAND][mode] is RUNNING[Running.GO_HOME][mode] is Step.REFUSE
 
