@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import asdict
 from enum import Enum
@@ -11,6 +12,10 @@ from m100link.aircraft.aircraft import Aircraft
 from m100link.log.channels import EVENT, LINK, Told
 
 __all__ = ["observer"]
+
+# What an error says may quote what it was given: an address with its options, a key.
+_SECRET = re.compile(r"\b((?:key|app[-_ ]?id)[=: ]+)[^\s&,;]+", re.IGNORECASE)
+_KEY = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])", re.IGNORECASE)
 
 COUNTERS_S = 1.0
 """Between two records of the counters of the link."""
@@ -41,4 +46,7 @@ def observer(aircraft: Aircraft) -> Callable[[], list[Told]]:
 def _plain(value: object) -> object:
     if isinstance(value, Enum):
         return value.value
-    return value if value is None or isinstance(value, bool) else str(value)
+    if value is None or isinstance(value, bool):
+        return value
+    text = _SECRET.sub(r"\1…", str(value))
+    return _KEY.sub("…", text)

@@ -27,7 +27,7 @@ from m100link.log.records import (
     records,
 )
 from m100link.log.witness import is_telemetry
-from m100link.protocol.firmware import FirmwareProfile, profile
+from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.telemetry.columns import Columns, Table
 from m100link.telemetry.sample import Sample
 from m100link.wire import FrameDecoder
@@ -56,8 +56,17 @@ class Message(NamedTuple):
     data: bytes
 
     def content(self) -> dict[str, Any]:
-        """What it says."""
-        content: dict[str, Any] = json.loads(self.data)
+        """What it says.
+
+        Raises:
+            UsageError: It is not JSON, or not an object: another program wrote it.
+        """
+        try:
+            content = json.loads(self.data)
+        except ValueError:
+            content = None
+        if not isinstance(content, dict):
+            raise _foreign(self.topic)
         return content
 
 
@@ -158,6 +167,8 @@ class FlightLog:
                 raw_by_time[message.topic, message.at] = message
                 continue
             told = message.content()
+            if not _tells_chunks(told):
+                raise _foreign(message.topic)
             direction = Direction(told["direction"])
             topic = RX if direction is Direction.RECEIVED else TX
             raw = raw_by_time.pop((topic, message.at), None)
@@ -175,7 +186,10 @@ class FlightLog:
     def firmware(self) -> FirmwareProfile | None:
         """The firmware profile by which telemetry was read; None when it was never known."""
         for message in self.messages(LINK):
-            return profile(message.content()["firmware"])
+            name = message.content().get("firmware")
+            if name not in PROFILES:
+                raise _foreign(message.topic)
+            return profile(name)
         return None
 
     def samples(self, *, firmware: str | FirmwareProfile | None = None) -> Iterator[Sample]:
@@ -312,6 +326,25 @@ def recover(path: str | os.PathLike[str], target: str | os.PathLike[str]) -> int
             f"{target} could not be written to its end: {error.strerror}",
             remedy="make room there, or name a new file elsewhere",
         ) from error
+
+
+def _foreign(topic: str) -> UsageError:
+    return UsageError(
+        f"{topic} does not hold what m100link writes there",
+        cause="another program wrote the file, or a later version of this one",
+        remedy="name a file that `m100link record` or connect(record=…) wrote",
+    )
+
+
+def _tells_chunks(told: dict[str, Any]) -> bool:
+    offsets, lengths = told.get("offset_us"), told.get("length")
+    return (
+        told.get("direction") in ("rx", "tx")
+        and isinstance(offsets, list)
+        and isinstance(lengths, list)
+        and len(offsets) == len(lengths)
+        and all(type(one) is int for one in (*offsets, *lengths))
+    )
 
 
 def _pieces(

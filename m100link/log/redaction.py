@@ -18,6 +18,7 @@ __all__ = ["ECHO_S", "Redaction", "may_hold_secret"]
 _ACTIVATION = b"\x00\x01"  # set and id
 _IS_ACK, _SEALED = 0x20, 0xE0  # bits of the fourth and of the fifth byte
 _SHORTEST = 4  # bytes of an app id
+_LEFT_TELLING = 2
 _TELLING = 3  # of them not zero: such four bytes do not come by chance
 
 
@@ -119,6 +120,11 @@ class Redaction:
         else:
             secrets[_ACTIVATION + app_id] = _ACTIVATION + bytes(len(app_id))
             secrets[app_id + after] = bytes(len(app_id)) + after
+        # An echo of which one byte of it is lost: what is left, by what stands beside it.
+        lefts = [app_id[:lost] + app_id[lost + 1 :] for lost in range(len(app_id))]
+        lefts = [left for left in lefts if len(left) - left.count(0) >= _LEFT_TELLING]
+        secrets |= {_ACTIVATION + left: _ACTIVATION + bytes(len(left)) for left in lefts}
+        secrets |= {left + after: bytes(len(left)) + after for left in lefts}
         together = self._secrets | secrets
         self._secrets = {one: together[one] for one in sorted(together, key=len, reverse=True)}
         return blank

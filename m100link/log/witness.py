@@ -100,6 +100,8 @@ class Witness:
         if isinstance(command, Unrecognised):
             word = kind.NAME if kind else str(address)
             known: dict[str, Any] = {"command": word, "problem": command.reason}
+            if kind is Activate:  # why it cannot be read may say what is in it
+                known = {"command": word, "problem": "unreadable", "redacted": True}
         elif isinstance(command, Activate):
             known = {"command": command.name, "redacted": True}
         else:

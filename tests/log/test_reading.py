@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from m100link import Attitude, Position
 from m100link.errors import UsageError
 from m100link.log import read, recorder, recover
-from m100link.log.channels import RX
+from m100link.log.channels import CHUNKS, LINK, RX
 from tests.log.flight import URL, fly
 
 pytestmark = pytest.mark.anyio
@@ -143,6 +143,35 @@ async def test_what_is_no_log_is_refused_with_what_it_is(tmp_path: Path) -> None
     with pytest.raises(UsageError, match="cannot be written"):
         recover(path, path)
     assert list(read(path).messages(RX))
+
+
+@pytest.mark.parametrize(
+    ("topic", "data"),
+    [
+        (CHUNKS, b"\x00cdr"),
+        (CHUNKS, b"[]"),
+        (CHUNKS, b"{}"),
+        (CHUNKS, b'{"direction":"rx","offset_us":[0],"length":[]}'),
+        (CHUNKS, b'{"direction":"up","offset_us":[0],"length":[1]}'),
+        (LINK, b"\x00cdr"),
+        (LINK, b"{}"),
+        (LINK, b'{"firmware":"9.9"}'),
+    ],
+)
+async def test_what_another_program_wrote_under_our_names_is_a_typed_error(
+    tmp_path: Path, topic: str, data: bytes
+) -> None:
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for number, (name, told) in enumerate(((RX, b"abc"), (topic, data)), 1):
+            channel = writer.register_channel(name, "cdr", 0)
+            writer.add_message(channel, 1, told, 1, number)
+        writer.finish()  # type: ignore[no-untyped-call] # of mcap
+    log = read(path)
+    with pytest.raises(UsageError, match=f"{topic} does not hold what m100link writes"):
+        list(log.samples(firmware=None if topic == LINK else "1.0"))
 
 
 async def test_a_full_disk_ends_mending_with_what_to_do(

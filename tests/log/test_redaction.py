@@ -74,6 +74,19 @@ def test_an_echo_of_which_a_byte_is_lost_does_not_show_it(app_id: int) -> None:
             assert frame[-4:] not in echo
 
 
+@pytest.mark.parametrize("app_id", [0x7A3C91E5, 1021034])
+def test_an_echo_that_lost_a_byte_of_the_app_id_does_not_show_the_rest(app_id: int) -> None:
+    secret = app_id.to_bytes(4, "little")
+    frame = encode_frame(b"\x00\x01" + secret + ACTIVATION[6:], session=2, sequence=77)
+    for lost in range(14, 18):
+        redaction = Redaction()
+        redaction.sent(frame, 0.0)
+        damaged = frame[:lost] + frame[lost + 1 :]
+        echo = redaction.received(damaged, 0.1)
+        assert len(echo) == len(damaged)
+        assert echo[14:17] == bytes(3)
+
+
 def test_an_echo_that_ends_anywhere_does_not_show_it() -> None:
     for first in (0, 1):  # its first byte may be lost, too
         for length in range(14, len(FRAME)):
