@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import signal
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -13,7 +14,7 @@ from typing import Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
-from m100link.aircraft import connect
+from m100link.aircraft import Aircraft, connect
 from m100link.cli.common import LinkOptions, Place, Url, err, out, run_async
 from m100link.cli.log_exports import layout, ros2
 from m100link.cli.log_frames import compare_files, frames
@@ -80,12 +81,16 @@ def record(
 async def _record(place: Place, output: Path, rate: float, duration: float | None) -> int:
     recorder = Recorder(output, rate_hz=rate)
     lost: LinkError | None = None
+    ended = asyncio.Event()  # by whoever ends services, or closes the terminal
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, ended.set)
     try:
         async with connect(place.url, record=recorder, **place.arguments()) as aircraft:
             err.print(f"recording {place.url} into {recorder.path}; Ctrl-C ends it")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(duration):
-                    lost = await aircraft.wait_closed()
+                    lost = await _lost_or(aircraft, ended)
     finally:
         await recorder.aclose()
         if recorder.path.exists():  # where nothing was heard, nothing is left
@@ -95,6 +100,19 @@ async def _record(place: Place, output: Path, rate: float, duration: float | Non
     if lost is not None:
         return complain(lost)
     return ExitCode.OK
+
+
+async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None:
+    """Wait until the line is lost, or it is ended: None."""
+    lost = asyncio.ensure_future(aircraft.wait_closed())
+    told = asyncio.ensure_future(ended.wait())
+    try:
+        await asyncio.wait((lost, told), return_when=asyncio.FIRST_COMPLETED)
+        return lost.result() if lost.done() else None
+    finally:
+        for one in (lost, told):
+            one.cancel()
+        await asyncio.gather(lost, told, return_exceptions=True)
 
 
 @app.command

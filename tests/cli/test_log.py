@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import csv
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,8 @@ from m100link import Aircraft
 from m100link.cli.outcome import ExitCode
 from m100link.errors import LinkError, LinkLost
 from m100link.log import read
-from tests.cli.conftest import CommandLine
+from tests.cli.conftest import ROOT, CommandLine
+from tests.waiting import PATIENCE
 
 pytest.importorskip("mcap", reason="the extra `log` is not installed")
 
@@ -84,6 +88,24 @@ def test_a_cable_that_is_pulled_ends_the_recording_and_is_told(
     outcome = cli("record", "sim://", "-o", str(path))
     assert outcome.status == ExitCode.NO_LINK
     assert "the cable is gone" in outcome.err
+    assert read(path).summary().is_whole
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_whoever_ends_the_recording_gets_a_whole_file(tmp_path: Path, number: int) -> None:
+    path = tmp_path / "flight.mcap"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "m100link", "record", "sim://", "-o", str(path)],
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    assert process.stderr is not None
+    with process:
+        assert "recording sim://" in process.stderr.readline()
+        process.send_signal(number)
+        status = process.wait(PATIENCE)
+    assert status == (ExitCode.INTERRUPTED if number == signal.SIGINT else ExitCode.OK)
     assert read(path).summary().is_whole
 
 
