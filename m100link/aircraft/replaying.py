@@ -10,7 +10,7 @@ from urllib.parse import parse_qsl, unquote
 from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import BadURL, UsageError
 from m100link.flight.authority import TRANSITIONS, Authority, AuthorityInput, AuthorityState
-from m100link.link import Direction, Tap
+from m100link.link import Tap
 from m100link.link.tap import Listener
 from m100link.log.player import FASTEST, SLOWEST, Player, Stage, begin_of
 from m100link.log.reading import read
@@ -108,7 +108,7 @@ async def open_replay(
     """
     wanted = parse_replay(url) if isinstance(url, str) else url
     flight = read(wanted.path)
-    begin = await begin_of(flight)
+    begin = await begin_of(flight, is_moved=holds or wanted.from_s > 0.0)
     if wanted.from_s > begin.duration_s:
         raise UsageError(
             f"{flight.path} is {begin.duration_s:.1f} s long and cannot be played from "
@@ -138,15 +138,11 @@ async def open_replay(
             forget=lambda: _forget(aircraft.authority),
             end=link.end,
             has_consumers=lambda: telemetry.has_consumers,
-            has_room=lambda: telemetry.has_room,
-            tap=_unheard if tap is None else Listener(tap).hear,
+            room=lambda: telemetry.room,
+            tap=None if tap is None else Listener(tap).hear,
         )
     )
     return aircraft
-
-
-def _unheard(direction: Direction, data: bytes, now: float) -> None:
-    """Nobody listens."""
 
 
 def _forget(authority: Authority) -> None:

@@ -48,7 +48,7 @@ class Begin(NamedTuple):
         is_ended: Whether the file was ended.
         version: What the aircraft answered first; None when it did not in the first minute.
         firmware: By which telemetry was read; None when that was never known.
-        events: Who had control, and when.
+        events: Who had control, and when; for what is played from elsewhere than its beginning.
     """
 
     at: float
@@ -60,21 +60,25 @@ class Begin(NamedTuple):
     events: tuple[Message, ...] = ()
 
 
-async def begin_of(flight: FlightLog) -> Begin:
+async def begin_of(flight: FlightLog, *, is_moved: bool = True) -> Begin:
     """Look through a recording.
+
+    Args:
+        flight: The recording.
+        is_moved: Whether it may be played from elsewhere than its beginning.
 
     Raises:
         UsageError: It holds no bytes of a line, or cannot be read.
     """
     try:
         if flight.path.stat().st_size > _LARGE:
-            return await asyncio.to_thread(_begin_of, flight)
-        return _begin_of(flight)
+            return await asyncio.to_thread(_begin_of, flight, is_moved)
+        return _begin_of(flight, is_moved)
     except OSError as error:
         raise UsageError(f"{flight.path} cannot be read: {error.strerror}") from error
 
 
-def _begin_of(flight: FlightLog) -> Begin:
+def _begin_of(flight: FlightLog, is_moved: bool) -> Begin:
     with flight.path.open("rb") as stream:
         line = outline(stream)
     first: Chunk | None = None
@@ -100,7 +104,7 @@ def _begin_of(flight: FlightLog) -> Begin:
             "m100link log info FILE says what it holds",
         )
     duration = max(0.0, line.last_ns / 1e9 - first.utc)
-    events = tuple(flight.messages(EVENT))
+    events = tuple(flight.messages(EVENT)) if is_moved else ()
     return Begin(first.at, first.utc, duration, line.is_ended, version, flight.firmware, events)
 
 
@@ -121,8 +125,8 @@ class Stage(NamedTuple):
         forget: Called before it begins anywhere: what was told so far is void.
         end: Called with why there is no more.
         has_consumers: Whether somebody takes what is delivered.
-        has_room: Whether nobody would lose an older package by another one.
-        tap: Hears the bytes of both directions.
+        room: How many packages nobody would lose an older one by.
+        tap: Hears the bytes of both directions; None for nobody.
     """
 
     decode: Callable[[bytes, float], Sequence[Frame]]
@@ -131,8 +135,8 @@ class Stage(NamedTuple):
     forget: Callable[[], None]
     end: Callable[[ReplayEnded], None]
     has_consumers: Callable[[], bool]
-    has_room: Callable[[], bool]
-    tap: Tap
+    room: Callable[[], float]
+    tap: Tap | None
 
 
 class Player:
@@ -181,6 +185,8 @@ class Player:
         self._next: Chunk | Message | None = None
         self._frames: deque[tuple[Frame, float]] = deque()  # of the newest read
         self._timer: asyncio.Handle | None = None
+        # Between which times of then it plays, and what broke it off; set where it is opened.
+        self._since, self._until, self._broken = -math.inf, math.inf, ""
         self._waits = 0  # for room, since there was some
         self._begins_by = 0.0
 
@@ -256,7 +262,8 @@ class Player:
 
     def _open(self, stage: Stage) -> None:
         """Stand where it begins, with who had control there."""
-        since = self.begin.at + self._from - RUN_UP_S
+        since = self._since = self.begin.at + self._from - RUN_UP_S
+        self._until, self._broken = self.begin.at + self._to, ""
         self._moments = self.flight.moments(since_utc=since + self.begin.utc - self.begin.at - 1.0)
         stage.forget()
         for message in self.begin.events:
@@ -289,12 +296,16 @@ class Player:
         self._schedule()
 
     def _advance(self) -> None:
-        since, until = self.begin.at + self._from - RUN_UP_S, self.begin.at + self._to
-        for moment in self._moments:
-            if moment.at >= since:
-                self._next = moment if moment.at <= until else None
-                return
+        """Look at the next moment; what cannot be read ends it."""
         self._next = None
+        try:
+            for moment in self._moments:
+                if moment.at >= self._since:
+                    self._next = moment if moment.at <= self._until else None
+                    return
+        except (OSError, UsageError) as error:
+            why = error.seen if isinstance(error, UsageError) else error.strerror
+            self._broken = f"it cannot be read any further: {why}"
 
     def _schedule(self, delay: float | None = None) -> None:
         """Have the next moment come when it is due."""
@@ -321,8 +332,6 @@ class Player:
         pause: float | None = None
         try:
             pause = self._play_some()
-        except OSError as error:
-            self._end(f"it cannot be read any further: {error.strerror}")
         finally:  # whatever a callback raised: the recording goes on
             self._schedule(pause)
 
@@ -332,14 +341,17 @@ class Player:
         if is_as_fast_as_taken and self._begins_by and not self._is_awaited():
             return _LONGEST_PAUSE_S / 10
         self._begins_by = 0.0
+        room = 0.0  # packages that nobody would lose an older one by, as far as was asked
         for _ in range(_BATCH):
             stage = self._stage
             if stage is None:
                 return None
             if self._frames:
-                if is_as_fast_as_taken and not stage.has_room():
-                    return self._wait()
-                self._waits = 0
+                if is_as_fast_as_taken:
+                    room = room - 1 if room > 1 else stage.room()
+                    if room < 1:
+                        return self._wait()
+                    self._waits = 0
                 stage.deliver(*self._frames.popleft())
             elif self._next is None:
                 if self._is_paused:
@@ -348,7 +360,8 @@ class Player:
                     self._end()
                 return None
             elif is_as_fast_as_taken:
-                self._set_clock(max(self._here[0], self._next.at))
+                then, since = self._here
+                self._here = max(then, self._next.at), since
                 self._take(self._next, stage)
             elif self._next.at <= self._then() + 1e-6:
                 self._take(self._next, stage)
@@ -368,13 +381,16 @@ class Player:
         self._advance()
         at = moment.at + self._shift
         if isinstance(moment, Chunk):
-            stage.tap(moment.direction, moment.data, at)
+            if stage.tap is not None:
+                stage.tap(moment.direction, moment.data, at)
             if moment.direction is Direction.RECEIVED:
-                self._frames.extend((frame, at) for frame in stage.decode(moment.data, at))
+                for frame in stage.decode(moment.data, at):
+                    self._frames.append((frame, at))
         elif moment.topic == EVENT:
             stage.tell(moment.content())
 
-    def _end(self, broken: str = "") -> None:
+    def _end(self) -> None:
+        broken = self._broken
         self._set_clock(self.begin.at + self._to if not broken else self._then())
         self.is_at_end = True
         if self._holds or self._stage is None:

@@ -75,6 +75,8 @@ class ReplayedLink(Link):
         """The frames of a read, for :meth:`deliver`."""
         self.last_received_at = now
         events: Sequence[Any] = self._endpoint.receive_data(data, now)
+        if self._endpoint.only_pushes:
+            return events
         return [event for event in events if type(event) is Frame]
 
     def deliver(self, frame: Frame, now: float) -> None:

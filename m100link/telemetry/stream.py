@@ -110,9 +110,9 @@ class TelemetryStream:
         return self._hub.has_consumers
 
     @property
-    def has_room(self) -> bool:
-        """Whether no consumer would lose an older package by another one."""
-        return self._hub.has_room
+    def room(self) -> float:
+        """How many packages no consumer would lose an older one by; infinite without any."""
+        return self._hub.room
 
     def fail(self, error: LinkError) -> None:
         """End every subscription with the error."""

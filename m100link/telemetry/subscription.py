@@ -7,6 +7,7 @@ happens when a consumer is slow is the consumer's choice, made when it subscribe
 from __future__ import annotations
 
 import asyncio
+import math
 from asyncio import _get_running_loop  # the other one raises where none runs
 from collections import deque
 from dataclasses import dataclass
@@ -137,9 +138,9 @@ class Queue(Generic[T]):
             self.wake()
 
     @property
-    def is_full(self) -> bool:
-        """Whether another value would take the place of one."""
-        return len(self.values) >= self._count
+    def room(self) -> int:
+        """How many values it takes without losing one."""
+        return self._count - len(self.values)
 
     def _thins(self, now: float) -> bool:
         """Whether the rate limit leaves out a value that arrives now."""
@@ -306,9 +307,9 @@ class Hub(Generic[T]):
         return any(queue.wanted for queue in self._queues)
 
     @property
-    def has_room(self) -> bool:
-        """Whether every queue takes another value without losing one."""
-        return not any(queue.wanted and queue.is_full for queue in self._queues)
+    def room(self) -> float:
+        """How many values every queue takes without losing one; infinite without any."""
+        return min((queue.room for queue in self._queues if queue.wanted), default=math.inf)
 
     def fail(self, error: M100Error) -> None:
         """End every subscription, present and future, with the error."""

@@ -37,8 +37,8 @@ class Heard:
             forget=lambda: None,
             end=lambda error: self.ends.append(error.cause),
             has_consumers=lambda: True,
-            has_room=lambda: True,
-            tap=lambda *_: None,
+            room=lambda: float("inf"),
+            tap=None,
         )
 
 
