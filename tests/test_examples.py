@@ -176,6 +176,17 @@ def test_position_loop(run: Run, url: str) -> None:
     assert 3 <= int(seconds) <= 15
 
 
+def test_replay_a_flight(run: Run) -> None:
+    pytest.importorskip("mcap", reason="the extra `log` is not installed")
+    ended, highest, refused = run("replay_a_flight", "sim://").splitlines()
+    assert "has ended" in ended
+    found = re.match(r"highest: ([\d.]+) m, [\d.]+ s after its beginning, of (\d+)", highest)
+    assert found is not None
+    assert 5.5 < float(found[1]) < 6.8
+    assert int(found[2]) > 500
+    assert "is a recording; nothing was sent" in refused
+
+
 def test_record_a_flight(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("mcap", reason="the extra `log` is not installed")
     lines = run("record_a_flight", "sim://", str(tmp_path / "flight.mcap")).splitlines()
