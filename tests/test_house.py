@@ -232,7 +232,6 @@ TESTED_ELSEWHERE = {
     "flight/missions/orders.py": ("flight/missions/test_keeper.py", "requests by their kind"),
     "flight/missions/refusal.py": ("flight/missions/test_waypoint.py", "seen in what is raised"),
     "mavlink/crew.py": ("mavlink/test_bridge.py", "seen in what flies"),
-    "mavlink/deck.py": ("mavlink/test_bridge.py", "seen in what flies"),
     "mavlink/definitions.py": ("mavlink/test_codec.py", "compared with those of others"),
     "mavlink/fence.py": ("mavlink/test_missions.py", "uploaded as missions are"),
     "mavlink/manual.py": ("mavlink/test_commands.py", "sticks are seen in what flies"),

@@ -7,11 +7,12 @@ of its own, and telemetry goes to those alone, and to addresses that the setting
 from __future__ import annotations
 
 import asyncio
+import struct
 import time
 from collections.abc import Callable, Mapping
 
 from m100link.agent.client import AgentClient
-from m100link.errors import UsageError
+from m100link.errors import M100Error, UsageError
 from m100link.mavlink.codec import Message, Signer, read_datagram, write_frame
 from m100link.mavlink.crew import Crew
 from m100link.mavlink.numbers import AUTOPILOT_PX4
@@ -30,7 +31,7 @@ _GCS = 6
 _LARGEST = 1400
 """Bytes of a datagram that no network cuts up."""
 
-_READ_PER_STEP = 65536
+_READ_PER_STEP = 32768
 """Bytes that are read in one step: a flood is dropped, and does not hold up the setpoints."""
 
 _SINCE_2015 = 1_420_070_400
@@ -44,6 +45,12 @@ class _Craft:
         self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, self.vehicle.leg)
         self.sequence = 0
         agent.on_event.append(self.vehicle.event)
+        agent.on_steer_refused.append(self._steer_refused)
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        lease = self.vehicle.world.lease
+        if lease is not None and lease.number == fence:
+            self.vehicle.deck.steer_refused(error)
 
 
 class Bridge:
@@ -58,6 +65,7 @@ class Bridge:
 
     Attributes:
         dropped: Datagrams that were not read because too many came.
+        unsent: Messages with a number that does not fit.
 
     Raises:
         UsageError: A system id cannot be one of an aircraft.
@@ -83,8 +91,9 @@ class Bridge:
         self._clock = asyncio.get_running_loop().time
         self.peers = Peers(to)
         self._crafts = [_Craft(agent, system, autopilot) for system, agent in agents.items()]
-        self._allowance = _READ_PER_STEP
+        self._allowance = dict.fromkeys((True, False), _READ_PER_STEP)
         self.dropped = 0
+        self.unsent = 0
 
     @property
     def vehicles(self) -> list[Vehicle]:
@@ -93,10 +102,12 @@ class Bridge:
 
     def received(self, data: bytes, address: Address) -> None:
         """A datagram came."""
-        if len(data) > self._allowance:
+        # Strangers take nothing from those that are known.
+        known = self.peers.is_known(address)
+        if len(data) > self._allowance[known]:
             self.dropped += 1
             return
-        self._allowance -= len(data)
+        self._allowance[known] -= len(data)
         now = self._clock()
         for message in read_datagram(data, signer=self._signer, now=_signature_time()):
             self._take(message, Peer(address, message.system, message.component), now)
@@ -106,7 +117,8 @@ class Bridge:
         if message.system == 0 or any(one.system == message.system for one in self.vehicles):
             return  # our own words, or nobody's
         if message.name == "HEARTBEAT":
-            self.peers.heartbeat(peer, now)
+            is_trusted = self._signer is None or message.is_signed
+            self.peers.heartbeat(peer, now, is_trusted=is_trusted)
         elif self.peers.knows(peer, now):
             for vehicle in self.vehicles:
                 vehicle.receive(message, peer, now)
@@ -114,7 +126,7 @@ class Bridge:
     def step(self) -> None:
         """Let time pass."""
         now = self._clock()
-        self._allowance = _READ_PER_STEP
+        self._allowance = dict.fromkeys((True, False), _READ_PER_STEP)
         for craft in self._crafts:
             craft.vehicle.advance(now, lambda peer: self.peers.is_lost(peer, now))
             craft.crew.advance()
@@ -128,21 +140,27 @@ class Bridge:
             waiting, craft.vehicle.outbox = craft.vehicle.outbox, []
             for message, peer in waiting:
                 frame = self._frame(craft, message)
+                if frame is None:
+                    continue
                 for address in everybody if peer is None else (peer.address,):
                     self._pack(packed.setdefault(address, bytearray()), frame, address)
         for address, data in packed.items():
             if data:
                 self._send(bytes(data), address)
 
-    def _frame(self, craft: _Craft, message: Message) -> bytes:
+    def _frame(self, craft: _Craft, message: Message) -> bytes | None:
         craft.sequence += 1
-        return write_frame(
-            message,
-            system=craft.vehicle.system,
-            sequence=craft.sequence,
-            signer=self._signer,
-            now=_signature_time() if self._signer is not None else 0,
-        )
+        try:
+            return write_frame(
+                message,
+                system=craft.vehicle.system,
+                sequence=craft.sequence,
+                signer=self._signer,
+                now=_signature_time() if self._signer is not None else 0,
+            )
+        except (struct.error, OverflowError):
+            self.unsent += 1  # a number that its field does not hold: nobody could use it
+            return None
 
     def _pack(self, data: bytearray, frame: bytes, address: Address) -> None:
         if len(data) + len(frame) > _LARGEST:

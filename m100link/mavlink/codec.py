@@ -55,12 +55,14 @@ class Message:
         fields: Values by name; a text for characters, a tuple for other arrays.
         system: Who sent it; 0 for what is to be sent.
         component: Which part of that system.
+        is_signed: Whether it came with a signature that is right.
     """
 
     name: str
     fields: Mapping[str, Any]
     system: int = 0
     component: int = 0
+    is_signed: bool = field(default=False, compare=False)
 
     def __getitem__(self, name: str) -> Any:
         return self.fields[name]
@@ -278,7 +280,9 @@ def _frame_v2(
         if not (is_signed and signer.takes(data[at:whole], sender, now)):
             signer.refused += 1
             return None, whole
-    return _message(layout, data[begin : begin + size], system, component), whole
+    payload = data[begin : begin + size]
+    is_right = signer is not None and is_signed
+    return _message(layout, payload, system, component, is_signed=is_right), whole
 
 
 def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> tuple[Message | None, int] | None:
@@ -300,8 +304,10 @@ def _is_whole(data: bytes, at: int, end: int, layout: Layout) -> bool:
     return bool(told == _crc(data[at + 1 : end - 2] + bytes([layout.crc_extra])))
 
 
-def _message(layout: Layout, payload: bytes, system: int, component: int) -> Message | None:
+def _message(
+    layout: Layout, payload: bytes, system: int, component: int, *, is_signed: bool = False
+) -> Message | None:
     try:
-        return Message(layout.name, layout.read(payload), system, component)
+        return Message(layout.name, layout.read(payload), system, component, is_signed)
     except struct.error:
         return None

@@ -162,6 +162,8 @@ class Commands:
             order = TakeOff(self._take_off_height(math.nan))
             return self._deck.wish(Wish(mode, order, peer), now)
         if mode is Mode.MISSION:
+            if self._is_others(peer, mode.value):
+                return Result.TEMPORARILY_REJECTED
             wish = self._mission(peer, None)
             if wish is None:
                 self._tell(Severity.WARNING, "there is no mission to fly")
@@ -253,11 +255,20 @@ class Commands:
     def start_mission(self, asked: Asked, now: float) -> Result:
         """MISSION_START, from an item."""
         first = asked.parameters[0]
+        if self._is_others(asked.peer, "mission"):
+            return Result.TEMPORARILY_REJECTED
         wish = self._mission(asked.peer, int(first) if math.isfinite(first) and first > 0 else None)
         if wish is None:
             self._tell(Severity.WARNING, "there is no mission to fly")
             return Result.DENIED
         return self._fly_mission(wish, now)
+
+    def _is_others(self, asked_by: Peer, what: str) -> bool:
+        """Whether somebody else flies; what is asked for then changes nothing of the flight."""
+        other = self._deck.other_operator(asked_by)
+        if other is not None:
+            self._tell(Severity.WARNING, f"{what}: {other.name} flies")
+        return other is not None
 
     def _fly_mission(self, wish: Wish, now: float) -> Result:
         """Check each place of it first.
@@ -275,6 +286,8 @@ class Commands:
         number = asked.parameters[0]
         if not math.isfinite(number) or number < 0:
             return Result.DENIED
+        if self._is_others(asked.peer, "mission"):
+            return Result.TEMPORARILY_REJECTED
         wish = self._mission(asked.peer, int(number))
         if wish is None:
             return Result.DENIED
@@ -285,6 +298,8 @@ class Commands:
         speed = asked.parameters[1]
         if asked.parameters[0] not in (0.0, 1.0) or not 0.0 < speed <= 10.0:
             return Result.DENIED
+        if self._is_others(asked.peer, "speed"):
+            return Result.TEMPORARILY_REJECTED
         self._speed = speed
         return Result.ACCEPTED
 
@@ -296,7 +311,7 @@ class Commands:
     def _is_place(self, asked: Asked) -> bool:
         if math.isnan(asked.x) or math.isnan(asked.y):
             return False
-        if not (abs(asked.x) <= 90.0 and abs(asked.y) <= 180.0) or (asked.x, asked.y) == (0, 0):
+        if not (abs(asked.x) <= 89.0 and abs(asked.y) <= 180.0) or (asked.x, asked.y) == (0, 0):
             raise UsageError(f"there is no place {asked.x:.6f} {asked.y:.6f}")
         return True
 

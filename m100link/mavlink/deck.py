@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from m100link.errors import M100Error
+from m100link.errors import GuardRefused, M100Error
 from m100link.mavlink.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
@@ -174,7 +174,7 @@ class Deck:
 
     def wish(self, wish: Wish, now: float) -> Result:
         """Somebody wants a mode. Refusals are told to everybody, with the reason."""
-        other = self._other_operator(wish.peer)
+        other = self.other_operator(wish.peer)
         if other is not None and wish.mode not in _ENDS:
             return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, f"{other.name} flies")
         verdict = VERDICTS[self.phase][wish.mode]
@@ -197,13 +197,13 @@ class Deck:
         self._tell(Severity.WARNING, f"{mode.value}: {why}")
         return result
 
-    def _other_operator(self, peer: Peer | None) -> Peer | None:
+    def other_operator(self, peer: Peer | None) -> Peer | None:
         """Who flies, where that is not whoever asks."""
         is_taken = self.phase in _TAKEN
         return self.operator if is_taken and peer not in (None, self.operator) else None
 
     def _take_operator(self, peer: Peer | None) -> None:
-        if peer is not None and (self.operator is None or self._other_operator(peer) is None):
+        if peer is not None and (self.operator is None or self.other_operator(peer) is None):
             self.operator = peer
 
     def _settle(self) -> None:
@@ -247,7 +247,7 @@ class Deck:
 
     def arm(self, peer: Peer, now: float) -> Result | None:
         """Obtain authority; None while that takes time, and :attr:`on_armed` is called then."""
-        other = self._other_operator(peer)
+        other = self.other_operator(peer)
         if other is not None:
             self._tell(Severity.WARNING, f"arm: {other.name} flies")
             return Result.TEMPORARILY_REJECTED
@@ -270,7 +270,7 @@ class Deck:
 
     def disarm(self, peer: Peer) -> Result:
         """Give authority back, on the ground."""
-        other = self._other_operator(peer)
+        other = self.other_operator(peer)
         if other is not None:
             self._tell(Severity.WARNING, f"disarm: {other.name} flies")
             return Result.TEMPORARILY_REJECTED
@@ -368,7 +368,11 @@ class Deck:
 
     def _stream(self, phase: Phase, now: float) -> None:
         stream = self._streams[self._mode]
-        setpoint = stream.setpoint(now)
+        try:
+            setpoint = stream.setpoint(now)
+        except M100Error as error:
+            self.hold(f"{self._mode.value}: {error.seen}")
+            return
         if setpoint is None:
             self.hold(f"{self._mode.value}: no setpoint any more")
         elif phase is Phase.AIRBORNE:
@@ -397,6 +401,18 @@ class Deck:
     def flies_mission(self) -> bool:
         """Whether the mission is flown now."""
         return self._mode is Mode.MISSION and self.phase is Phase.AIRBORNE
+
+    def steer_refused(self, error: M100Error) -> None:
+        """The agent did not fly a setpoint: what the guards refuse ends with its reason.
+
+        After a STOP of somebody else the stream is over; it begins anew with its mode.
+        """
+        if self.running is not Running.STREAM:
+            return
+        if isinstance(error, GuardRefused) and error.guard != "stopped":
+            self._tell(Severity.WARNING, f"{self._mode.value}: {error.seen}")
+        else:
+            self.hold(f"{self._mode.value}: {error.seen}")
 
     def operator_lost(self) -> None:
         """Whoever flew is not heard any more: hover, unless it is on its way to the ground."""

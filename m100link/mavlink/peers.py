@@ -50,16 +50,26 @@ class Peers:
     def __init__(self, always: tuple[Address, ...] = ()) -> None:
         self._always = always
         self._heard: dict[Peer, float] = {}
+        # Those whose heartbeat nobody else can have sent, and when.
+        self._trusted: dict[Peer, float] = {}
         self.refused = 0
 
-    def heartbeat(self, peer: Peer, now: float) -> bool:
-        """It is there. Returns whether it is one of the peers: there may be too many."""
+    def heartbeat(self, peer: Peer, now: float, *, is_trusted: bool = True) -> bool:
+        """It is there. Returns whether it is one of the peers: there may be too many.
+
+        Args:
+            peer: Who says it.
+            now: s.
+            is_trusted: Whether it keeps a flight going: with a key only what is signed with it.
+        """
         if peer not in self._heard and len(self._heard) >= MOST_PEERS:
             self.forget(now)
             if len(self._heard) >= MOST_PEERS:
                 self.refused += 1
                 return False
         self._heard[peer] = now
+        if is_trusted:
+            self._trusted[peer] = now
         return True
 
     def knows(self, peer: Peer, now: float) -> bool:
@@ -68,7 +78,7 @@ class Peers:
 
     def is_lost(self, peer: Peer, now: float) -> bool:
         """Whether its heartbeat fails to come."""
-        return now - self._heard.get(peer, -LOST_AFTER) >= LOST_AFTER
+        return now - self._trusted.get(peer, -LOST_AFTER) >= LOST_AFTER
 
     def is_known(self, address: Address) -> bool:
         """Whether somebody there has been heard, and was not forgotten."""
@@ -78,6 +88,7 @@ class Peers:
         """Leave out those that are silent."""
         for peer in [one for one, at in self._heard.items() if now - at >= FORGOTTEN_AFTER]:
             del self._heard[peer]
+            self._trusted.pop(peer, None)
 
     def addresses(self, now: float) -> set[Address]:
         """Where telemetry goes."""

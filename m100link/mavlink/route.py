@@ -133,9 +133,7 @@ class _Reader:
         self._is_over = True
 
     def _fly(self, number: int, item: Message, wait: float) -> None:
-        latitude, longitude = item["x"] / 1e7, item["y"] / 1e7
-        if not (abs(latitude) <= 89.0 and abs(longitude) <= 180.0) or not (latitude or longitude):
-            raise Refused(MissionResult.INVALID, f"item {number}: there is no such place")
+        latitude, longitude = _place(number, item)
         yaw = item["param4"]
         heading = math.remainder(yaw, 360.0) if math.isfinite(yaw) else None
         height = self._height(number, item)
@@ -166,9 +164,16 @@ class _Reader:
         """NAV_LAND: the end, at a place if one is named."""
         if (item["x"] or item["y"]) and self.route.legs:
             height = self.route.legs[-1].order.height
-            place = item["x"] / 1e7, item["y"] / 1e7
+            place = _place(number, item)
             self.route.legs.append(Leg(number, FlyTo(*place, height, self.route.speed)))
         self.route.then, self._is_over = Mode.LAND, True
+
+
+def _place(number: int, item: Message) -> tuple[float, float]:
+    latitude, longitude = item["x"] / 1e7, item["y"] / 1e7
+    if not (abs(latitude) <= 89.0 and abs(longitude) <= 180.0) or not (latitude or longitude):
+        raise Refused(MissionResult.INVALID, f"item {number}: there is no such place")
+    return latitude, longitude
 
 
 def _seconds(number: int, value: float) -> float:

@@ -181,6 +181,8 @@ class Vehicle:
     def _parameter(self, message: Message, peer: Peer, now: float) -> None:
         if message.name == "PARAM_SET":
             refusal = self._parameters.refusal(message)
+            if not refusal and self.deck.other_operator(peer) is not None:
+                refusal, message = "a parameter: somebody else flies", _read_of(message)
             if refusal:
                 self._texts.tell(Severity.WARNING, refusal)
         for answer in self._parameters.receive(message):
@@ -404,6 +406,11 @@ class Vehicle:
             self._send(message)
         for message in self._missions.due(now, is_flying=self.deck.flies_mission):
             self._send(message)
+
+
+def _read_of(message: Message) -> Message:
+    """The question for the value, instead of a new one."""
+    return Message("PARAM_REQUEST_READ", dict(message.fields) | {"param_index": -1})
 
 
 def _whole(value: float) -> int:

@@ -109,12 +109,13 @@ async def serving_mavlink(
     async with AsyncExitStack() as stack:
         for place, one in enumerate(sockets):
             senders.append(await stack.enter_async_context(serving(one, receiver(place))))
-        running = asyncio.create_task(bridge.run(), name="m100link station: MAVLink")
-        try:
-            yield bridge
-        finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
+        # A bridge that fails takes the process with it, which is started again.
+        async with asyncio.TaskGroup() as group:
+            running = group.create_task(bridge.run(), name="m100link station: MAVLink")
+            try:
+                yield bridge
+            finally:
+                running.cancel()
 
 
 def _drain(one: socket.socket) -> None:
