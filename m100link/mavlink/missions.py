@@ -52,7 +52,11 @@ class _Stored:
     """What was uploaded last: missions, and fences."""
 
     items: dict[int, tuple[Message, ...]] = field(
-        default_factory=lambda: {MissionType.MISSION: (), MissionType.FENCE: ()}
+        default_factory=lambda: {
+            MissionType.MISSION: (),
+            MissionType.FENCE: (),
+            MissionType.RALLY: (),
+        }
     )
 
 
@@ -147,8 +151,6 @@ class Missions:
         if why:
             self._tell(Severity.WARNING, f"mission: {why}")
             self._acknowledge(MissionResult.DENIED, kind, peer)
-        elif kind == MissionType.RALLY and count == 0:
-            self._acknowledge(MissionResult.ACCEPTED, kind, peer)
         elif kind not in self._stored.items:
             self._acknowledge(MissionResult.UNSUPPORTED, kind, peer)
         elif count > MOST_ITEMS:
@@ -199,6 +201,9 @@ class Missions:
                 raise Refused(MissionResult.DENIED, why)
             if kind == MissionType.FENCE:
                 self.fence = read_fence(items)
+            elif kind == MissionType.RALLY:
+                # Kept for programs that want them back; nobody may believe in them.
+                self._tell(Severity.WARNING, "rally points are not flown to: return goes home")
             else:
                 self._tell_left_out(
                     read_route(items, ground=self._ground() or 0.0, speed=self._speed())

@@ -321,8 +321,11 @@ async def test_a_fence_that_is_not_whole_is_refused(ground: Ground, given: list[
     assert await Exchange(ground).download(MissionType.FENCE) == []
 
 
-async def test_there_are_no_rally_points(ground: Ground) -> None:
+async def test_rally_points_are_kept_and_said_to_mean_nothing(rig: Rig, ground: Ground) -> None:
     ground.send("MISSION_REQUEST_LIST", target_system=1, mission_type=MissionType.RALLY)
     assert ground.last("MISSION_COUNT")["count"] == 0
-    ground.send("MISSION_COUNT", target_system=1, count=2, mission_type=MissionType.RALLY)
-    assert ground.last("MISSION_ACK")["type"] == MissionResult.UNSUPPORTED
+    given = [item(5100, 5.0, 5.0, 20.0), item(5100, 9.0, 5.0, 20.0)]
+    assert await Exchange(ground).upload(given, MissionType.RALLY) is MissionResult.ACCEPTED
+    found = await Exchange(ground).download(MissionType.RALLY)
+    assert all(same(one, item) for one, item in zip(found, given, strict=True))
+    await rig.until(lambda: "rally points are not flown to" in ground.texts)
