@@ -209,7 +209,6 @@ TESTED_ELSEWHERE = {
     "errors/usage.py": ("test_errors.py", "names and attributes, nothing to run"),
     "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),
     "log/dissector.py": ("interop/test_wireshark.py", "what it makes runs inside tshark"),
-    "log/channels.py": ("log/test_recorder.py", "names and schemas, nothing to run"),
     "log/replayed_link.py": ("aircraft/test_replaying.py", "the line of its aircraft"),
     "link/opening.py": ("link/test_serial_pty.py", "what it opens is tested there"),
     "flight/missions/deck.py": (
