@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv as csv_module
+import io
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import IO, Annotated
 from cyclopts import Parameter
 
 from m100link.cli.common import out
-from m100link.cli.log_plot import cannot_write, new_file
+from m100link.cli.log_plot import new_file
 from m100link.cli.options import Firmware, offered
 from m100link.cli.outcome import ExitCode
 from m100link.cli.progress import reading
@@ -55,12 +56,11 @@ def csv(
 
 @contextlib.contextmanager
 def _new_text(path: Path) -> Iterator[IO[str]]:
-    try:
-        stream = path.open("x", newline="", encoding="utf-8")
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    with stream:
-        yield stream
+    with new_file(path) as stream:
+        text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
+        yield text
+        text.flush()
+        text.detach()
 
 
 def parquet(

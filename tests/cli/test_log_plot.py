@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
 
+from m100link.cli.log_plot import new_file
 from m100link.cli.outcome import ExitCode
+from m100link.errors import UsageError
 from tests.cli.conftest import CommandLine
 
 pytest.importorskip("mcap", reason="the extra `log` is not installed")
@@ -24,6 +27,20 @@ def test_a_page_is_made_beside_the_log(cli: CommandLine, flight: Path) -> None:
     assert outcome.status == ExitCode.OK
     assert outcome.err == ""
     assert "flight.mcap</h1>" in flight.with_suffix(".html").read_text("utf-8")
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left"), KeyboardInterrupt()])
+def test_half_of_a_file_is_not_left_behind(tmp_path: Path, error: BaseException) -> None:
+    target = tmp_path / "half"
+    with pytest.raises((UsageError, KeyboardInterrupt)):
+        break_off(target, error)
+    assert not target.exists()
+
+
+def break_off(target: Path, error: BaseException) -> None:
+    with new_file(target) as stream:
+        stream.write(b"half")
+        raise error
 
 
 def test_what_cannot_be_is_told_and_nothing_is_written(

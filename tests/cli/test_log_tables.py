@@ -47,10 +47,12 @@ def test_half_of_a_table_is_not_left_behind(cli: CommandLine, tmp_path: Path) ->
     pytest.importorskip("pyarrow", reason="the extra `analysis` is not installed")
     junk = tmp_path / "junk.mcap"
     junk.write_bytes(b"\x89MCAP0\r\n")  # no firmware is known
-    outcome = cli("log", "parquet", str(junk))
-    assert outcome.status == ExitCode.USAGE
-    assert "firmware" in outcome.err
-    assert not junk.with_suffix(".parquet").exists()
+    for verb in ("parquet", "csv"):
+        target = tmp_path / f"table.{verb}"
+        outcome = cli("log", verb, str(junk), "-o", str(target))
+        assert outcome.status == ExitCode.USAGE
+        assert "firmware" in outcome.err
+        assert not target.exists()
 
 
 @pytest.mark.parametrize("library", ["pandas", "polars", "numpy"])
