@@ -113,6 +113,13 @@ def aircraft_of(
         name = name or (url if url in named else f"m100_{place}")
         _check_other(name, settings, found)
         found[name] = settings
+    replays = [name for name, one in found.items() if (one.url or "").startswith("replay://")]
+    if replays and len(replays) < len(found):
+        raise UsageError(
+            f"{', '.join(replays)} would be a recorded flight beside aircraft that fly",
+            cause="whoever looks at a station must never doubt what flies",
+            remedy="show recorded flights by a station of their own: m100link replay FILE",
+        )
     return found
 
 

@@ -98,6 +98,11 @@ async def open_transport(
     for entry_point in entry_points(group="m100link.transports", name=address.scheme):
         opener: Opener = entry_point.load()
         return await opener(address, protocol)
+    if address.scheme == "replay":
+        raise BadURL(
+            f"{address} is a recorded flight, and not a line to look at",
+            remedy="connect(…) plays it for a program, `m100link replay FILE` in the console",
+        )
     raise BadURL(
         f"there is no transport called {address.scheme!r}",
         remedy="write it like one of these:" + "".join(f"\n      {text}" for text in EXAMPLES),

@@ -53,6 +53,8 @@ async def test_a_replay_is_said_to_be_one_is_moved_and_offers_no_control(
             # At its end it stands; from its beginning it goes on, until it is told to stand.
             note, place = page.locator("#replay-note"), page.locator("#replay-place")
             await expect(note).to_have_text("at its end", timeout=1000 * PATIENCE)
+            await asyncio.sleep(3.0)
+            assert not await page.is_visible("#page-lost"), "the page is heard while time stands"
             await page.click("[data-replay=back]")
             await expect(place).to_contain_text("0:00 of")
             await page.click("[data-replay=toggle]")

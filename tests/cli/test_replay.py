@@ -33,6 +33,15 @@ def test_what_cannot_be_played_is_told_before_anything_is_served(
         assert why in outcome.err.replace("\n", " ")
 
 
+def test_a_recorded_flight_is_not_shown_beside_an_aircraft_that_flies(
+    cli: CommandLine, tmp_path: Path
+) -> None:
+    url = f"replay://{tmp_path / 'flight.mcap'}"
+    outcome = cli("serve", url, "sim://", "--port", "0")
+    assert outcome.status == 2
+    assert "beside aircraft that fly" in outcome.err.replace("\n", " ")
+
+
 @pytest.mark.anyio
 async def test_keys_are_orders_that_a_replay_knows(capsys: pytest.CaptureFixture[str]) -> None:
     class Replays:

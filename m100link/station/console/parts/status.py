@@ -73,10 +73,10 @@ class StatusPart:
             self._banner.classes(remove=self._level, add=line.level.value)
             self._level = line.level.value
             self._shape.set_text(SHAPES[line.level])
-        if line.since != self._since:
-            self._since = line.since
-            attribute(self._counter, "data-since")(
-                "" if line.since is None else f"{line.since:.1f}"
-            )
+        # The page counts by the station's clock: not by that of a recorded flight.
+        since = line.since if view.replay is None else None
+        if since != self._since:
+            self._since = since
+            attribute(self._counter, "data-since")("" if since is None else f"{since:.1f}")
             self._counter.set_text("")
-        attribute(self._beat, "data-at")(f"{view.at:.1f}")
+        attribute(self._beat, "data-at")(f"{self._deck.agent.now:.1f}")
