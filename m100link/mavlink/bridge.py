@@ -34,6 +34,9 @@ _LARGEST = 1400
 _READ_PER_STEP = 32768
 """Bytes that are read in one step: a flood is dropped, and does not hold up the setpoints."""
 
+_STOOD_STILL_S = 1.0
+"""Seconds without a step after which what waits to be read is old."""
+
 _SINCE_2015 = 1_420_070_400
 
 
@@ -60,6 +63,7 @@ class Bridge:
         agents: The agents of the aircraft, by system id, each entered.
         send: Sends a datagram; never waits.
         to: Addresses that are spoken to first.
+        drain: Forgets all that waits to be read.
         signer: Signs what goes out, and refuses what is not signed.
         autopilot: MAV_AUTOPILOT of the heartbeat.
 
@@ -77,6 +81,7 @@ class Bridge:
         send: Callable[[bytes, Address], None],
         *,
         to: tuple[Address, ...] = (),
+        drain: Callable[[], None] = lambda: None,
         signer: Signer | None = None,
         autopilot: int = AUTOPILOT_PX4,
     ) -> None:
@@ -87,6 +92,7 @@ class Bridge:
                     remedy=f"choose 1 to {HIGHEST_SYSTEM}; 255 is a ground station's",
                 )
         self._send = send
+        self._drain = drain
         self._signer = signer
         self._clock = asyncio.get_running_loop().time
         self.peers = Peers(to)
@@ -94,6 +100,7 @@ class Bridge:
         self._allowance = dict.fromkeys((True, False), _READ_PER_STEP)
         self.dropped = 0
         self.unsent = 0
+        self._ran_at = self._clock()
 
     @property
     def vehicles(self) -> list[Vehicle]:
@@ -102,13 +109,15 @@ class Bridge:
 
     def received(self, data: bytes, address: Address) -> None:
         """A datagram came."""
+        now = self._clock()
+        if self._stood_still(now):
+            return
         # Strangers take nothing from those that are known.
         known = self.peers.is_known(address)
         if len(data) > self._allowance[known]:
             self.dropped += 1
             return
         self._allowance[known] -= len(data)
-        now = self._clock()
         for message in read_datagram(data, signer=self._signer, now=_signature_time()):
             self._take(message, Peer(address, message.system, message.component), now)
         self._flush(now)
@@ -123,10 +132,22 @@ class Bridge:
             for vehicle in self.vehicles:
                 vehicle.receive(message, peer, now)
 
+    def _stood_still(self, now: float) -> bool:
+        """Forget what was sent while this process was stopped: nobody waits for it any more."""
+        still, self._ran_at = now - self._ran_at, now
+        if still < _STOOD_STILL_S:
+            return False
+        self._drain()
+        for vehicle in self.vehicles:
+            vehicle.tell(f"{still:.1f} s of standstill: commands sent in that time are ignored")
+        return True
+
     def step(self) -> None:
         """Let time pass."""
         now = self._clock()
         self._allowance = dict.fromkeys((True, False), _READ_PER_STEP)
+        self._stood_still(now)
+        self._allowance = _READ_PER_STEP
         for craft in self._crafts:
             craft.vehicle.advance(now, lambda peer: self.peers.is_lost(peer, now))
             craft.crew.advance()
@@ -170,6 +191,7 @@ class Bridge:
 
     async def run(self) -> None:
         """Step for ever, until cancelled; then whatever is held is given back."""
+        self._ran_at = self._clock()
         try:
             while True:
                 self.step()

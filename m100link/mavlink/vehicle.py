@@ -368,6 +368,10 @@ class Vehicle:
         """Something happened at the agent: people are told."""
         self._texts.tell(severity_of(event.level), event.text)
 
+    def tell(self, text: str) -> None:
+        """Warn everybody."""
+        self._texts.tell(Severity.WARNING, text)
+
     def advance(self, now: float, lost: Callable[[Peer], bool]) -> None:
         """Let time pass: steer, and send what is due.
 

@@ -85,16 +85,20 @@ async def serving_mavlink(
         # Answers go out where the question came in.
         ways.get(address, senders[0])(data, address)
 
+    def drain() -> None:
+        for one in sockets:
+            _drain(one)
+
     bridge = Bridge(
         by_system,
         send,
+        drain=drain,
         to=tuple(map(read_address, settings.mavlink_to)),
         signer=_signer(settings),
         autopilot=AUTOPILOTS[settings.autopilot],
     )
 
-    for one in sockets:
-        _drain(one)
+    drain()
 
     def receiver(place: int) -> Callable[[bytes, Address], None]:
         def received(data: bytes, address: Address) -> None:
@@ -119,7 +123,7 @@ async def serving_mavlink(
 
 
 def _drain(one: socket.socket) -> None:
-    """Forget what came while nobody read: a command of a process before is not for this one."""
+    """Forget what came while nobody read: who sent a command then does not wait for it now."""
     for _ in range(_MOST_WAITING):
         try:
             one.recv(1)

@@ -317,3 +317,25 @@ async def test_the_newest_end_of_a_flight_counts_while_control_is_obtained(
     ground.command(Command.NAV_RETURN_TO_LAUNCH)
     await anyio.sleep(2.0)
     assert ground.mode is Mode.RTL
+
+
+async def test_what_was_sent_while_the_process_stood_still_is_not_carried_out(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine that wakes up does not take off by what somebody asked for, and gave up."""
+    drained: list[float] = []
+    bridge, step = rig.bridge, rig.bridge.step
+    monkeypatch.setattr(bridge, "_drain", lambda: drained.append(rig.client.now))
+    monkeypatch.setattr(bridge, "step", lambda: None)
+    ground.is_silent = True  # what is sent waits in the socket
+    await anyio.sleep(3.0)
+    ground.command(*_ARM)
+    assert drained, "what waits behind it is as old"
+    ground.is_silent = False
+    ground.beat()
+    monkeypatch.setattr(bridge, "step", step)
+    await anyio.sleep(5.0)
+    assert not rig.agent.holding.has_authority
+    assert "s of standstill" in ground.texts
+    await ground.arm()
+    assert rig.agent.holding.has_authority
