@@ -32,7 +32,8 @@ _LARGEST = 1400
 """Bytes of a datagram that no network cuts up."""
 
 _READ_PER_STEP = 32768
-"""Bytes that are read in one step: a flood is dropped, and does not hold up the setpoints."""
+"""Bytes that are read and answered in one step, shared out evenly among the addresses of peers,
+and one share for all strangers: a flood is dropped, and holds up neither setpoints nor others."""
 
 _STOOD_STILL_S = 1.0
 """Seconds without a step after which what waits to be read is old."""
@@ -97,7 +98,7 @@ class Bridge:
         self._clock = asyncio.get_running_loop().time
         self.peers = Peers(to)
         self._crafts = [_Craft(agent, system, autopilot) for system, agent in agents.items()]
-        self._allowance = dict.fromkeys((True, False), _READ_PER_STEP)
+        self._shares: dict[Address | None, int] = {None: _READ_PER_STEP}
         self.dropped = 0
         self.unsent = 0
         self._ran_at = self._clock()
@@ -112,12 +113,11 @@ class Bridge:
         now = self._clock()
         if self._stood_still(now):
             return
-        # Strangers take nothing from those that are known.
-        known = self.peers.is_known(address)
-        if len(data) > self._allowance[known]:
+        sender = address if address in self._shares else None
+        if len(data) > self._shares[sender]:
             self.dropped += 1
             return
-        self._allowance[known] -= len(data)
+        self._shares[sender] -= len(data)
         for message in read_datagram(data, signer=self._signer, now=_signature_time()):
             self._take(message, Peer(address, message.system, message.component), now)
         self._flush(now)
@@ -145,9 +145,9 @@ class Bridge:
     def step(self) -> None:
         """Let time pass."""
         now = self._clock()
-        self._allowance = dict.fromkeys((True, False), _READ_PER_STEP)
         self._stood_still(now)
-        self._allowance = _READ_PER_STEP
+        senders = {None, *self.peers.addresses(now)}
+        self._shares = dict.fromkeys(senders, _READ_PER_STEP // len(senders))
         for craft in self._crafts:
             craft.vehicle.advance(now, lambda peer: self.peers.is_lost(peer, now))
             craft.crew.advance()
@@ -161,8 +161,8 @@ class Bridge:
             waiting, craft.vehicle.outbox = craft.vehicle.outbox, []
             for message, peer in waiting:
                 frame = self._frame(craft, message)
-                if frame is None:
-                    continue
+                if peer is not None and peer.address in self._shares:
+                    self._shares[peer.address] -= len(frame)
                 for address in everybody if peer is None else (peer.address,):
                     self._pack(packed.setdefault(address, bytearray()), frame, address)
         for address, data in packed.items():

@@ -15,6 +15,9 @@ from m100link.mavlink.peers import Address
 
 __all__ = ["bind", "is_loopback", "read_address", "serving"]
 
+_AT_ONCE = 500
+_LONGEST = 65536
+
 
 def read_address(url: str) -> Address:
     """Host and port of ``udp://host:port``.
@@ -67,11 +70,20 @@ def bind(address: Address) -> socket.socket:
 
 
 class _Datagrams(asyncio.DatagramProtocol):
-    def __init__(self, received: Callable[[bytes, Address], None]) -> None:
+    def __init__(self, bound: socket.socket, received: Callable[[bytes, Address], None]) -> None:
+        self._bound = bound
         self._received = received
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         self._received(data, (addr[0], addr[1]))
+        # The loop reads one each time it turns: in a flood the queue of the socket would be full
+        # always, and the system drops what comes then, whoever sent it.
+        for _ in range(_AT_ONCE):
+            try:
+                data, (host, port) = self._bound.recvfrom(_LONGEST)
+            except OSError:
+                return  # nothing waits any more, or the loop will tell
+            self._received(data, (host, port))
 
     def error_received(self, exc: Exception) -> None:
         """Nobody listens there; that is told by heartbeats that do not come."""
@@ -89,7 +101,7 @@ async def serving(
     """
     loop = asyncio.get_running_loop()
     transport, _ = await loop.create_datagram_endpoint(
-        lambda: _Datagrams(received), sock=bound.dup()
+        lambda: _Datagrams(bound, received), sock=bound.dup()
     )
     try:
         yield transport.sendto

@@ -10,6 +10,7 @@ import pytest
 
 from m100link.mavlink.modes import Mode, Phase
 from m100link.mavlink.numbers import Command, Result
+from m100link.mavlink.parameters import PARAMETERS
 from m100link.mavlink.peers import MOST_PEERS
 from tests.mavlink.conftest import Ground, Rig
 
@@ -339,3 +340,31 @@ async def test_what_was_sent_while_the_process_stood_still_is_not_carried_out(
     assert "s of standstill" in ground.texts
     await ground.arm()
     assert rig.agent.holding.has_authority
+
+
+@pytest.mark.parametrize("is_known", [False, True])
+async def test_a_flood_from_one_address_does_not_keep_others_out(
+    rig: Rig, ground: Ground, is_known: bool
+) -> None:
+    await ground.fly(4.0)
+    flood = Ground(rig, ("127.0.0.1", 9999), 99)
+    flood.is_silent = not is_known
+    flood.beat()
+    await anyio.sleep(0.1)
+    for _ in range(300):
+        rig.bridge.received(bytes(1400), flood.address)
+    ground.command(Command.NAV_LAND)
+    assert ground.last("COMMAND_ACK")["command"] == Command.NAV_LAND
+    assert ground.last("COMMAND_ACK")["result"] == Result.ACCEPTED
+    assert rig.bridge.dropped > 200
+
+
+async def test_what_is_answered_counts_as_what_is_read(rig: Rig, ground: Ground) -> None:
+    """A question of twenty bytes has answers of five hundred."""
+    for _ in range(500):
+        ground.send("PARAM_REQUEST_LIST", target_system=1, target_component=1)
+    assert len(ground.all("PARAM_VALUE")) < 1000
+    await anyio.sleep(0.1)
+    ground.heard.clear()
+    ground.send("PARAM_REQUEST_LIST", target_system=1, target_component=1)
+    assert len(ground.all("PARAM_VALUE")) == len(PARAMETERS)
