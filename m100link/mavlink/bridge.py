@@ -161,6 +161,8 @@ class Bridge:
             waiting, craft.vehicle.outbox = craft.vehicle.outbox, []
             for message, peer in waiting:
                 frame = self._frame(craft, message)
+                if frame is None:
+                    continue
                 if peer is not None and peer.address in self._shares:
                     self._shares[peer.address] -= len(frame)
                 for address in everybody if peer is None else (peer.address,):

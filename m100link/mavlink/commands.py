@@ -169,9 +169,8 @@ class Commands:
                 self._tell(Severity.WARNING, "there is no mission to fly")
                 return Result.DENIED
             return self._fly_mission(wish, now)
-        if mode in (Mode.OFFBOARD, Mode.POSCTL, Mode.ALTCTL) and not self._deck.has_setpoint(
-            mode, now
-        ):
+        is_steered = mode in (Mode.OFFBOARD, Mode.POSCTL, Mode.ALTCTL)
+        if is_steered and not self._deck.has_setpoint(mode, peer, now):
             self._tell(Severity.WARNING, f"{mode.value}: no setpoint came yet")
             return Result.DENIED
         orders: dict[Mode, Order] = {

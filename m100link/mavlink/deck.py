@@ -99,6 +99,7 @@ class Deck:
     Attributes:
         orders: What the crew has to carry out, oldest first.
         operator: Who armed the aircraft, or moved it first after that one was lost.
+        steering: Whose setpoints came last.
         running: What flies.
         is_unwanted: Whether it was disarmed while authority was asked for: it is given back.
         on_armed: Called with whether and why not, when a request for authority has ended.
@@ -115,6 +116,7 @@ class Deck:
         self._streams = streams
         self.orders: list[Order | Steer] = []
         self.operator: Peer | None = None
+        self.steering: Peer | None = None
         self.running = Running.NOTHING
         self.is_unwanted = False
         self.on_armed: Callable[[M100Error | None], None] = lambda _: None
@@ -369,7 +371,8 @@ class Deck:
     def _stream(self, phase: Phase, now: float) -> None:
         stream = self._streams[self._mode]
         try:
-            setpoint = stream.setpoint(now)
+            # Nobody is flown by setpoints that another one sent before.
+            setpoint = stream.setpoint(now) if self.steering == self.operator else None
         except M100Error as error:
             self.hold(f"{self._mode.value}: {error.seen}")
             return
@@ -383,9 +386,9 @@ class Deck:
             self._begin(Wish(self._mode, TakeOff()))
             self._waiting = wish
 
-    def has_setpoint(self, mode: Mode, now: float) -> bool:
-        """Whether there is something to fly in a mode of setpoints."""
-        return self._streams[mode].is_fresh(now)
+    def has_setpoint(self, mode: Mode, peer: Peer, now: float) -> bool:
+        """Whether somebody's setpoints can be flown in a mode of setpoints."""
+        return self.steering == peer and self._streams[mode].is_fresh(now)
 
     def hold(self, why: str) -> None:
         """The bridge itself wants a hover, and says why."""

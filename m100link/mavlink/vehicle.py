@@ -193,12 +193,14 @@ class Vehicle:
 
     def _setpoint(self, message: Message, peer: Peer, now: float) -> None:
         if self._may_steer(peer):
+            self.deck.steering = peer
             refusal = self._offboard.receive(message, now)
             if refusal:
                 self._texts.tell(Severity.WARNING, f"setpoint: {refusal}")
 
     def _sticks(self, message: Message, peer: Peer, now: float) -> None:
         if self._may_steer(peer):
+            self.deck.steering = peer
             for manual in self._manual.values():
                 manual.receive(message, now)
 

@@ -368,3 +368,33 @@ async def test_what_is_answered_counts_as_what_is_read(rig: Rig, ground: Ground)
     ground.heard.clear()
     ground.send("PARAM_REQUEST_LIST", target_system=1, target_component=1)
     assert len(ground.all("PARAM_VALUE")) == len(PARAMETERS)
+
+
+def send_velocity(ground: Ground, **velocity: float) -> None:
+    """A setpoint that ignores all but velocities."""
+    ground.send(
+        "SET_POSITION_TARGET_LOCAL_NED",
+        target_system=1,
+        target_component=1,
+        coordinate_frame=1,
+        type_mask=0b1101_1100_0111,
+        **velocity,
+    )
+
+
+async def test_nobody_is_flown_by_setpoints_of_another(rig: Rig, ground: Ground) -> None:
+    await ground.fly(5.0)
+    ground.is_silent = True
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    third = Ground(rig, ("127.0.0.1", 7001), 247)
+    other.beat()
+    third.beat()
+    await rig.until(lambda: "is lost" in other.texts)
+    send_velocity(third, vx=3.0)
+    assert await other.set_mode(Mode.OFFBOARD) is Result.DENIED
+    send_velocity(other)
+    assert await other.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    for _ in range(20):
+        send_velocity(third, vx=3.0)
+        await anyio.sleep(0.1)
+        assert rig.speed < 0.1
