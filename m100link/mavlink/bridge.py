@@ -50,6 +50,7 @@ class _Craft:
         self.sequence = 0
         agent.on_event.append(self.vehicle.event)
         agent.on_steer_refused.append(self._steer_refused)
+        agent.on_authority_taken.append(lambda _: self.vehicle.deck.taken())
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
         lease = self.vehicle.world.lease

@@ -350,14 +350,23 @@ class Deck:
                 self._stream(phase, now)
             self._look_idle(phase, now)
         elif not (self._is_interrupting or self._world.is_arming):
-            # Control was lost: what was wanted is not wanted by whoever flies now.
-            self._waiting, self._mode = None, Mode.HOLD
-            is_disarming = isinstance(self._current, Disarm)
-            self._current, self.running = self._current if is_disarming else None, Running.NOTHING
+            self._forget()
             if phase in (Phase.DISARMED, Phase.OTHER) and self._remembered is None:
                 self.operator = None
+            is_disarming = isinstance(self._current, Disarm)
             if phase is Phase.DISARMED and self._world.has_lease and not is_disarming:
                 self._disarm()
+
+    def _forget(self) -> None:
+        """What was wanted before control was lost is not wanted by whoever flies now."""
+        self._waiting, self._mode, self.running = None, Mode.HOLD, Running.NOTHING
+        if not isinstance(self._current, Disarm):
+            self._current = None
+
+    def taken(self) -> None:
+        """Control was lost, even if it comes back before somebody looks."""
+        if not self._is_interrupting:
+            self._forget()
 
     def _look_idle(self, phase: Phase, now: float) -> None:
         if phase is Phase.AIRBORNE or self.running is Running.STREAM:

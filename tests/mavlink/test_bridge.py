@@ -398,3 +398,28 @@ async def test_nobody_is_flown_by_setpoints_of_another(rig: Rig, ground: Ground)
         send_velocity(third, vx=3.0)
         await anyio.sleep(0.1)
         assert rig.speed < 0.1
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3"])
+async def test_nothing_resumes_when_the_pilot_was_there_however_short(
+    firmware: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        ground, remote = rig.ground, rig.aircraft.vehicle.remote
+        await ground.fly(5.0)
+        send_velocity(ground, vx=2.0)
+        assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+        for number in range(160):
+            send_velocity(ground, vx=2.0)
+            await anyio.sleep(0.05)
+            if number == 40:
+                assert rig.speed > 1.0
+                step = rig.bridge.step
+                monkeypatch.setattr(rig.bridge, "step", lambda: None)  # it is late
+                remote.set_mode("P")
+                await rig.until(lambda: not rig.client.has_authority)
+                remote.set_mode("F")
+                await rig.until(lambda: rig.client.has_authority)
+                monkeypatch.setattr(rig.bridge, "step", step)
+        assert ground.mode is not Mode.OFFBOARD
+        assert rig.speed < 0.1
