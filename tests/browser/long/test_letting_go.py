@@ -149,16 +149,21 @@ async def test_a_gamepad_that_is_held_while_the_page_loses_the_focus(console: Co
     )
     await page.click("#pad")
     await page.keyboard.press("Digit4")
-    await page.evaluate("window.pad.buttons = Array(6).fill({pressed: true})")
-    await until(lambda: console.watch.speed[1] > 0.5)
+
+    async def press() -> None:
+        await page.evaluate("window.pad.buttons = Array(6).fill({pressed: true})")
+
+    async def lift() -> None:
+        await page.evaluate("window.pad.buttons = Array(6).fill({pressed: false})")
+        await asyncio.sleep(0.2)
+
+    await steer(page, press, lift, lambda: console.watch.speed[1] > 0.5)
     await page.click("#banner")
     await until(lambda: is_still(console))
     await page.click("#pad")  # the shoulder button is still held
     await stays_still(console)
-    await page.evaluate("window.pad.buttons = Array(6).fill({pressed: false})")
-    await asyncio.sleep(0.2)
-    await page.evaluate("window.pad.buttons = Array(6).fill({pressed: true})")
-    await until(lambda: console.watch.speed[1] > 0.5)
+    await lift()
+    await steer(page, press, lift, lambda: console.watch.speed[1] > 0.5)
 
 
 async def test_a_key_that_is_held_through_stop(console: Console) -> None:
