@@ -64,13 +64,20 @@ class Peers:
         """
         if peer not in self._heard and len(self._heard) >= MOST_PEERS:
             self.forget(now)
-            if len(self._heard) >= MOST_PEERS:
+            if len(self._heard) >= MOST_PEERS and not (is_trusted and self._make_room()):
                 self.refused += 1
                 return False
         self._heard[peer] = now
         if is_trusted:
             self._trusted[peer] = now
         return True
+
+    def _make_room(self) -> bool:
+        """Who cannot be trusted makes way for who can: without a key anybody sends heartbeats."""
+        found = next((one for one in self._heard if one not in self._trusted), None)
+        if found is not None:
+            del self._heard[found]
+        return found is not None
 
     def knows(self, peer: Peer, now: float) -> bool:
         """Whether it has been heard lately: others are not obeyed, and not answered."""

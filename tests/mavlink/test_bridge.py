@@ -8,6 +8,7 @@ from random import Random
 import anyio
 import pytest
 
+from m100link.mavlink.codec import Message, Signer, write_frame
 from m100link.mavlink.modes import Mode, Phase
 from m100link.mavlink.numbers import Command, Result
 from m100link.mavlink.parameters import PARAMETERS
@@ -423,3 +424,17 @@ async def test_nothing_resumes_when_the_pilot_was_there_however_short(
                 monkeypatch.setattr(rig.bridge, "step", step)
         assert ground.mode is not Mode.OFFBOARD
         assert rig.speed < 0.1
+
+
+async def test_who_signs_is_not_kept_out_by_those_who_do_not() -> None:
+    key = bytes(range(32))
+    async with Rig(signer=Signer(key)).running() as rig:
+        beat = write_frame(Message("HEARTBEAT", {}), system=9, sequence=0)
+        for port in range(5 * MOST_PEERS):
+            rig.bridge.received(beat, ("127.0.0.1", 20000 + port))
+        assert len(rig.bridge.peers.addresses(rig.client.now)) == MOST_PEERS
+        rig.ground_signer = Signer(key, _sent=2**47)  # later than any real clock says
+        late = Ground(rig, ("127.0.0.1", 7000), 246)
+        late.beat()
+        await late.arm()
+        assert len(rig.bridge.peers.addresses(rig.client.now)) == MOST_PEERS
