@@ -185,16 +185,21 @@ class Commands:
     def take_off(self, asked: Asked, now: float) -> Result:
         """NAV_TAKEOFF: to an altitude above sea level, or to the height of the parameter."""
         altitude = math.nan if asked.z == 0.0 else asked.z
+        if asked.frame in _RELATIVE and math.isfinite(altitude):
+            altitude += self._ground()
         order = TakeOff(self._take_off_height(altitude))
         return self._deck.wish(Wish(Mode.TAKEOFF, order, asked.peer), now)
+
+    def _ground(self) -> float:
+        ground = self._world.ground_altitude
+        if ground is None:
+            raise UsageError("take-off: nobody knows the altitude of the ground")
+        return ground
 
     def _take_off_height(self, altitude: float) -> float:
         height = self._parameters["MIS_TAKEOFF_ALT"]
         if math.isfinite(altitude):
-            ground = self._world.ground_altitude
-            if ground is None:
-                raise UsageError("take-off: nobody knows the altitude of the ground")
-            height = altitude - ground
+            height = altitude - self._ground()
         if height <= 0.0:
             raise UsageError(f"take-off to {height:.1f} m above the ground")
         self._check(ChangeHeight(height))

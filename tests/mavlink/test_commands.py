@@ -214,3 +214,22 @@ async def test_no_number_of_a_command_is_too_much_for_it(
     assert await ground.ask(command, *[given] * 7) is not Result.FAILED
     await anyio.sleep(1.0)
     assert not rig.motors_on
+
+
+@pytest.mark.parametrize("frame", [0, 3, 5, 6])
+async def test_a_take_off_is_as_high_as_its_frame_says(
+    rig: Rig, ground: Ground, frame: int
+) -> None:
+    await ground.arm()
+    sea_level = rig.ground_altitude if frame in (0, 5) else 0.0
+    ground.send(
+        "COMMAND_INT",
+        command=Command.NAV_TAKEOFF,
+        target_system=1,
+        target_component=1,
+        frame=frame,
+        z=sea_level + 4.0,
+    )
+    await rig.until(lambda: rig.height > 3.6)
+    await anyio.sleep(3.0)
+    assert rig.height == pytest.approx(4.0, abs=0.5)
