@@ -59,11 +59,11 @@ class MavlinkOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
 def mavlink(
     *url: Annotated[str, offered(places)], options: MavlinkOptions = MavlinkOptions()
 ) -> int:
-    """Let programs that speak MAVLink see and fly aircraft, until Ctrl-C.
+    """Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.
 
-    MAVSDK, QGroundControl, MAVProxy and pymavlink take each for a vehicle with PX4's modes. Without
-    --listen and --to those are spoken to that listen on this machine, at the usual ports 14550 and
-    14540: `m100link mavlink sim://`.
+    They take each for a vehicle with PX4's modes, until Ctrl-C. Without --listen and --to those
+    are spoken to that listen on this machine, at the usual ports 14550 and 14540: `m100link mavlink
+    sim://`.
 
     Args:
         url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
