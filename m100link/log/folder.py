@@ -122,5 +122,7 @@ def _is_ours(path: Path) -> bool:
     with path.open("rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             return False
-        first = next(records(stream), None)
-    return isinstance(first, Header) and first.library.startswith("m100link ")
+        match next(records(stream), None):
+            case Header(library=writer):
+                return writer.startswith("m100link ")
+    return False
