@@ -35,6 +35,9 @@ _READ_PER_STEP = 32768
 """Bytes that are read and answered in one step, shared out evenly among the addresses of peers,
 and one share for all strangers: a flood is dropped, and holds up neither setpoints nor others."""
 
+_MESSAGE_COST = 60
+"""What each message counts on top: the shortest ones take as long to read as others."""
+
 _STOOD_STILL_S = 1.0
 """Seconds without a step after which what waits to be read is old."""
 
@@ -120,6 +123,7 @@ class Bridge:
             return
         self._shares[sender] -= len(data)
         for message in read_datagram(data, signer=self._signer, now=_signature_time()):
+            self._shares[sender] -= _MESSAGE_COST
             self._take(message, Peer(address, message.system, message.component), now)
         self._flush(now)
 

@@ -438,3 +438,10 @@ async def test_who_signs_is_not_kept_out_by_those_who_do_not() -> None:
         late.beat()
         await late.arm()
         assert len(rig.bridge.peers.addresses(rig.client.now)) == MOST_PEERS
+
+
+async def test_short_messages_are_as_few_as_long_ones(rig: Rig, ground: Ground) -> None:
+    await anyio.sleep(0.1)
+    for _ in range(1000):
+        ground.beat()
+    assert rig.bridge.dropped > 700
