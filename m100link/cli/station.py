@@ -96,6 +96,7 @@ def aircraft_of(
 
     Raises:
         UsageError: Two are called alike or are the same, or something cannot be.
+        BadURL: No transport leads to one.
     """
     if len(words) < 2:
         name, url = _named(words[0]) if words else ("", None)
@@ -124,8 +125,19 @@ def aircraft_of(
 
 
 def _in_process(settings: Settings) -> Settings:
-    """``sim://`` is the virtual aircraft that a station brings."""
-    return replace(settings, url=None, sim=True) if settings.url == "sim://" else settings
+    """``sim://`` is the virtual aircraft that a station brings; for another there is a transport.
+
+    Raises:
+        BadURL: There is none, and waiting for the aircraft would not end.
+    """
+    if settings.url == "sim://":
+        return replace(settings, url=None, sim=True)
+    if settings.url is not None and not settings.url.startswith("replay://"):
+        from m100link.link.transport import find_transport  # who decodes a frame needs none
+        from m100link.link.url import parse_url
+
+        find_transport(parse_url(settings.url))
+    return settings
 
 
 @Parameter(name="*")

@@ -31,7 +31,7 @@ from m100link.errors import (
 from m100link.link.serial_transport import HIGH_WATER, PORT_GONE, SerialTransport
 from m100link.link.url import EXAMPLES, ConnectionString
 
-__all__ = ["Opener", "open_transport", "port_owners", "serial_ports"]
+__all__ = ["Opener", "find_transport", "open_transport", "port_owners", "serial_ports"]
 
 _logger = logging.getLogger(__name__)
 
@@ -79,25 +79,22 @@ class _PolledTransport(serial_asyncio.SerialTransport):
         super()._call_connection_lost(exc)
 
 
-async def open_transport(
-    address: ConnectionString, protocol: asyncio.Protocol
-) -> asyncio.Transport:
-    """Open the line and attach a protocol to it.
+def find_transport(address: ConnectionString) -> Opener:
+    """What opens a line of this scheme; nothing is opened.
 
     Raises:
-        PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
         BadURL: No transport of that scheme is installed.
     """
     if address.scheme == "serial":
-        return await _open_serial(address, protocol)
+        return _open_serial
     if address.scheme == "tcp":
-        return await _open_tcp(address, protocol)
+        return _open_tcp
     # Loading it takes a fifth of what the whole package takes, and few connections get here.
     from importlib.metadata import entry_points
 
     for entry_point in entry_points(group="m100link.transports", name=address.scheme):
         opener: Opener = entry_point.load()
-        return await opener(address, protocol)
+        return opener
     if address.scheme == "replay":
         raise BadURL(
             f"{address} is a recorded flight, and not a line to look at",
@@ -107,6 +104,18 @@ async def open_transport(
         f"there is no transport called {address.scheme!r}",
         remedy="write it like one of these:" + "".join(f"\n      {text}" for text in EXAMPLES),
     )
+
+
+async def open_transport(
+    address: ConnectionString, protocol: asyncio.Protocol
+) -> asyncio.Transport:
+    """Open the line and attach a protocol to it.
+
+    Raises:
+        PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
+        BadURL: No transport of that scheme is installed.
+    """
+    return await find_transport(address)(address, protocol)
 
 
 async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:

@@ -92,6 +92,9 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
     ("arguments", "says"),
     [
         (("serve",), "no aircraft was named"),
+        (("serve", "simm://"), "there is no transport called 'simm'"),
+        (("serve", "one=sim://", "two=simm://"), "there is no transport called 'simm'"),
+        (("mavlink", "simm://"), "there is no transport called 'simm'"),
         (("serve", "--sim", "--host", "0.0.0.0"), "there is no token"),
         (("serve", "--sim", "--launch", "/none.launch"), "launch file cannot be read"),
         (("serve", "--sim", "--pages", "/none"), "is not a folder"),
