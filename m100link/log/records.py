@@ -186,16 +186,18 @@ class _Reader:
             if _fits(head) and (self._goes_on(end) or not is_part):
                 if kind in _READ:
                     stream.seek(at + _HEAD.size)
-                    yield kind, stream.read(length)
+                    body = stream.read(length)
+                    if len(body) == length:  # an end that is cut off is not one
+                        yield kind, body
                 if self._goes_on(end):
                     at = end
                     continue
             # A part whose own length is damaged may stand here, or behind this record.
             place = end if _fits(head) and not is_part else at
-            body = self._part_at(place)
-            if body is not None:
-                yield _CHUNK, body
-            next_at = self._next_part(at + 1 if body is None else place + _HEAD.size + len(body))
+            part = self._part_at(place)
+            if part is not None:
+                yield _CHUNK, part
+            next_at = self._next_part(at + 1 if part is None else place + _HEAD.size + len(part))
             if next_at is None:
                 return
             at = next_at
