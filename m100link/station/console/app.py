@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 from nicegui import Client, ui
+from nicegui import app as nicegui_app
 from starlette.routing import WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
@@ -85,6 +86,9 @@ def console_app(
             tabs=tabs,
         ).build(key)
 
+    # Quasar would draw a bar over the line of state for each request behind the page, and a bar
+    # that has no name for who listens to it. The page says itself what it waits for.
+    nicegui_app.config.quasar_config["loadingBar"]["skipHijack"] = True
     ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
     ui.run_with(
         app,
