@@ -8,10 +8,11 @@ from typing import Any
 
 from m100link.agent.client import AgentClient
 from m100link.agent.guided import ChangeHeight
-from m100link.errors import LinkError, M100Error, NoAuthority
+from m100link.errors import LinkError, M100Error, NoAuthority, TaskRefused
 from m100link.mavlink.deck import Deck
 from m100link.mavlink.orders import (
     Arm,
+    CallOff,
     Disarm,
     Flight,
     GoHome,
@@ -27,6 +28,9 @@ from m100link.protocol.commands.control import Task
 __all__ = ["Crew"]
 
 _RENEWAL_S = 0.5
+_TAKES_OFF_WITHIN_S = 2.5
+"""Seconds after its order in which a take-off shows, if it is flown (DJI's samples wait for 2)."""
+_LANDS_WITHIN_S, _LANDS_AGAIN_S = 30.0, 0.5
 _CLOSE_M = 0.3
 """A climb of less than this after the take-off is not asked for."""
 
@@ -61,6 +65,7 @@ class Crew:
         self._renewed_at = agent.now
         self._doing: dict[type[Any], Callable[[Any], Awaitable[None]]] = {
             Disarm: self._disarm,
+            CallOff: self._call_off,
             TakeOff: self._take_off,
             Land: self._land,
             GoHome: self._go_home,
@@ -89,7 +94,7 @@ class Crew:
         if self._work is not None:
             self._work.cancel()
         self._work = self._agent.background.spawn(self._carry_out(order), type(order).__name__)
-        self._is_disarming = isinstance(order, Disarm)
+        self._is_disarming = isinstance(order, Disarm | CallOff)
 
     async def _carry_out(self, order: Order) -> None:
         error = None
@@ -128,6 +133,34 @@ class Crew:
 
     async def _disarm(self, order: Disarm) -> None:
         await self._let_go()
+
+    async def _call_off(self, order: CallOff) -> None:
+        self._world.may_take_off = True
+        try:
+            await self._agent.release(self._world.lease)
+            # It may have been taking off until now: what counts is what it does after a while.
+            await asyncio.sleep(_TAKES_OFF_WITHIN_S)
+            if self._world.is_on_ground is not True:
+                await self._agent.obtain(self._world.lease)
+                await self._land_at_last()
+        finally:
+            self._world.may_take_off = False
+        await self._let_go()
+
+    async def _land_at_last(self) -> None:
+        """The aircraft refuses a landing until its take-off is over."""
+        until = self._agent.now + _LANDS_WITHIN_S
+        while True:
+            try:
+                await self._agent.fly(self._world.lease, Task.LAND)
+            except TaskRefused:
+                if self._world.is_on_ground:
+                    return
+                if self._agent.now >= until:
+                    raise
+                await asyncio.sleep(_LANDS_AGAIN_S)
+            else:
+                return
 
     async def _let_go(self) -> None:
         lease = self._world.lease

@@ -27,6 +27,7 @@ from m100link.mavlink.modes import (
 from m100link.mavlink.numbers import Result, Severity
 from m100link.mavlink.orders import (
     Arm,
+    CallOff,
     Disarm,
     Flight,
     GoHome,
@@ -136,7 +137,7 @@ class Deck:
     def phase(self) -> Phase:
         """Where the flight stands; a take-off that was ordered counts as flown."""
         phase = self._world.phase
-        if phase is Phase.ARMED and isinstance(self._current, Disarm):
+        if phase is Phase.ARMED and isinstance(self._current, Disarm | CallOff):
             return Phase.DISARMED  # it was asked for, and holds before it is carried out
         is_flying = self.running not in (Running.NOTHING, Running.STREAM)
         return Phase.AIRBORNE if phase is Phase.ARMED and is_flying else phase
@@ -153,7 +154,14 @@ class Deck:
 
     @property
     def _is_interrupting(self) -> bool:
-        return isinstance(self._current, Land | GoHome | Halt) and self._current.is_interrupting
+        order = self._current
+        is_ending = isinstance(order, Land | GoHome | Halt) and order.is_interrupting
+        return is_ending or isinstance(order, CallOff)
+
+    @property
+    def _can_be_called_off(self) -> bool:
+        """Whether a take-off was ordered, and the motors stand as far as anybody knows."""
+        return self.running is Running.TAKE_OFF and self._world.phase is Phase.ARMED
 
     def explain(self) -> str:
         """Why a wish is refused in this phase."""
@@ -215,7 +223,18 @@ class Deck:
             self.running = Running.NOTHING
         self._mode = Mode.HOLD
 
+    def _call_off(self, mode: Mode, why: str) -> None:
+        """Whoever wants to be on the ground while it stands there is not flown up first."""
+        self._tell(Severity.WARNING, f"the take-off is called off: {why}")
+        self._settle()
+        self._mode, self.operator = mode, None
+        self._current, self.running = CallOff(), Running.NOTHING
+        self.orders.append(self._current)
+
     def _start(self, wish: Wish, now: float) -> Result:
+        if wish.mode in _TO_THE_GROUND and self._can_be_called_off:
+            self._call_off(wish.mode, f"{wish.mode.value} was asked for")
+            return Result.ACCEPTED
         step = RUNNING[self.running][wish.mode]
         is_later = step is Step.WAIT and self._waiting is not None
         if is_later and self._waiting is not None and self._waiting.mode in _TO_THE_GROUND:
@@ -226,6 +245,7 @@ class Deck:
         self._take_operator(wish.peer)
         if step is Step.WAIT:
             self._waiting, self._mode = wish, wish.mode
+            self._tell(Severity.NOTICE, f"{wish.mode.value}: when the take-off is over")
         elif step is Step.INTERRUPT and isinstance(wish.order, Land | GoHome | Halt):
             self._begin(replace(wish, order=replace(wish.order, is_interrupting=True)))
         elif step is not Step.KEEP:
@@ -287,7 +307,13 @@ class Deck:
                 Severity.WARNING, "disarm: not in the air, the M100 cannot stop motors there"
             )
             return Result.DENIED
-        if verdict is Verdict.START:
+        if isinstance(self._current, CallOff):
+            # It gives control back, and looks whether the aircraft stays on the ground.
+            self._settle()
+            self.is_unwanted = self._world.is_arming
+        elif self._can_be_called_off:
+            self._call_off(Mode.HOLD, "disarmed")
+        elif verdict is Verdict.START:
             self._disarm()
         return Result.ACCEPTED
 
@@ -434,7 +460,9 @@ class Deck:
         phase = self.phase
         if lost is None:
             return
-        if phase is Phase.ARMED or phase is Phase.ARMING:
+        if self._can_be_called_off:
+            self._call_off(Mode.HOLD, f"{lost.name} is lost")
+        elif phase is Phase.ARMED or phase is Phase.ARMING:
             self._tell(Severity.WARNING, f"{lost.name} is lost: disarmed")
             self._disarm()
         elif phase is Phase.AIRBORNE and self.running not in (Running.LAND, Running.GO_HOME):

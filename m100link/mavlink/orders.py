@@ -11,6 +11,7 @@ from m100link.protocol.setpoint import Setpoint
 
 __all__ = [
     "Arm",
+    "CallOff",
     "Disarm",
     "Do",
     "Flight",
@@ -49,6 +50,16 @@ class TakeOff:
     """
 
     height: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CallOff:
+    """Keep a take-off that was ordered from being flown, and give lease and authority back.
+
+    Giving back is all that can be done on the ground: a landing is refused there, and nothing stops
+    the motors (document, 2.2.2). Whether it ends a take-off that the aircraft has accepted is not
+    told anywhere, so it is watched; an aircraft that takes off all the same is landed.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,12 +142,13 @@ class Steer:
     lifetime: float
 
 
-Order = Arm | Disarm | TakeOff | Land | GoHome | Halt | Flight
+Order = Arm | Disarm | CallOff | TakeOff | Land | GoHome | Halt | Flight
 """What takes time and has an end; the newest one replaces what was ordered before it."""
 
 _RUNNING: dict[type[Order], Running] = {
     Arm: Running.NOTHING,
     Disarm: Running.NOTHING,
+    CallOff: Running.NOTHING,
     TakeOff: Running.TAKE_OFF,
     Land: Running.LAND,
     GoHome: Running.GO_HOME,

@@ -85,6 +85,7 @@ class World:
         known: The same.
         lease: The lease that the bridge has taken; None for none.
         is_arming: Whether control authority is being obtained for the bridge.
+        may_take_off: Whether a take-off was called off, and the aircraft may fly it all the same.
         home: Where it stood last; None while nobody knows.
     """
 
@@ -92,6 +93,7 @@ class World:
         self.known = known
         self.lease: Lease | None = None
         self.is_arming = False
+        self.may_take_off = False
         self.home: Home | None = None
 
     # -- telemetry -------------------------------------------------------------------------------
@@ -194,7 +196,8 @@ class World:
 
         Who reads this puts a hand to the propellers, so what is unknown counts as armed.
         """
-        return self.is_on_ground is not True or self.known.has_authority
+        is_standing = self.is_on_ground is True and not self.may_take_off
+        return not is_standing or self.known.has_authority
 
     @property
     def switch(self) -> RcMode | None:

@@ -13,6 +13,7 @@ from m100link.mavlink.modes import Mode, Phase
 from m100link.mavlink.numbers import Command, Result
 from m100link.mavlink.parameters import PARAMETERS
 from m100link.mavlink.peers import MOST_PEERS
+from m100link.sim.vehicle.flight import FlightController
 from tests.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
@@ -268,6 +269,87 @@ async def test_disarming_on_the_ground_wins_over_a_take_off(
     assert not rig.motors_on
     assert not rig.agent.holding.has_authority
     assert not ground.armed()
+
+
+_LAND, _HOME = (Command.NAV_LAND,), (Command.NAV_RETURN_TO_LAUNCH,)
+
+
+@pytest.mark.parametrize("end", [_LAND, _HOME, _DISARM])
+@pytest.mark.parametrize("gap", [0.0, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+async def test_a_take_off_is_called_off_before_the_motors_turn(
+    firmware: str, end: tuple[float, ...], gap: float
+) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        ground = rig.ground
+        await ground.arm()
+        ground.command(*_UP)
+        await anyio.sleep(gap)
+        is_early = rig.vehicle.world.phase is Phase.ARMED
+        assert await ground.ask(int(end[0]), *end[1:]) is (
+            Result.ACCEPTED if is_early or end is not _DISARM else Result.DENIED
+        )
+        highest = 0.0
+        for _ in range(250):
+            await anyio.sleep(0.02)
+            highest = max(highest, rig.height)
+            assert ground.armed() or not rig.motors_on
+        if is_early:
+            assert highest < 0.1
+            assert not rig.motors_on
+            assert not rig.agent.holding.has_authority
+            assert not rig.client.holder.number
+            assert "the take-off is called off" in ground.texts
+        elif end is not _DISARM:
+            await rig.until(lambda: not rig.motors_on)
+            assert "when the take-off is over" in ground.texts
+
+
+@pytest.mark.parametrize("end", [_LAND, _HOME, _DISARM])
+async def test_what_takes_off_although_it_was_called_off_is_landed(
+    rig: Rig, ground: Ground, end: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No fact says that giving authority back ends a take-off: here it does not."""
+    monkeypatch.setattr(FlightController, "interrupt", lambda _: None)
+    await ground.arm()
+    ground.command(*_UP)
+    await anyio.sleep(0.03)
+    assert rig.vehicle.world.phase is Phase.ARMED
+    assert await ground.ask(int(end[0]), *end[1:]) is Result.ACCEPTED
+    await rig.until(lambda: rig.height > 0.5)
+    assert ground.armed()
+    await rig.until(lambda: not rig.motors_on)
+    await rig.until(lambda: not rig.client.holder.number)
+    await rig.until(lambda: not ground.armed())
+
+
+async def test_a_take_off_whose_ground_station_is_lost_on_the_ground_is_called_off(
+    rig: Rig, ground: Ground
+) -> None:
+    await ground.arm()
+    ground.command(*_UP)
+    rig.vehicle.deck.operator_lost()
+    await anyio.sleep(5.0)
+    assert not rig.motors_on
+    assert not rig.client.holder.number
+
+
+@pytest.mark.parametrize("is_wanted", [True, False])
+async def test_arming_waits_until_a_take_off_is_called_off(
+    rig: Rig, ground: Ground, is_wanted: bool
+) -> None:
+    await ground.arm()
+    ground.command(*_UP)
+    ground.command(*_LAND)
+    await anyio.sleep(0.5)
+    ground.command(*_ARM)
+    await anyio.sleep(0.5)
+    assert not rig.agent.holding.has_authority
+    if not is_wanted:
+        ground.command(*_DISARM)
+    await anyio.sleep(5.0)
+    assert rig.agent.holding.has_authority is is_wanted
+    assert not rig.motors_on
 
 
 async def test_arming_after_disarming_waits_until_control_is_given_back(

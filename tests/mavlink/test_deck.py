@@ -22,7 +22,7 @@ from m100link.mavlink.modes import (
     Verdict,
 )
 from m100link.mavlink.numbers import Command, Result, Severity
-from m100link.mavlink.orders import Arm, Disarm, Flight, GoHome, Halt, Land, Order, TakeOff
+from m100link.mavlink.orders import Arm, CallOff, Disarm, Flight, GoHome, Halt, Land, Order, TakeOff
 from m100link.mavlink.peers import Peer
 from m100link.mavlink.world import World
 from m100link.protocol.setpoint import Setpoint
@@ -155,6 +155,25 @@ def test_a_wish_over_what_flies(running: Running, mode: Mode) -> None:
         assert deck.mode is (Mode.HOLD if mode is Mode.GOTO else mode)
         deck.took_off(flying.order, 1.0)
         assert deck.running is not Running.TAKE_OFF
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_a_wish_over_a_take_off_whose_motors_stand(mode: Mode) -> None:
+    deck, _, told = deck_in(Phase.ARMED)
+    deck.wish(Wish(Mode.TAKEOFF, TakeOff(5.0), PEER), 0.0)
+    deck.orders.clear()
+    told.clear()
+    result = deck.wish(Wish(mode, ORDERS[mode], PEER), 0.0)
+    if mode in (Mode.LAND, Mode.RTL):
+        assert result is Result.ACCEPTED
+        assert deck.orders == [CallOff()]
+        assert deck.mode is mode, "ground stations wait for it"
+        assert "called off" in told[-1][1]
+    else:
+        assert deck.orders == []
+        assert flies(deck) is Running.TAKE_OFF
+    assert deck.disarm(PEER) is Result.ACCEPTED
+    assert deck.orders == [CallOff()], "once"
 
 
 @pytest.mark.parametrize("phase", Phase)
