@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from m100link.agent.client import AgentClient
 from m100link.errors import M100Error, UsageError
@@ -50,7 +50,8 @@ class _Craft:
     def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
         self.vehicle = Vehicle(agent, system, autopilot=autopilot)
         self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, self.vehicle.leg)
-        self.sequence = 0
+        # By address: whoever counts what is missing finds nothing missing that went elsewhere.
+        self.sequences: dict[Address, int] = {}
         agent.on_event.append(self.vehicle.event)
         agent.on_steer_refused.append(self._steer_refused)
         agent.on_authority_taken.append(lambda _: self.vehicle.deck.taken())
@@ -151,10 +152,12 @@ class Bridge:
         """Let time pass."""
         now = self._clock()
         self._stood_still(now)
-        senders = {None, *self.peers.addresses(now)}
+        audience = self.peers.audience(now)
+        senders = {None, *audience}
         self._shares = dict.fromkeys(senders, _READ_PER_STEP // len(senders))
         for craft in self._crafts:
-            craft.vehicle.advance(now, lambda peer: self.peers.is_lost(peer, now))
+            craft.sequences = {one: craft.sequences.get(one, 0) for one in audience}
+            craft.vehicle.advance(now, audience, lambda peer: self.peers.is_lost(peer, now))
             craft.crew.advance()
         self._flush(now)
 
@@ -164,25 +167,30 @@ class Bridge:
         packed: dict[Address, bytearray] = {}
         for craft in self._crafts:
             waiting, craft.vehicle.outbox = craft.vehicle.outbox, []
-            for message, peer in waiting:
-                frame = self._frame(craft, message)
-                if frame is None:
-                    continue
-                if peer is not None and peer.address in self._shares:
-                    self._shares[peer.address] -= len(frame)
-                for address in everybody if peer is None else (peer.address,):
+            for message, to in waiting:
+                addresses: Iterable[Address] = everybody if to is None else ()
+                if isinstance(to, tuple):
+                    addresses = to
+                elif to is not None:
+                    addresses = (to.address,)
+                for address in addresses:
+                    frame = self._frame(craft, message, address)
+                    if frame is None:
+                        break
+                    if isinstance(to, Peer) and address in self._shares:
+                        self._shares[address] -= len(frame)
                     self._pack(packed.setdefault(address, bytearray()), frame, address)
         for address, data in packed.items():
             if data:
                 self._send(bytes(data), address)
 
-    def _frame(self, craft: _Craft, message: Message) -> bytes | None:
-        craft.sequence += 1
+    def _frame(self, craft: _Craft, message: Message, address: Address) -> bytes | None:
+        sequence = craft.sequences[address] = craft.sequences.get(address, 0) + 1
         try:
             return write_frame(
                 message,
                 system=craft.vehicle.system,
-                sequence=craft.sequence,
+                sequence=sequence,
                 signer=self._signer,
                 now=_signature_time() if self._signer is not None else 0,
             )

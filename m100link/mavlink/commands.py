@@ -23,8 +23,9 @@ from m100link.mavlink.numbers import BaseMode, Command, Frame, Result, Severity
 from m100link.mavlink.orders import Flight, GoHome, Halt, Land, Order, TakeOff
 from m100link.mavlink.parameters import Parameters
 from m100link.mavlink.peers import Peer
+from m100link.mavlink.rates import Rates
 from m100link.mavlink.standard_modes import mode_of_number, mode_of_standard
-from m100link.mavlink.telemetry import NUMBERS, STREAMS, Streams
+from m100link.mavlink.telemetry import NUMBERS, STREAMS
 from m100link.mavlink.world import World
 
 __all__ = ["COMMANDS", "Asked", "CommandRow", "Commands", "read_command"]
@@ -76,7 +77,7 @@ class Commands:
         world: The aircraft.
         deck: What decides about flights.
         parameters: Heights and speeds that commands leave open.
-        streams: Telemetry, whose rates may be asked for.
+        rates: How often telemetry is sent, which each peer may ask for.
         tell: Takes reasons.
         request: Sends a message by its number to whoever asks; False where there is none.
         mission: Makes the wish that flies the mission; None where there is none.
@@ -88,7 +89,7 @@ class Commands:
         world: World,
         deck: Deck,
         parameters: Parameters,
-        streams: Streams,
+        rates: Rates,
         *,
         tell: Callable[[Severity, str], None],
         request: Callable[[int, float, Peer, float], bool],
@@ -98,7 +99,7 @@ class Commands:
         self._world = world
         self._deck = deck
         self._parameters = parameters
-        self._streams = streams
+        self._rates = rates
         self._tell = tell
         self._request = request
         self._mission = mission
@@ -367,7 +368,7 @@ class Commands:
         if not math.isfinite(interval):
             return Result.DENIED
         hz = None if interval == 0 else 0.0 if interval < 0 else 1e6 / interval
-        self._streams.set_hz(name, hz)
+        self._rates.set_hz(name, hz, asked.peer)
         return Result.ACCEPTED
 
     def get_interval(self, asked: Asked, now: float) -> Result:
@@ -438,7 +439,7 @@ COMMANDS: Mapping[int, CommandRow] = {
     Command.DO_CHANGE_SPEED: CommandRow(Commands.change_speed, "of later flights to a place"),
     Command.MISSION_START: CommandRow(Commands.start_mission, "flies the mission"),
     Command.DO_SET_MISSION_CURRENT: CommandRow(Commands.set_current, "the item to go on from"),
-    Command.SET_MESSAGE_INTERVAL: CommandRow(Commands.set_interval, "up to 50 Hz, for everybody"),
+    Command.SET_MESSAGE_INTERVAL: CommandRow(Commands.set_interval, "up to 50 Hz, for who asks"),
     Command.GET_MESSAGE_INTERVAL: CommandRow(Commands.get_interval, "answers MESSAGE_INTERVAL"),
     Command.REQUEST_MESSAGE: CommandRow(Commands.request_message, "telemetry, version, modes"),
     Command.GET_HOME_POSITION: CommandRow(Commands.request_home, "answers HOME_POSITION"),

@@ -102,5 +102,12 @@ class Peers:
         self.forget(now)
         return {*self._always, *(one.address for one in self._heard)}
 
+    def audience(self, now: float) -> dict[Address, tuple[Peer, ...]]:
+        """The same, with the peers that are there."""
+        found: dict[Address, tuple[Peer, ...]] = dict.fromkeys(self.addresses(now), ())
+        for peer in self._heard:
+            found[peer.address] += (peer,)
+        return found
+
     def __iter__(self) -> Iterator[Peer]:
         return iter(tuple(self._heard))

@@ -7,11 +7,11 @@ sent. Nothing here makes a number up.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.mavlink.codec import LAYOUTS, Message
+from m100link.mavlink.codec import LAYOUTS
 from m100link.mavlink.modes import MODES, Mode
 from m100link.mavlink.numbers import BaseMode, LandedState, Sensor, SystemStatus
 from m100link.mavlink.world import GPS_NEEDED, World
@@ -27,10 +27,7 @@ from m100link.protocol.records import (
     RemoteControl,
 )
 
-__all__ = ["LOWEST_BATTERY", "MOST_HZ", "STREAMS", "Stream", "Streams", "heartbeat"]
-
-MOST_HZ = 50.0
-"""What a ground station may ask for; more is answered with this."""
+__all__ = ["LOWEST_BATTERY", "NUMBERS", "STREAMS", "Stream", "heartbeat"]
 
 LOWEST_BATTERY = 20
 """Percent below which the agent refuses to take off: not ready to arm."""
@@ -295,70 +292,38 @@ class Stream:
 
     Attributes:
         hz: How often it is sent; 0 until somebody asks.
+        group: MAV_DATA_STREAM of REQUEST_DATA_STREAM.
         fields: Makes it; None where what it says is not known.
         source: What it is made of, for the manual.
     """
 
     hz: float
+    group: int
     fields: Callable[[World, float], Fields | None]
     source: str
 
 
+_SENSORS, _STATUS, _STICKS, _PLACE, _EXTRA1, _EXTRA2, _EXTRA3 = 1, 2, 3, 6, 10, 11, 12
+
 STREAMS: Mapping[str, Stream] = {
-    "SYS_STATUS": Stream(2, _sys_status, "which items come, GPS health, battery"),
-    "EXTENDED_SYS_STATE": Stream(2, _extended, "flight status"),
-    "GLOBAL_POSITION_INT": Stream(20, _global, "position, velocity, heading"),
-    "LOCAL_POSITION_NED": Stream(20, _local, "the same, from home"),
-    "ATTITUDE": Stream(20, _attitude, "attitude, angular velocity"),
-    "ATTITUDE_QUATERNION": Stream(20, _quaternion, "attitude, angular velocity"),
-    "HOME_POSITION": Stream(1, _home, "where it stood last with GPS health 3"),
-    "GPS_RAW_INT": Stream(5, _gps, "GPS health; no satellites, no accuracy"),
-    "BATTERY_STATUS": Stream(1, _battery, "percent; no voltage, no current"),
-    "RC_CHANNELS": Stream(5, _rc, "sticks, mode switch, gear"),
-    "VFR_HUD": Stream(0, _vfr, "velocity, altitude; no airspeed"),
-    "ALTITUDE": Stream(0, _altitude, "barometric altitude, height"),
-    "HIGHRES_IMU": Stream(0, _imu, "angular velocity, acceleration"),
-    "SYSTEM_TIME": Stream(0, lambda _, now: {"time_boot_ms": _ms(now)}, "time of the bridge"),
+    "SYS_STATUS": Stream(2, _STATUS, _sys_status, "which items come, GPS health, battery"),
+    "EXTENDED_SYS_STATE": Stream(2, _STATUS, _extended, "flight status"),
+    "GLOBAL_POSITION_INT": Stream(20, _PLACE, _global, "position, velocity, heading"),
+    "LOCAL_POSITION_NED": Stream(20, _PLACE, _local, "the same, from home"),
+    "ATTITUDE": Stream(20, _EXTRA1, _attitude, "attitude, angular velocity"),
+    "ATTITUDE_QUATERNION": Stream(20, _EXTRA1, _quaternion, "attitude, angular velocity"),
+    "HOME_POSITION": Stream(1, _PLACE, _home, "where it stood last with GPS health 3"),
+    "GPS_RAW_INT": Stream(5, _SENSORS, _gps, "GPS health; no satellites, no accuracy"),
+    "BATTERY_STATUS": Stream(1, _STATUS, _battery, "percent; no voltage, no current"),
+    "RC_CHANNELS": Stream(5, _STICKS, _rc, "sticks, mode switch, gear"),
+    "VFR_HUD": Stream(0, _EXTRA2, _vfr, "velocity, altitude; no airspeed"),
+    "ALTITUDE": Stream(0, _EXTRA3, _altitude, "barometric altitude, height"),
+    "HIGHRES_IMU": Stream(0, _SENSORS, _imu, "angular velocity, acceleration"),
+    "SYSTEM_TIME": Stream(
+        0, _EXTRA3, lambda _, now: {"time_boot_ms": _ms(now)}, "time of the bridge"
+    ),
 }
 """By the name of the message."""
-
-
-class Streams:
-    """Which of them is due.
-
-    Args:
-        world: The aircraft.
-    """
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._hz = {name: stream.hz for name, stream in STREAMS.items()}
-        self._due: dict[str, float] = {}
-
-    def hz(self, name: str) -> float:
-        """How often it is sent."""
-        return self._hz[name]
-
-    def set_hz(self, name: str, hz: float | None) -> None:
-        """Send it so often; None as at first."""
-        self._hz[name] = STREAMS[name].hz if hz is None else min(MOST_HZ, max(0.0, hz))
-        self._due.pop(name, None)
-
-    def message(self, name: str, now: float) -> Message | None:
-        """One of them as it is now."""
-        fields = STREAMS[name].fields(self._world, now)
-        return None if fields is None else Message(name, fields)
-
-    def due(self, now: float) -> Iterator[Message]:
-        """Those whose time has come."""
-        for name, hz in self._hz.items():
-            if hz <= 0.0 or now < self._due.get(name, now):
-                continue
-            # From when it was due, so that the rate holds; not from long ago.
-            self._due[name] = max(self._due.get(name, now) + 1 / hz, now)
-            message = self.message(name, now)
-            if message is not None:
-                yield message
 
 
 NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}

@@ -28,11 +28,12 @@ from m100link.mavlink.numbers import (
 from m100link.mavlink.offboard import Offboard
 from m100link.mavlink.orders import Flight, GoHome, Land
 from m100link.mavlink.parameters import Parameters
-from m100link.mavlink.peers import Peer
+from m100link.mavlink.peers import Address, Peer
+from m100link.mavlink.rates import Audience, Rates
 from m100link.mavlink.route import Refused
 from m100link.mavlink.standard_modes import available, current, mode_of_number
 from m100link.mavlink.statustext import Texts, severity_of
-from m100link.mavlink.telemetry import NUMBERS, Streams, heartbeat
+from m100link.mavlink.telemetry import NUMBERS, heartbeat
 from m100link.mavlink.world import Known, World
 
 __all__ = ["COMPONENT", "Vehicle"]
@@ -65,13 +66,13 @@ class Vehicle:
     Attributes:
         world: What is known of the aircraft.
         deck: What flies.
-        outbox: What has to be sent: to whom, None for everybody.
+        outbox: What has to be sent: to which peer, to which addresses, or None for everybody.
     """
 
     def __init__(self, known: Known, system: int, *, autopilot: int = AUTOPILOT_PX4) -> None:
         self.system = system
         self._autopilot = autopilot
-        self.outbox: list[tuple[Message, Peer | None]] = []
+        self.outbox: list[tuple[Message, Peer | tuple[Address, ...] | None]] = []
         self.world = World(known)
         self._texts = Texts()
         self._parameters = Parameters(self.world, system)
@@ -83,12 +84,12 @@ class Vehicle:
         streams: dict[Mode, Stream] = {Mode.OFFBOARD: self._offboard, **self._manual}
         self.deck = Deck(self.world, self._texts.tell, streams)
         self.deck.on_armed = self._armed
-        self._streams = Streams(self.world)
+        self._rates = Rates(self.world)
         self._commands = Commands(
             self.world,
             self.deck,
             self._parameters,
-            self._streams,
+            self._rates,
             tell=self._texts.tell,
             request=self._request,
             mission=self._mission,
@@ -120,6 +121,7 @@ class Vehicle:
             "MANUAL_CONTROL": self._sticks,
             **dict.fromkeys(_MISSION_MESSAGES, self._mission_message),
             "MISSION_SET_CURRENT": self._set_current,
+            "REQUEST_DATA_STREAM": self._data_stream,
             "PING": self._ping,
             "TIMESYNC": self._timesync,
             "LOG_REQUEST_LIST": self._no_logs,
@@ -203,6 +205,11 @@ class Vehicle:
             self.deck.steering = peer
             for manual in self._manual.values():
                 manual.receive(message, now)
+
+    def _data_stream(self, message: Message, peer: Peer, now: float) -> None:
+        """What older programs ask for: it has no answer."""
+        hz = message["req_message_rate"] if message["start_stop"] else 0
+        self._rates.set_group(message["req_stream_id"], hz, peer)
 
     def _ping(self, message: Message, peer: Peer, now: float) -> None:
         if message["target_system"] == 0:
@@ -319,7 +326,7 @@ class Vehicle:
         """Send a message by its number; False where there is none."""
         name = NUMBERS.get(number)
         if name is not None:
-            message = self._streams.message(name, now)
+            message = self._rates.message(name, now)
             if message is not None:
                 self._send(message, peer)
             return message is not None
@@ -331,7 +338,7 @@ class Vehicle:
             ],
             LAYOUTS["CURRENT_MODE"].number: lambda: [current(self.deck.mode)],
             LAYOUTS["HEARTBEAT"].number: lambda: [self._heartbeat()],
-            LAYOUTS["MESSAGE_INTERVAL"].number: lambda: [self._interval(_whole(parameter))],
+            LAYOUTS["MESSAGE_INTERVAL"].number: lambda: [self._interval(_whole(parameter), peer)],
         }.get(number)
         messages = [] if made is None else made()
         for one in messages:
@@ -359,8 +366,8 @@ class Vehicle:
         }
         return Message("AUTOPILOT_VERSION", fields)
 
-    def _interval(self, number: int) -> Message:
-        hz = self._streams.hz(NUMBERS[number]) if number in NUMBERS else 0.0
+    def _interval(self, number: int, peer: Peer) -> Message:
+        hz = self._rates.hz(NUMBERS[number], peer) if number in NUMBERS else 0.0
         interval = round(1e6 / hz) if hz > 0 else -1
         return Message("MESSAGE_INTERVAL", {"message_id": number, "interval_us": interval})
 
@@ -374,11 +381,12 @@ class Vehicle:
         """Warn everybody."""
         self._texts.tell(Severity.WARNING, text)
 
-    def advance(self, now: float, lost: Callable[[Peer], bool]) -> None:
+    def advance(self, now: float, audience: Audience, lost: Callable[[Peer], bool]) -> None:
         """Let time pass: steer, and send what is due.
 
         Args:
             now: s.
+            audience: Where telemetry goes, and which peers are there.
             lost: Whether a peer is not heard any more.
         """
         self.world.look()
@@ -395,12 +403,12 @@ class Vehicle:
             self._send(text)
         # A vehicle that nobody hears is silent: whoever looks at it has to see that it is lost.
         if self.world.is_heard:
-            self._tell_state(now)
+            self._tell_state(now, audience)
 
     def _heartbeat(self) -> Message:
         return Message("HEARTBEAT", heartbeat(self.world, self.deck.mode, self._autopilot))
 
-    def _tell_state(self, now: float) -> None:
+    def _tell_state(self, now: float, audience: Audience) -> None:
         beat = self._heartbeat()
         told = tuple(beat.fields.values())
         if told != self._beaten or now - self._beaten_at >= _HEARTBEAT_S:
@@ -408,8 +416,7 @@ class Vehicle:
                 self._send(current(self.deck.mode))
             self._beaten, self._beaten_at = told, now
             self._send(beat)
-        for message in self._streams.due(now):
-            self._send(message)
+        self.outbox += self._rates.due(now, audience)
         for message in self._missions.due(now, is_flying=self.deck.flies_mission):
             self._send(message)
 
