@@ -79,6 +79,8 @@ class Front:
         # Tokens of the leases that were granted over this channel, by number.
         self._tokens: dict[int, str] = {}
         self._asks = 0
+        # Of these, those that were heard in this turn of the loop and begin in the next one.
+        self._unbegun = 0
         self._orders = Orders(agent, self._uploaded)
         self._on_plan = on_plan
         self._notes = _MAX_NOTES
@@ -221,6 +223,9 @@ class Front:
     def _on_ask(self, ask: Ask) -> None:
         if ask.action is Action.HALT:
             self._agent.halt(ask.text, self._token(ask.fence))
+            if self._unbegun:
+                # What was asked for before it begins first, and is halted then.
+                self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
             self._answer(ask, Stage.DONE)
             return
         self._spawn(
@@ -230,6 +235,9 @@ class Front:
                 ask, self._token(ask.fence), lambda: self._answer(ask, Stage.ACCEPTED)
             ),
         )
+
+    async def _halt(self, ask: Ask) -> None:
+        self._agent.halt(ask.text, self._token(ask.fence))
 
     def _on_guided(self, order: GuidedOrder) -> None:
         self._spawn(
@@ -254,6 +262,7 @@ class Front:
             self._answer(ask, Stage.FAILED, error)
         else:
             self._asks += 1
+            self._unbegun += 1
             self._agent.background.spawn(self._carry_out(ask, doing), f"{name} for {self._name}")
 
     def _answer(
@@ -270,6 +279,7 @@ class Front:
     async def _carry_out(
         self, ask: Ask | GuidedOrder, doing: Callable[[], Awaitable[Result | None]]
     ) -> None:
+        self._unbegun -= 1
         try:
             result = await doing()
         except M100Error as error:

@@ -420,6 +420,31 @@ async def test_a_flight_to_a_place_ends_with_its_front(
     assert watcher.all(State)[-1].guided is None
 
 
+async def test_a_halt_that_is_heard_together_with_a_flight_ends_it(
+    rig: Rig, service: Service
+) -> None:
+    """Both are read in one go when the agent was held up: the newest wins all the same."""
+    front = Front(rig, service)
+    fence = await front.airborne()
+    front.send(replace(ahead(rig, 100.0), id=7, fence=fence))
+    front.send(Ask(8, Action.HALT, fence))
+    await anyio.sleep(5.0)
+    assert speed_of(rig) < 0.1
+    assert rig.holding.guided_order is None
+
+
+async def test_a_flight_that_is_heard_together_with_a_halt_before_it_is_flown(
+    rig: Rig, service: Service
+) -> None:
+    front = Front(rig, service)
+    fence = await front.airborne()
+    front.send(replace(ahead(rig, 50.0), id=7, fence=fence))
+    front.send(Ask(8, Action.HALT, fence))
+    front.send(replace(ahead(rig, 100.0), id=9, fence=fence))
+    await anyio.sleep(5.0)
+    assert speed_of(rig) > 3.0
+
+
 async def test_a_plan_is_told_to_all_until_its_lease_ends() -> None:
     async with Rig(firmware="3.1").running() as rig:
         rig.agent.desk.release(rig.token, rig.agent.now)
