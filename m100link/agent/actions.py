@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from enum import Enum
 
-__all__ = ["Action", "LeaseAction", "Stage"]
+__all__ = ["TAKE_OFF_FIRST", "UNTIL_OVER", "Action", "LeaseAction", "Stage"]
+
+TAKE_OFF_FIRST, UNTIL_OVER = 1, 2
+"""Bits of the number with which a mission is started: take off before it; the question is accepted
+when the mission has begun, and done when it is over."""
 
 
 class Action(Enum):

@@ -252,8 +252,7 @@ class Agent:
         """The aircraft, for what needs no authority: for the holder of the lease, or without one.
 
         Raises:
-            LeaseRefused: Another client has control.
-            LinkError: There is no aircraft.
+            LeaseRefused, LinkError: Another client has control; there is no aircraft.
         """
         if self.desk.holder(self.now) is not None:
             self.desk.check(token or "", self.now)
@@ -362,12 +361,11 @@ class Agent:
         (:meth:`halt` under it) or asks for control once more (:meth:`obtain`), or somebody else
         gets the lease.
 
-        The protocol has no command that ends a task. Giving control authority back is the only
-        thing this side can do about it.
+        No command ends a task: giving control authority back is all that this side can do.
         """
         self._is_stopped = True
         self.journal.note("stop", topic=Topic.STOPPED)
-        is_in_task = self.holding.task is not None
+        is_in_task = self.holding.task is not None or await self.holding.stop_landing()
         self.halt("stop")
         if is_in_task or self._unclaimed is not None:
             self.journal.note("control authority is given back to end the task", "warning")
@@ -411,19 +409,26 @@ class Agent:
         self._renewed(token)
         await self.holding.require().guide(order, accepted)
 
-    async def fly_mission(self, token: str, plan: WaypointPlan, *, take_off: bool = False) -> None:
+    async def fly_mission(
+        self,
+        token: str,
+        plan: WaypointPlan,
+        *,
+        take_off: bool = False,
+        begun: Callable[[], None] | None = None,
+    ) -> None:
         """Upload a plan and let the aircraft fly it by itself; done when it has begun.
 
         It is stopped when whoever asked for it loses the lease, by :meth:`halt` and by
-        :meth:`stop`. Should this process die, **it flies on**.
+        :meth:`stop`. Should this process die, **it flies on**. With ``begun``, which is called when
+        it has begun, this is done when the mission is over.
 
         Raises:
-            LeaseRefused: The token is not in force.
-            NoAuthority: Control authority is not held.
-            GuardRefused, MissionRefused, MissionRunning, AckTimeout, LinkError: See each class.
+            LeaseRefused, GuardRefused, NoAuthority, MissionRefused, MissionRunning, AckTimeout,
+            LinkError, NotObserved, MissionAborted: See each class; the last two with ``begun``.
         """
         self._renewed(token)
-        await self.holding.require().start_mission(plan, take_off=take_off)
+        await self.holding.require().start_mission(plan, take_off=take_off, begun=begun)
 
     async def fly_hotpoint(self, token: str, request: HotpointStart) -> None:
         """Let the aircraft fly around a place by itself; done when it has begun.

@@ -267,14 +267,24 @@ class Flying:
 
     # -- missions --------------------------------------------------------------------------------
 
-    async def start_mission(self, plan: WaypointPlan, *, take_off: bool) -> None:
+    async def start_mission(
+        self, plan: WaypointPlan, *, take_off: bool, begun: Callable[[], None] | None = None
+    ) -> None:
         """Upload a plan and let the aircraft fly it; done when it has begun. Ends a program.
 
-        Raises: as :meth:`m100link.Control.waypoint_mission`.
+        Args:
+            plan: What to fly.
+            take_off: See :meth:`m100link.Control.waypoint_mission`.
+            begun: Called when it has begun; with it this is done when the mission is over.
+
+        Raises: as :meth:`m100link.Control.waypoint_mission`; with ``begun`` what ended it, too.
         """
         self._end_program("a mission was asked for")
         self._last = None
-        await self.mission.start(plan, take_off=take_off)
+        over = await self.mission.start(plan, take_off=take_off)
+        if begun is not None:
+            begun()
+            await asyncio.shield(over)
 
     async def start_hotpoint(self, request: HotpointStart) -> None:
         """Let the aircraft fly around a place; done when it has begun. Ends a program.
@@ -288,15 +298,20 @@ class Flying:
     async def order_mission(self, what: MissionOrder) -> None:
         """Pause, resume or stop the mission that flies, whoever started it.
 
+        A stop is done when something else may fly.
+
         Raises:
             MissionRefused, MissionAborted, AckTimeout, NoAuthority: See each class.
+            UsageError: It has not begun yet; a stop ends that.
         """
         control, own = self._control, self.mission
+        if own.is_flying and what == "stop":
+            await own.stop()
+            return
         if own.is_flying:
             # Every kind of mission will do: the class is only compared with, never made.
             flight: MissionFlight = own.flight(MissionFlight)  # type: ignore[type-abstract]
-            orders = {"pause": flight.pause, "resume": flight.resume, "stop": flight.stop}
-            await orders[what]()
+            await (flight.pause() if what == "pause" else flight.resume())
             return
         await {
             "pause": control.pause_mission,

@@ -65,7 +65,7 @@ __all__ = [
     "Topic",
 ]
 
-VERSION = 9
+VERSION = 10
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 # -- both ways ------------------------------------------------------------------------------------
@@ -440,7 +440,7 @@ class Ask:
         id: Comes back in each outcome; 0 asks for none.
         action: What.
         fence: Number of the lease it is asked under; 0 for none.
-        number: Of the simple task; 1 to take off before a mission; a speed in mm/s, a
+        number: Of the simple task; how a mission is to start (``actions``); a speed in mm/s, a
             radius in mm, a rate in thousandths of a degree per second (clockwise positive).
         data: For the app on the pilot's phone; else the value of a command, as on the wire.
         text: Why, for people (halt).

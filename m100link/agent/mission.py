@@ -11,7 +11,7 @@ from m100link.agent.background import BackgroundTasks
 from m100link.agent.fault import MessageError
 from m100link.agent.journal import Journal
 from m100link.agent.messages import Topic
-from m100link.errors import M100Error, MissionRunning, UsageError
+from m100link.errors import M100Error, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.missions.events import (
     Aborted,
@@ -20,12 +20,13 @@ from m100link.flight.missions.events import (
     MissionEvent,
     MissionProgress,
     Reached,
+    Stopped,
     Uploaded,
 )
 from m100link.flight.missions.flight import MissionFlight
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
-from m100link.missions.plan import WaypointPlan
+from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.command import Command
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
@@ -114,12 +115,20 @@ class FlyingMission:
         self._watch: asyncio.Task[None] | None = None
         self._what = ""  # what the one that was begun last is called, for people
         self._is_cut_off = False  # whoever cut it off knows why, and tells it
+        self._ended_because = ""  # why this side ended it, for whoever waits for its end
+        self._ends_by_landing = False  # as the plan says
+        self._is_landing = False
         self.on_event: MissionListener | None = None
 
     @property
     def is_flying(self) -> bool:
         """Whether one was begun and is not over."""
         return self._watch is not None
+
+    @property
+    def is_landing(self) -> bool:
+        """Whether it was flown, and the aircraft goes home or lands, as planned."""
+        return self.is_flying and self._is_landing
 
     def require_none(self, what: str) -> None:
         """Refuse what the aircraft would ignore.
@@ -134,14 +143,18 @@ class FlyingMission:
                 remedy="stop or pause the mission",
             )
 
-    async def start(self, plan: WaypointPlan, *, take_off: bool = False) -> None:
+    async def start(self, plan: WaypointPlan, *, take_off: bool = False) -> asyncio.Future[None]:
         """Upload a plan and let it fly; done when the aircraft has begun.
+
+        Returns:
+            Its end: done when all of it was flown, or with the error that ended it before.
 
         Raises: as :meth:`m100link.Control.waypoint_mission`.
         """
         self.require_none("a waypoint mission")
         flight = self._control.waypoint_mission(plan, take_off=take_off)
-        await self._begin(flight, f"mission of {len(plan.waypoints)} waypoints")
+        self._ends_by_landing = plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
+        return await self._begin(flight, f"mission of {len(plan.waypoints)} waypoints")
 
     async def circle(self, request: HotpointStart) -> None:
         """Let it fly around a place; done when the aircraft has begun.
@@ -161,20 +174,34 @@ class FlyingMission:
             start=CircleStart(request.start_point),
             heading=CircleHeading(request.yaw_mode),
         )
+        self._ends_by_landing = False
         await self._begin(flight, f"circle of {request.radius:g} m")
 
-    async def _begin(self, flight: MissionFlight, what: str) -> None:
-        begun: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    async def _begin(self, flight: MissionFlight, what: str) -> asyncio.Future[None]:
+        loop = asyncio.get_running_loop()
+        begun: asyncio.Future[None] = loop.create_future()
+        over: asyncio.Future[None] = loop.create_future()
+        over.add_done_callback(_look_at)
         self._what, self._is_cut_off = what, False
-        self._watch = self._background.spawn(self._fly(flight, what, begun), "mission")
+        self._ended_because, self._is_landing = "", False
+        self._watch = self._background.spawn(self._fly(flight, what, begun, over), "mission")
         try:
             await asyncio.shield(begun)
         except asyncio.CancelledError:
             self.end("nobody waits for it")
             raise
+        return over
 
-    async def _fly(self, flight: MissionFlight, what: str, begun: asyncio.Future[None]) -> None:
+    async def _fly(
+        self,
+        flight: MissionFlight,
+        what: str,
+        begun: asyncio.Future[None],
+        over: asyncio.Future[None],
+    ) -> None:
         outcome, level, topic = f"the {what} is over", "info", Topic.NONE
+        failure: M100Error | None = None
+        is_flown = False
         try:
             async with flight:
                 self._flight = flight
@@ -183,7 +210,9 @@ class FlyingMission:
                     begun.set_result(None)
                 async for event in flight:
                     self._tell(event)
+            is_flown = not self._ended_because
         except M100Error as error:
+            failure = error
             outcome, level = f"the {what} ended: {error.seen}", "error"
             topic = Topic.MISSION_ABORTED if begun.done() else Topic.NONE
             if not begun.done():
@@ -196,6 +225,11 @@ class FlyingMission:
                 begun.set_exception(UsageError("control ended before the mission began"))
                 begun.exception()  # nobody may be there to hear it
             self._flight = self._watch = None
+            if is_flown:
+                over.set_result(None)
+            else:
+                why = self._ended_because or "control ended"
+                over.set_exception(failure or NotObserved(f"the {what} was stopped: {why}"))
             if not self._is_cut_off:
                 self._journal.note(outcome, level, topic)
 
@@ -204,6 +238,10 @@ class FlyingMission:
             self._journal.note(f"waypoint {event.index} reached")
         elif isinstance(event, Aborted):
             self._journal.note(f"the aircraft broke the mission off: {event.reason}", "warning")
+        elif isinstance(event, Finished):
+            self._is_landing = self._ends_by_landing
+        elif isinstance(event, Stopped):
+            self._ended_because = self._ended_because or "it was told to stop"
         if self.on_event is not None and not isinstance(event, MissionProgress):
             self.on_event(event)
 
@@ -220,8 +258,27 @@ class FlyingMission:
     def end(self, why: str) -> None:
         """Stop it, and do not wait for the answer: leaving its block sends the stop."""
         if self._watch is not None:
+            self._ended_because = why
             self._journal.note(f"the mission is stopped: {why}")
             self._watch.cancel()
+
+    async def stop(self) -> None:
+        """Stop it, also while it begins; done when something else may fly.
+
+        Raises:
+            AckTimeout, MissionRefused, MissionAborted, LinkError: It may be flying on.
+        """
+        flight = self._flight
+        if flight is None:
+            self.end("it was told to stop")
+        else:
+            try:
+                await flight.stop()
+            except M100Error:
+                self.end("it was told to stop")  # leaving its block tries again
+                await self.ended()
+                raise
+        await self.ended()
 
     def cut_off(self) -> str:
         """Control was lost, and the mission with it; returns what it is called, empty for none.
@@ -240,6 +297,12 @@ class FlyingMission:
         """Wait for the end of its stop."""
         if self._watch is not None:
             await asyncio.wait([self._watch])
+
+
+def _look_at(over: asyncio.Future[None]) -> None:
+    """Nobody may wait for the end: the journal tells it."""
+    if not over.cancelled():
+        over.exception()
 
 
 def push_of(event: MissionEvent) -> tuple[int, bytes] | None:

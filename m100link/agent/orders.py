@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 
+from m100link.agent.actions import TAKE_OFF_FIRST, UNTIL_OVER
 from m100link.agent.agent import Agent
 from m100link.agent.messages import Action, Ask
 from m100link.agent.mission import StagedPlan
@@ -69,9 +70,7 @@ class Orders:
             Action.DISARM: lambda: agent.switch_motors(token, on=False),
             Action.MISSION_PLAN: lambda: self._stage(token, ask),
             Action.MISSION_POINT: lambda: self._stage(token, ask),
-            Action.MISSION_START: lambda: agent.fly_mission(
-                token, self._plan_of(ask).require(), take_off=ask.number == 1
-            ),
+            Action.MISSION_START: lambda: self._start_mission(token, ask, accepted),
             Action.HOTPOINT_START: lambda: agent.fly_hotpoint(token, read(HotpointStart, ask.data)),
             Action.HOTPOINT_RADIUS: lambda: agent.set_hotpoint(token, radius=ask.number / 1000),
             Action.HOTPOINT_RATE: lambda: agent.set_hotpoint(token, rate=ask.number / 1000),
@@ -103,6 +102,14 @@ class Orders:
             staged.add(read(WaypointPoint, ask.data))
             if staged.plan is not None:
                 self._on_plan(staged.plan)
+
+    async def _start_mission(self, token: str, ask: Ask, accepted: Callable[[], None]) -> None:
+        await self._agent.fly_mission(
+            token,
+            self._plan_of(ask).require(),
+            take_off=bool(ask.number & TAKE_OFF_FIRST),
+            begun=accepted if ask.number & UNTIL_OVER else None,
+        )
 
     def _plan_of(self, ask: Ask) -> StagedPlan:
         """The plan that came under this lease: nobody flies what somebody else left.

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 
 import anyio
 import pytest
 
-from m100link.errors import BadSetpoint, GuardRefused, NoAuthority, TaskRefused
+from m100link.errors import (
+    BadSetpoint,
+    GuardRefused,
+    M100Error,
+    MissionRunning,
+    NoAuthority,
+    NotObserved,
+    TaskRefused,
+)
 from m100link.flight.control import Control
+from m100link.geodesy import LocalFrame
+from m100link.missions.plan import AtEnd, Waypoint, WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from tests.agent.conftest import Rig
@@ -104,3 +114,110 @@ async def test_a_block_that_ends_ends_what_used_it(rig: Rig) -> None:
         flying.steer(NORTH)
     await anyio.sleep(0.5)
     assert east(rig) == 0.0
+
+
+# -- missions -------------------------------------------------------------------------------------
+
+
+def away(rig: Rig, *north: float, at_end: AtEnd = AtEnd.HOVER) -> WaypointPlan:
+    position = rig.agent.connection.require_aircraft().state.position
+    assert position is not None
+    frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+    points = [Waypoint(*frame.to_geodetic(one, 0), height=6) for one in north]
+    return WaypointPlan(points, speed=5, at_end=at_end)
+
+
+def speed(rig: Rig) -> float:
+    return float(rig.aircraft.vehicle.flight.dynamics.speed)
+
+
+@pytest.fixture
+async def waypoints() -> AsyncIterator[Rig]:
+    """An aircraft in the air, whose firmware flies missions."""
+    async with Rig(firmware="3.1").running() as one:
+        await airborne(one)
+        yield one
+
+
+async def test_who_waits_for_the_end_of_a_mission_is_told_that_it_was_flown(waypoints: Rig) -> None:
+    rig, begun = waypoints, []
+    await rig.agent.fly_mission(
+        rig.token, away(rig, 10, 20), begun=lambda: begun.append(speed(rig))
+    )
+    assert begun
+    assert rig.aircraft.position[0] == pytest.approx(20, abs=1.0)
+    assert not rig.holding.require().mission.is_flying
+
+
+@pytest.mark.parametrize("how", ["halt", "stop", "mission stop", "pilot", "lease"])
+async def test_who_waits_for_the_end_of_a_mission_is_told_what_ended_it(
+    waypoints: Rig, how: str
+) -> None:
+    rig = waypoints
+    async with anyio.create_task_group() as group:
+
+        async def wait() -> None:
+            with pytest.raises(NotObserved, match="was stopped"):
+                await rig.agent.fly_mission(rig.token, away(rig, 60, 80), begun=lambda: None)
+            group.cancel_scope.cancel()
+
+        group.start_soon(wait)
+        await rig.until(lambda: speed(rig) > 3.0)
+        if how == "halt":
+            rig.agent.halt("somebody")
+        elif how == "stop":
+            await rig.agent.stop()
+        elif how == "mission stop":
+            await rig.agent.order_mission(rig.token, "stop")
+        elif how == "pilot":
+            rig.aircraft.vehicle.remote.set_mode("P")
+        else:
+            rig.renewing.cancel()
+            rig.agent.desk.release(rig.token, rig.agent.now)
+        await anyio.sleep(10.0)
+    await anyio.sleep(3.0)
+    assert speed(rig) < 0.1
+
+
+async def test_a_stop_of_a_mission_makes_way_for_what_comes_next(waypoints: Rig) -> None:
+    rig = waypoints
+    await rig.agent.fly_mission(rig.token, away(rig, 60, 80))
+    with pytest.raises(MissionRunning):
+        await rig.agent.fly(rig.token, Task.LAND)
+    await rig.agent.order_mission(rig.token, "stop")
+    await rig.agent.fly(rig.token, Task.LAND)
+    assert rig.aircraft.height < 0.1
+
+
+async def test_a_stop_ends_a_mission_that_has_not_begun(waypoints: Rig) -> None:
+    rig = waypoints
+    async with anyio.create_task_group() as group:
+
+        async def begin() -> None:
+            with pytest.raises(M100Error):
+                await rig.agent.fly_mission(rig.token, away(rig, 60, 80))
+
+        group.start_soon(begin)
+        await anyio.sleep(0.02)
+        assert rig.holding.require().mission.is_flying
+        await rig.agent.order_mission(rig.token, "stop")
+        assert not rig.holding.require().mission.is_flying
+    await anyio.sleep(5.0)
+    assert speed(rig) < 0.1
+
+
+@pytest.mark.parametrize("at_end", [AtEnd.GO_HOME, AtEnd.LAND])
+async def test_stop_ends_the_way_to_the_ground_behind_a_mission(
+    waypoints: Rig, at_end: AtEnd
+) -> None:
+    rig = waypoints
+    await rig.agent.fly_mission(rig.token, away(rig, 30, 40, at_end=at_end))
+    await rig.until(lambda: rig.holding.require().mission.is_landing, within=60.0)
+    await anyio.sleep(1.0)
+    await rig.agent.stop()
+    await anyio.sleep(3.0)
+    height = rig.aircraft.height
+    await anyio.sleep(10.0)
+    assert rig.aircraft.height == pytest.approx(height, abs=0.3)
+    assert height > 2.0
+    assert speed(rig) < 0.1
