@@ -14,7 +14,7 @@ from m100link.errors import M100Error, UsageError
 from m100link.log.recorder import Recorder, is_being_written
 from m100link.log.records import MAGIC, Header, records
 
-__all__ = ["Flights", "default_folder"]
+__all__ = ["Flights", "default_folder", "state_folder"]
 
 _logger = logging.getLogger(__name__)
 
@@ -22,11 +22,20 @@ _logger = logging.getLogger(__name__)
 _NAME = re.compile(r"m100link-\d{8}-\d{6}(-\d+)?\.mcap")
 
 
-def default_folder(environment: Mapping[str, str] | None = None) -> Path:
-    """Where flights are kept: ``m100link/flights`` in the folder of the user's state (XDG)."""
+def state_folder(environment: Mapping[str, str] | None = None) -> Path:
+    """Where programs keep what outlives them: ``m100link`` in the folder of the user's state (XDG).
+
+    Args:
+        environment: Instead of the one of this process.
+    """
     named = (os.environ if environment is None else environment).get("XDG_STATE_HOME", "")
     base = Path(named) if Path(named).is_absolute() else Path("~/.local/state").expanduser()
-    return base / "m100link" / "flights"
+    return base / "m100link"
+
+
+def default_folder(environment: Mapping[str, str] | None = None) -> Path:
+    """Where flights are kept: ``flights`` in the folder of the state."""
+    return state_folder(environment) / "flights"
 
 
 class _Kept(NamedTuple):

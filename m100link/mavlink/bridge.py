@@ -19,7 +19,7 @@ from m100link.mavlink.numbers import AUTOPILOT_PX4
 from m100link.mavlink.peers import Address, Peer, Peers
 from m100link.mavlink.vehicle import Vehicle
 
-__all__ = ["HIGHEST_SYSTEM", "STEP_S", "Bridge"]
+__all__ = ["HIGHEST_SYSTEM", "STEP_S", "Bridge", "signature_time"]
 
 STEP_S = 0.02
 """Seconds between two steps: of setpoints, and of telemetry that is due."""
@@ -123,7 +123,7 @@ class Bridge:
             self.dropped += 1
             return
         self._shares[sender] -= len(data)
-        for message in read_datagram(data, signer=self._signer, now=_signature_time()):
+        for message in read_datagram(data, signer=self._signer, now=signature_time()):
             self._shares[sender] -= _MESSAGE_COST
             self._take(message, Peer(address, message.system, message.component), now)
         self._flush(now)
@@ -192,7 +192,7 @@ class Bridge:
                 system=craft.vehicle.system,
                 sequence=sequence,
                 signer=self._signer,
-                now=_signature_time() if self._signer is not None else 0,
+                now=signature_time() if self._signer is not None else 0,
             )
         except (struct.error, OverflowError):
             self.unsent += 1  # a number that its field does not hold: nobody could use it
@@ -216,6 +216,6 @@ class Bridge:
                 await craft.crew.end()
 
 
-def _signature_time() -> int:
+def signature_time() -> int:
     """Time of signatures: 10 microseconds since 2015."""
     return int((time.time() - _SINCE_2015) * 1e5)

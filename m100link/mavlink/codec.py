@@ -20,7 +20,17 @@ import crcmod
 
 from m100link.mavlink.definitions import DEFINITIONS
 
-__all__ = ["LAYOUTS", "Layout", "Message", "Signer", "read_datagram", "write_frame"]
+__all__ = [
+    "LAST_SIGNATURE",
+    "LAYOUTS",
+    "NEW_WITHIN",
+    "Layout",
+    "Message",
+    "Sender",
+    "Signer",
+    "read_datagram",
+    "write_frame",
+]
 
 _crc = crcmod.mkCrcFun(0x11021, initCrc=0xFFFF, rev=True, xorOut=0)
 
@@ -29,8 +39,16 @@ _HEADER_V1, _HEADER_V2 = Struct("<BBBBBB"), Struct("<BBBBBBBHB")
 _CHECKSUM = Struct("<H")
 _SIGNED = 0x01
 _SIGNATURE = 13
-_SIGNATURE_TIME = 60_000_00  # one minute in the unit of signatures, 10 microseconds
 _MOST_SENDERS = 64
+
+NEW_WITHIN = 60_000_00
+"""How old a sender may be that is heard first: one minute in the unit of signatures, 10 us."""
+
+LAST_SIGNATURE = 2**48 - 2**40
+"""Time of a signature that is still taken: its field is not counted to its end by mistake."""
+
+Sender = tuple[int, int, int]
+"""System, component and link of who signs."""
 
 _TYPES = {
     "u8": ("uint8_t", "B"),
@@ -176,13 +194,17 @@ class Signer:
         key: 32 bytes.
         link: Which of several links signs.
         refused: Frames that were not taken.
+        sent: Newest time that was signed or taken; later starts begin with it.
+        newest: Newest time that was taken of each sender.
+        oldest: What is not later is not taken from anybody who is heard first.
     """
 
     key: bytes = field(repr=False)
     link: int = 0
     refused: int = 0
-    _newest: dict[tuple[int, int, int], int] = field(default_factory=dict)
-    _sent: int = 0
+    sent: int = 0
+    newest: dict[Sender, int] = field(default_factory=dict)
+    oldest: int = 0
 
     def sign(self, frame: bytes, now: int) -> bytes:
         """What follows the frame.
@@ -191,8 +213,8 @@ class Signer:
             frame: From its first byte to its checksum.
             now: Time in 10 microseconds since 2015.
         """
-        self._sent = max(self._sent + 1, now)
-        told = bytes([self.link]) + self._sent.to_bytes(6, "little")
+        self.sent = max(self.sent + 1, now)
+        told = bytes([self.link]) + self.sent.to_bytes(6, "little")
         return told + self._digest(frame + told)
 
     def takes(self, frame: bytes, sender: tuple[int, int], now: int) -> bool:
@@ -201,13 +223,19 @@ class Signer:
         when = int.from_bytes(told[1:], "little")
         stream = (*sender, told[0])
         # A sender that is heard first may not be more than a minute behind.
-        newest = self._newest.get(stream, now - _SIGNATURE_TIME)
+        since = max(now, self.sent) - NEW_WITHIN
+        newest = self.newest.get(stream, max(since, self.oldest))
         is_right = hmac.compare_digest(self._digest(frame[:-6]), frame[-6:])
-        if not is_right or when <= newest:
+        if not is_right or not newest < when <= LAST_SIGNATURE:
             return False
-        if stream not in self._newest and len(self._newest) >= _MOST_SENDERS:
-            return False
-        self._newest[stream] = when
+        if stream not in self.newest and len(self.newest) >= _MOST_SENDERS:
+            # Who is forgotten is heard first again: what is old enough for that is refused.
+            self.newest = {one: at for one, at in self.newest.items() if at > since}
+            if len(self.newest) >= _MOST_SENDERS:
+                return False
+        self.newest[stream] = when
+        # Who has a later clock would refuse what is signed with ours.
+        self.sent = max(self.sent, when)
         return True
 
     def _digest(self, data: bytes) -> bytes:

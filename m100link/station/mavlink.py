@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -10,20 +11,25 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from m100link.agent.client import AgentClient
 from m100link.errors import UsageError
 from m100link.keyfile import read_key
-from m100link.mavlink.bridge import Bridge
+from m100link.log.folder import state_folder
+from m100link.mavlink.bridge import Bridge, signature_time
 from m100link.mavlink.codec import Signer
 from m100link.mavlink.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
 from m100link.mavlink.peers import Address
+from m100link.mavlink.signatures import SignatureMemory, Snapshot
 from m100link.mavlink.udp import bind, is_loopback, read_address, serving
 from m100link.station.config import Settings
 
 __all__ = ["AUTOPILOTS", "open_mavlink", "serving_mavlink"]
+
+_logger = logging.getLogger(__name__)
 
 AUTOPILOTS = {"px4": AUTOPILOT_PX4, "generic": AUTOPILOT_GENERIC}
 """What the heartbeat may say."""
 
 _MOST_WAYS = 64
 _MOST_WAITING = 100_000
+_REMEMBERED_S = 0.1
 
 _ANY: Address = ("127.0.0.1", 0)
 
@@ -89,12 +95,13 @@ async def serving_mavlink(
         for one in sockets:
             _drain(one)
 
+    signer = _signer(settings)
     bridge = Bridge(
         by_system,
         send,
         drain=drain,
         to=tuple(map(read_address, settings.mavlink_to)),
-        signer=_signer(settings),
+        signer=signer,
         autopilot=AUTOPILOTS[settings.autopilot],
     )
 
@@ -111,6 +118,8 @@ async def serving_mavlink(
         return received
 
     async with AsyncExitStack() as stack:
+        if signer is not None:
+            await stack.enter_async_context(_remembering(signer, bridge))
         for place, one in enumerate(sockets):
             senders.append(await stack.enter_async_context(serving(one, receiver(place))))
         # A bridge that fails takes the process with it, which is started again.
@@ -120,6 +129,44 @@ async def serving_mavlink(
                 yield bridge
             finally:
                 running.cancel()
+
+
+@asynccontextmanager
+async def _remembering(signer: Signer, bridge: Bridge) -> AsyncIterator[None]:
+    """Keep on disk what was signed; where that cannot be it is told once, and flying goes on."""
+    memory = SignatureMemory(state_folder() / "mavlink", signer)
+    told = await asyncio.to_thread(memory.recall, signature_time())
+
+    def tell(why: str) -> None:
+        nonlocal told
+        if why and why != told:
+            _logger.warning("signatures are not remembered: %s", why)
+            for vehicle in bridge.vehicles:
+                vehicle.tell(f"signatures are not remembered: {why}")
+        told = why
+
+    told, why = "", told
+    tell(why)
+
+    async def write(snapshot: Snapshot | None) -> None:
+        if snapshot is not None:
+            try:
+                await asyncio.to_thread(memory.write, snapshot)
+            except OSError as error:
+                tell(f"{memory.path}: {error.strerror or error}")
+
+    async def watch() -> None:
+        while True:
+            await write(memory.due())
+            await asyncio.sleep(_REMEMBERED_S)
+
+    watching = asyncio.create_task(watch(), name="m100link station: MAVLink signatures")
+    try:
+        yield
+    finally:
+        watching.cancel()
+        await asyncio.wait([watching])
+        await write(memory.last())
 
 
 def _drain(one: socket.socket) -> None:

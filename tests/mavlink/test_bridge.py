@@ -515,7 +515,7 @@ async def test_who_signs_is_not_kept_out_by_those_who_do_not() -> None:
         for port in range(5 * MOST_PEERS):
             rig.bridge.received(beat, ("127.0.0.1", 20000 + port))
         assert len(rig.bridge.peers.addresses(rig.client.now)) == MOST_PEERS
-        rig.ground_signer = Signer(key, _sent=2**47)  # later than any real clock says
+        rig.ground_signer = Signer(key, sent=2**47)  # later than any real clock says
         late = Ground(rig, ("127.0.0.1", 7000), 246)
         late.beat()
         await late.arm()
