@@ -53,8 +53,8 @@ MAX_WAITING = 16_000_000
 # Besides its bytes: a tuple, a time and a bytes object; a dictionary of counters.
 _EACH_CHUNK, _EACH_TOLD = 150, 3000
 
-END_TIMEOUT_S = 5.0
-"""How long closing waits for the disk."""
+END_TIMEOUT_S = 15.0
+"""How long closing waits for the disk; one that others write to takes seconds for a last piece."""
 
 _CHUNK_SIZE = 1 << 20
 
@@ -167,7 +167,7 @@ class Recorder:
         self._look = look
 
     async def aclose(self) -> None:
-        """End the file; waits up to five seconds for the disk. May be called again."""
+        """End the file; waits up to 15 seconds for the disk. May be called again."""
         if self._timer is not None:
             self._timer.cancel()
         self._hand_over()
