@@ -14,6 +14,7 @@ the **scaled** clock, which waits, only shorter.
 from __future__ import annotations
 
 import asyncio
+import math
 import selectors
 import time
 from collections.abc import Callable
@@ -30,32 +31,52 @@ __all__ = [
 _Events = list[tuple[selectors.SelectorKey, int]]
 
 
+_LONGEST_STEP_S = 0.1
+"""Loop seconds that may pass between two looks at the clock, besides a wait that was asked for.
+
+A machine that is busy for 50 ms does not run the loop meanwhile, and a hundred times faster that
+would be five seconds in which neither the aircraft nor who flies it did anything: time-outs and
+watchdogs would tell of a broken line. So the clock waits for its loop, as long as it is faster
+than real.
+"""
+
+
 class _ScaledSelector(selectors.DefaultSelector):
     """Waits a fraction of the time it is asked to wait."""
 
     speed = 1.0
+    waited = 0.0  # loop seconds that it was asked to wait since the clock was looked at
 
     def select(self, timeout: float | None = None) -> _Events:
-        return super().select(None if timeout is None else timeout / self.speed)
+        if timeout is None:  # no timer at all, so nobody is late however long it takes
+            self.waited = math.inf
+            return super().select(None)
+        self.waited += timeout
+        return super().select(timeout / self.speed)
 
 
 class ScaledEventLoop(asyncio.SelectorEventLoop):
     """An event loop whose seconds are shorter (speed above 1) or longer (below 1).
 
+    Where it is faster than real and the machine does not keep up, it is as fast as that goes: a
+    moment in which the loop was not run is at most 0.1 of its seconds.
+
     Args:
         speed: Loop seconds per real second, above 0.
+        real_time: The clock that it follows, s.
     """
 
-    def __init__(self, speed: float) -> None:
-        selector = _ScaledSelector()
-        selector.speed = speed
+    def __init__(self, speed: float, *, real_time: Callable[[], float] = time.monotonic) -> None:
+        self._real_time = real_time
+        self._seen = self._now = real_time()
         self._speed = speed
-        self._start: float | None = None
-        super().__init__(selector)
+        self._longest_step = _LONGEST_STEP_S if speed > 1.0 else math.inf
+        self._scaled = _ScaledSelector()
+        self._scaled.speed = speed
+        super().__init__(self._scaled)
         if not speed > 0.0:
             self.close()  # a loop that was begun must be ended
             raise ValueError(f"speed must be above 0, got {speed}")
-        self._start = super().time()
         # Timers due within one tick of the clock count as due; the tick is scaled, too.
         self._clock_resolution = time.get_clock_info("monotonic").resolution * speed
 
@@ -66,8 +87,12 @@ class ScaledEventLoop(asyncio.SelectorEventLoop):
 
     def time(self) -> float:
         """Loop seconds; equal to the monotonic clock when the loop was made."""
-        now = super().time()
-        return now if self._start is None else self._start + (now - self._start) * self._speed
+        seen = self._real_time()
+        passed = (seen - self._seen) * self._speed
+        self._seen = seen
+        self._now += min(passed, self._scaled.waited + self._longest_step)
+        self._scaled.waited = 0.0
+        return self._now
 
 
 class _JumpingSelector(selectors.DefaultSelector):

@@ -61,11 +61,7 @@ def test_on_the_virtual_clock_equal_seeds_are_equal_flights(cli: CommandLine) ->
 
 @pytest.mark.pty
 def test_demo_flies_over_a_pseudo_terminal() -> None:
-    for speed in ("20", "5", "1"):  # as fast as this machine keeps time-outs that shrink with it
-        outcome = process("demo", "--speed", speed, "--json")
-        if outcome.status == 0:
-            break
-        print(f"at speed {speed}: {outcome}")  # noqa: T201 (pytest shows it when the test fails)
+    outcome = process("demo", "--speed", "20", "--json")
     assert outcome.status == 0, outcome.err
     [summary] = outcome.objects
     check(summary, "1.0")

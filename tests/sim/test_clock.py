@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
+import socket
 import threading
 import time
 
@@ -120,6 +122,58 @@ def test_scaled_time_starts_at_the_monotonic_clock() -> None:
         assert loop.speed == 5.0
     finally:
         loop.close()
+
+
+@pytest.mark.parametrize(
+    ("speed", "absent", "counted"),
+    [(20.0, 0.05, 0.1), (20.0, 0.004, 0.08), (200.0, 3.0, 0.1), (0.5, 3.0, 1.5), (1.0, 3.0, 3.0)],
+)
+def test_a_moment_in_which_a_fast_loop_was_not_run_is_short(
+    speed: float, absent: float, counted: float
+) -> None:
+    now = 1000.0
+    loop = ScaledEventLoop(speed, real_time=lambda: now)
+    began = loop.time()
+    now += absent
+    assert loop.time() - began == pytest.approx(counted)
+    loop.close()
+
+
+def test_a_wait_that_was_asked_for_counts_whole() -> None:
+    looks = itertools.count(start=1.0)  # a second of the wall goes by between any two
+    elapsed, _ = run(ScaledEventLoop(20.0, real_time=lambda: next(looks)), 2.0)
+    assert 2.0 <= elapsed < 3.0  # not the twenty of each look
+
+
+def test_twenty_times_faster_an_answer_is_not_late_because_the_machine_is_busy() -> None:
+    """Two ends in one loop that is not run for 60 ms at a time, more than a second of its own."""
+    looks = itertools.count()
+
+    def busy() -> float:
+        return 0.06 * next(looks)
+
+    async def main() -> bytes:
+        loop = asyncio.get_running_loop()
+        question, answer = socket.socketpair()
+        for end in (question, answer):
+            end.setblocking(False)
+        try:
+
+            async def answers() -> None:
+                await loop.sock_sendall(answer, await loop.sock_recv(answer, 10))
+
+            async with asyncio.TaskGroup() as group:
+                group.create_task(answers())
+                await loop.sock_sendall(question, b"?")
+                async with asyncio.timeout(1.0):
+                    return await loop.sock_recv(question, 10)
+        finally:
+            question.close()
+            answer.close()
+
+    loop = ScaledEventLoop(20.0, real_time=busy)
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        assert runner.run(main()) == b"?"
 
 
 def test_loop_factory_chooses_by_speed() -> None:
