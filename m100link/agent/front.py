@@ -33,6 +33,7 @@ from m100link.agent.messages import (
     Steer,
     SteerRefused,
     TakeOverOffered,
+    Topic,
 )
 from m100link.agent.orders import Orders, Result
 from m100link.agent.plan_told import told_of
@@ -212,17 +213,24 @@ class Front:
 
     # -- everything else -------------------------------------------------------------------------
 
-    def _on_note(self, note: Note) -> None:
+    def _may_note(self) -> bool:
+        """Whether one more event of this front is not one of very many."""
         now = self._agent.now
         gained = (now - self._noted_at) * _NOTES_PER_S
         self._notes, self._noted_at = min(_MAX_NOTES, self._notes + gained), now
-        if self._notes >= 1.0 and note.level in _LEVELS:
-            self._notes -= 1.0
+        if self._notes < 1.0:
+            return False
+        self._notes -= 1.0
+        return True
+
+    def _on_note(self, note: Note) -> None:
+        if note.level in _LEVELS and self._may_note():
             self._agent.journal.note(note.text[:_MAX_NOTE], note.level)
 
     def _on_ask(self, ask: Ask) -> None:
         if ask.action is Action.HALT:
             self._agent.halt(ask.text, self._token(ask.fence))
+            self._tell_halt(ask.text)
             if self._unbegun:
                 # What was asked for before it begins first, and is halted then.
                 self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
@@ -238,6 +246,14 @@ class Front:
 
     async def _halt(self, ask: Ask) -> None:
         self._agent.halt(ask.text, self._token(ask.fence))
+
+    def _tell_halt(self, why: str) -> None:
+        """Tell whoever flies that somebody else had it hover: more may be to come of its flight."""
+        holder = self._agent.desk.holder(self._agent.now)
+        if holder is not None and holder.number not in self._tokens and self._may_note():
+            self._agent.journal.note(
+                (why or f"{self._name}: hover")[:_MAX_NOTE], "info", Topic.HALTED
+            )
 
     def _on_guided(self, order: GuidedOrder) -> None:
         self._spawn(

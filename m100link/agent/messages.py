@@ -131,6 +131,8 @@ class Topic(Enum):
 
     NONE = ""
     STOPPED = "stopped"  # somebody pressed STOP
+    # A front that does not hold the lease had it hover: whoever flies has not asked for that.
+    HALTED = "halted"
     # The aircraft, a guard, or a loss of control or of the line ended it before its end.
     MISSION_ABORTED = "mission aborted"
 

@@ -14,6 +14,7 @@ from m100link.mavlink.orders import (
     Arm,
     CallOff,
     Disarm,
+    Drop,
     Flight,
     GoHome,
     Halt,
@@ -80,6 +81,9 @@ class Crew:
             if isinstance(order, Steer):
                 if self._world.lease is not None and self._world.has_lease:
                     self._agent.steer(self._world.lease, order.setpoint, order.lifetime)
+            elif isinstance(order, Drop):
+                if self._work is not None and not self._is_disarming:
+                    self._work.cancel()
             elif isinstance(order, Arm):
                 self._arming = self._agent.background.spawn(self._arm(order), "arming")
             else:
@@ -203,12 +207,13 @@ class Crew:
         self._agent.halt(order.why or "hold", self._world.lease)
 
     async def _fly(self, order: Flight) -> None:
+        lease = self._world.lease  # of this flight: it does not go on under a later one
         if order.takes_off:
-            await self._agent.fly(self._world.lease, Task.TAKE_OFF)
+            await self._agent.fly(lease, Task.TAKE_OFF)
             self._deck.took_off(order, self._agent.now)
         for number, leg in enumerate(order.legs):
             self._on_leg(order, number, False)
-            await self._agent.guide(self._world.lease, leg)
+            await self._agent.guide(lease, leg)
             if number < len(order.waits):
                 await asyncio.sleep(order.waits[number])
             self._on_leg(order, number, True)

@@ -29,6 +29,7 @@ from m100link.mavlink.orders import (
     Arm,
     CallOff,
     Disarm,
+    Drop,
     Flight,
     GoHome,
     Halt,
@@ -115,7 +116,7 @@ class Deck:
         self._world = world
         self._tell = tell
         self._streams = streams
-        self.orders: list[Order | Steer] = []
+        self.orders: list[Order | Steer | Drop] = []
         self.operator: Peer | None = None
         self.steering: Peer | None = None
         self.running = Running.NOTHING
@@ -386,13 +387,22 @@ class Deck:
     def _forget(self) -> None:
         """What was wanted before control was lost is not wanted by whoever flies now."""
         self._waiting, self._mode, self.running = None, Mode.HOLD, Running.NOTHING
-        if not isinstance(self._current, Disarm):
+        if self._current is not None and not isinstance(self._current, Disarm):
             self._current = None
+            self.orders.append(Drop())
 
     def taken(self) -> None:
         """Control was lost, even if it comes back before somebody looks."""
         if not self._is_interrupting:
             self._forget()
+
+    def stopped(self, why: str) -> None:
+        """Somebody else had it hover: nothing of a flight comes after it.
+
+        A landing or a way home goes on; STOP ends them by giving control back.
+        """
+        if self.running in (Running.TAKE_OFF, Running.FLIGHT, Running.STREAM):
+            self.hold(f"{self._mode.value}: {why}")
 
     def _look_idle(self, phase: Phase, now: float) -> None:
         if phase is Phase.AIRBORNE or self.running is Running.STREAM:

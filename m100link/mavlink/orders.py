@@ -14,6 +14,7 @@ __all__ = [
     "CallOff",
     "Disarm",
     "Do",
+    "Drop",
     "Flight",
     "GoHome",
     "Halt",
@@ -127,6 +128,11 @@ class Do:
     action: Action
     number: int = 0
     data: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """Leave the order under way as it is: control was lost, and what was to come is not flown."""
 
 
 @dataclass(frozen=True, slots=True)

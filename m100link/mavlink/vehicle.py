@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from m100link import __version__
 from m100link.agent.guided import ChangeHeight, GuidedOrder
-from m100link.agent.messages import Event
+from m100link.agent.messages import Event, Topic
 from m100link.errors import M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.mavlink.codec import LAYOUTS, Message
@@ -376,6 +376,9 @@ class Vehicle:
     def event(self, event: Event) -> None:
         """Something happened at the agent: people are told."""
         self._texts.tell(severity_of(event.level), event.text)
+        if event.topic in (Topic.STOPPED, Topic.HALTED):
+            is_stop = event.topic is Topic.STOPPED
+            self.deck.stopped("STOP was pressed" if is_stop else event.text)
 
     def tell(self, text: str) -> None:
         """Warn everybody."""
