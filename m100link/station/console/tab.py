@@ -22,19 +22,19 @@ from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease, TakeOver
 from m100link.agent.messages import Action, Event, LeaseChanged, Topic
 from m100link.agent.steering import setpoint_of
-from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error
-from m100link.missions.plan import WaypointPlan
-from m100link.protocol.commands.control import Task
-from m100link.protocol.firmware import FIRMWARE_3_1
-from m100link.station.config import ONLY_NAME
-from m100link.station.console.kept import KeptLeases
-from m100link.station.way_time import (
+from m100link.agent.way_time import (
     MAX_LATE,
     MAX_ORDER_LATE,
     MAX_ROUND_TRIP,
     MAX_UNHEARD,
     WayTime,
 )
+from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.commands.control import Task
+from m100link.protocol.firmware import FIRMWARE_3_1
+from m100link.station.config import ONLY_NAME
+from m100link.station.console.kept import KeptLeases
 
 __all__ = ["BEAT_LIFETIME", "Tab"]
 

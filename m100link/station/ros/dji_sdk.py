@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 
 from m100link.agent.client import AgentClient
+from m100link.agent.way_time import MAX_LATE, WayTime
 from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Task
@@ -32,7 +33,6 @@ from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
 from m100link.station.ros.missions import Missions
 from m100link.station.ros.payload import Payload
-from m100link.station.way_time import MAX_LATE, WayTime
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 

@@ -15,13 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
+from m100link.agent.way_time import MAX_ORDER_LATE
 from m100link.errors import GuardRefused, LossReason
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude, RcMode, Velocity
 from m100link.station.console.tab import BEAT_LIFETIME, Tab, _read
 from m100link.station.console.view.instruments import FIELDS, live, read
 from m100link.station.console.view.words import Speaker, say
-from m100link.station.way_time import MAX_ORDER_LATE
 from tests.station.conftest import Rig
 
 pytestmark = pytest.mark.anyio
