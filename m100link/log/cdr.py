@@ -1,81 +1,77 @@
-"""Messages of ROS 2 as bytes: their definitions, and CDR made from them.
+"""Messages of ROS 2 as bytes: CDR made of their definitions, and read by them.
 
-Field by field as rosidl has them, of Humble to the newest; constants, which do not travel, are left
-out.
+What is sent a hundred times a second goes through a :class:`Template`: everything that does not
+change is encoded once, and numbers are filled in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from struct import calcsize, pack
+from struct import Struct, calcsize, error, pack, unpack_from
 from typing import Any, NamedTuple
 
-__all__ = ["DEFINITIONS", "definition", "encode"]
+from m100link.log.ros2_definitions import DEFINITIONS
 
-DEFINITIONS = {
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\n"
-    "geometry_msgs/Quaternion rotation",
-    "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
-    "geometry_msgs/Transform transform",
-    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
-    "geometry_msgs/TwistStamped": "std_msgs/Header header\ngeometry_msgs/Twist twist",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/Vector3Stamped": "std_msgs/Header header\ngeometry_msgs/Vector3 vector",
-    "sensor_msgs/BatteryState": "std_msgs/Header header\nfloat32 voltage\nfloat32 temperature\n"
-    "float32 current\nfloat32 charge\nfloat32 capacity\nfloat32 design_capacity\n"
-    "float32 percentage\nuint8 power_supply_status\nuint8 power_supply_health\n"
-    "uint8 power_supply_technology\nbool present\nfloat32[] cell_voltage\n"
-    "float32[] cell_temperature\nstring location\nstring serial_number",
-    "sensor_msgs/Imu": "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\n"
-    "float64[9] orientation_covariance\ngeometry_msgs/Vector3 angular_velocity\n"
-    "float64[9] angular_velocity_covariance\ngeometry_msgs/Vector3 linear_acceleration\n"
-    "float64[9] linear_acceleration_covariance",
-    "sensor_msgs/Joy": "std_msgs/Header header\nfloat32[] axes\nint32[] buttons",
-    "sensor_msgs/NavSatFix": "std_msgs/Header header\nsensor_msgs/NavSatStatus status\n"
-    "float64 latitude\nfloat64 longitude\nfloat64 altitude\nfloat64[9] position_covariance\n"
-    "uint8 position_covariance_type",
-    "sensor_msgs/NavSatStatus": "int8 status\nuint16 service",
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "std_msgs/String": "string data",
-    "std_msgs/UInt8": "uint8 data",
-    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
-}
-"""Fields of each message, in the language of ``.msg`` files."""
+__all__ = ["Template", "decode", "definition", "encode", "full_name", "type_hash"]
 
-_LETTERS = {
-    "bool": "?",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "float32": "f",
-    "float64": "d",
+_HEAD = b"\x00\x01\x00\x00"  # CDR, little-endian
+
+_MOST = 65536
+"""Values of a sequence and bytes of a text that are read: nothing here has more."""
+
+_EMPTY = "uint8 structure_needs_at_least_one_member"
+"""What rosidl puts into a message without fields."""
+
+# Letter of struct, and number of the type in a type description.
+_SCALARS = {
+    "bool": ("?", 15),
+    "int8": ("b", 2),
+    "uint8": ("B", 3),
+    "byte": ("B", 16),
+    "int16": ("h", 4),
+    "uint16": ("H", 5),
+    "int32": ("i", 6),
+    "uint32": ("I", 7),
+    "int64": ("q", 8),
+    "float32": ("f", 10),
+    "float64": ("d", 11),
 }
+_STRING = 17
+_NESTED = 1
+_ARRAY, _BOUNDED, _SEQUENCE = 48, 96, 144
 
 
 class _Field(NamedTuple):
     name: str
     type: str
     many: int | None  # None: one; 0: as many as there are
+    most: int  # of a sequence with a bound, else 0
 
 
 @cache
 def _fields(name: str) -> tuple[_Field, ...]:
     made = []
-    for line in DEFINITIONS[name].splitlines():
+    for line in (DEFINITIONS[name] or _EMPTY).splitlines():
         kind, field = line.split()
-        kind, _, many = kind.partition("[")
-        made.append(_Field(field, kind, int(many.rstrip("]") or 0) if many else None))
+        kind, bracket, many = kind.partition("[")
+        many = many.rstrip("]")
+        most = int(many.removeprefix("<=")) if many.startswith("<=") else 0
+        count = (0 if most else int(many or 0)) if bracket else None
+        made.append(_Field(field, kind, count, most))
     return tuple(made)
 
 
-def definition(name: str) -> str:
-    """The text of a message and of all that stand in it, as a bag holds it."""
+def full_name(name: str) -> str:
+    """The name as rosidl has it: ``sensor_msgs/msg/Imu``."""
+    package, _, rest = name.partition("/")
+    return name if "/" in rest else f"{package}/msg/{rest}"
+
+
+def _nested_in(name: str) -> dict[str, None]:
+    """What stands in a message, and in that, in the order of its fields."""
     found: dict[str, None] = {}
 
     def look(one: str) -> None:
@@ -85,9 +81,55 @@ def definition(name: str) -> str:
                 look(field.type)
 
     look(name)
+    return found
+
+
+def definition(name: str) -> str:
+    """The text of a message and of all that stand in it, as a bag holds it."""
     line = "=" * 80
-    parts = [DEFINITIONS[name], *(f"MSG: {one}\n{DEFINITIONS[one]}" for one in found)]
+    parts = [DEFINITIONS[name]]
+    parts += (f"MSG: {one}\n{DEFINITIONS[one]}" for one in _nested_in(name))
     return f"\n{line}\n".join(parts) + "\n"
+
+
+@cache
+def type_hash(name: str) -> str:
+    """The hash of a type by REP 2011, ``RIHS01_…``, which ROS 2 compares to tell types apart."""
+    described = {
+        "type_description": _described(name),
+        "referenced_type_descriptions": [
+            _described(one) for one in sorted(_nested_in(name), key=full_name)
+        ],
+    }
+    return f"RIHS01_{hashlib.sha256(json.dumps(described).encode()).hexdigest()}"
+
+
+def _described(name: str) -> dict[str, Any]:
+    fields = []
+    for field in _fields(name):
+        nested = full_name(field.type) if field.type in DEFINITIONS else ""
+        number = _NESTED if nested else _STRING
+        if field.type in _SCALARS:
+            number = _SCALARS[field.type][1]
+        if field.many is not None:
+            number += _BOUNDED if field.most else _ARRAY if field.many else _SEQUENCE
+        kind = {
+            "type_id": number,
+            "capacity": field.most or field.many or 0,
+            "string_capacity": 0,
+            "nested_type_name": nested,
+        }
+        fields.append({"name": field.name, "type": kind})
+    return {"type_name": full_name(name), "fields": fields}
+
+
+# -- writing --------------------------------------------------------------------------------------
+
+
+class _Leaf(NamedTuple):
+    path: str
+    letter: str
+    offset: int  # behind the header
 
 
 def encode(name: str, message: Mapping[str, Any]) -> bytes:
@@ -96,34 +138,141 @@ def encode(name: str, message: Mapping[str, Any]) -> bytes:
     Args:
         name: Such as ``sensor_msgs/Imu``.
         message: Its fields by name; nested messages are mappings.
+
+    Raises:
+        ValueError: An array has another length.
     """
     body = bytearray()
-    _message(body, name, message)
-    return b"\x00\x01\x00\x00" + bytes(body)
+    _message(body, name, message, "", [])
+    return _HEAD + bytes(body)
 
 
-def _message(body: bytearray, name: str, message: Mapping[str, Any]) -> None:
+def _message(
+    body: bytearray, name: str, message: Mapping[str, Any], path: str, leaves: list[_Leaf]
+) -> None:
     for field in _fields(name):
+        if not DEFINITIONS[name]:
+            _value(body, field.type, 0, path, leaves)
+            continue
         value = message[field.name]
+        inner = f"{path}{field.name}."
         if field.many is None:
-            _value(body, field.type, value)
+            _value(body, field.type, value, inner, leaves)
             continue
         if field.many == 0:
-            _value(body, "uint32", len(value))
+            _value(body, "uint32", len(value), f"{inner}#", leaves)
         elif len(value) != field.many:
             raise ValueError(f"{name}.{field.name} has {field.many} values, not {len(value)}")
-        for each in value:
-            _value(body, field.type, each)
+        for place, each in enumerate(value):
+            _value(body, field.type, each, f"{inner}{place}.", leaves)
 
 
-def _value(body: bytearray, kind: str, value: Any) -> None:
+def _value(body: bytearray, kind: str, value: Any, path: str, leaves: list[_Leaf]) -> None:
     if kind == "string":
         data = value.encode() + b"\0"
-        _value(body, "uint32", len(data))
+        _value(body, "uint32", len(data), f"{path}#", leaves)
         body += data
-    elif kind in _LETTERS:
-        size = calcsize(f"<{_LETTERS[kind]}")
+    elif kind in _SCALARS:
+        letter = _SCALARS[kind][0]
+        size = calcsize(f"<{letter}")
         body += bytes(-len(body) % size)
-        body += pack(f"<{_LETTERS[kind]}", value)
+        leaves.append(_Leaf(path, letter, len(body)))
+        body += pack(f"<{letter}", value)
     else:
-        _message(body, kind, value)
+        _message(body, kind, value, path, leaves)
+
+
+class Template:
+    """A message of which only some numbers change.
+
+    Args:
+        name: Such as ``sensor_msgs/Imu``.
+        message: All fields, with any numbers where they change.
+        changing: What changes: fields by their path (``header.stamp``), a whole message or array
+            at once. Texts and lengths stay.
+
+    Raises:
+        ValueError: There is nothing of that path.
+    """
+
+    def __init__(self, name: str, message: Mapping[str, Any], *changing: str) -> None:
+        body = bytearray()
+        leaves: list[_Leaf] = []
+        _message(body, name, message, "", leaves)
+        self._data = _HEAD + bytes(body)
+        self._runs = [self._run(leaves, f"{path}.") for path in changing]
+
+    @staticmethod
+    def _run(leaves: list[_Leaf], path: str) -> tuple[Callable[..., None], int]:
+        inside = [one for one in leaves if one.path.startswith(path)]
+        wanted = inside[1:] if inside and inside[0].path.endswith("#") else inside
+        if not wanted or any("#" in one.path for one in wanted):
+            raise ValueError(f"there are no numbers at {path}")
+        layout, end = "<", wanted[0].offset
+        for one in wanted:
+            layout += f"{one.offset - end}x{one.letter}"
+            end = one.offset + calcsize(f"<{one.letter}")
+        return Struct(layout).pack_into, wanted[0].offset + len(_HEAD)
+
+    def fill(self, *values: Sequence[Any]) -> bytes:
+        """The message with these numbers: a row of them for each path, in their order."""
+        data = bytearray(self._data)
+        for (pack_into, offset), row in zip(self._runs, values, strict=True):
+            pack_into(data, offset, *row)
+        return bytes(data)
+
+
+# -- reading --------------------------------------------------------------------------------------
+
+
+def decode(name: str, data: bytes) -> dict[str, Any]:
+    """A message of somebody else; what stands behind it is ignored.
+
+    Args:
+        name: Such as ``geometry_msgs/TwistStamped``.
+        data: CDR, little-endian, with its header.
+
+    Raises:
+        ValueError: It is not one.
+    """
+    if data[:2] != _HEAD[:2]:
+        raise ValueError(f"not CDR as ROS 2 writes it: {data[:4].hex()}")
+    try:
+        found, _ = _read_message(name, data[len(_HEAD) :], 0)
+    except error as cut:
+        raise ValueError(f"{name} is cut off: {cut}") from None
+    return found
+
+
+def _read_message(name: str, body: bytes, at: int) -> tuple[dict[str, Any], int]:
+    found: dict[str, Any] = {}
+    for field in _fields(name):
+        if field.many is None:
+            found[field.name], at = _read(field.type, body, at)
+            continue
+        count = field.many
+        if not count:
+            count, at = _read("uint32", body, at)
+            if count > (field.most or _MOST):
+                raise ValueError(f"{name}.{field.name} has {count} values")
+        values = []
+        for _ in range(count):
+            value, at = _read(field.type, body, at)
+            values.append(value)
+        found[field.name] = values
+    return found if DEFINITIONS[name] else {}, at
+
+
+def _read(kind: str, body: bytes, at: int) -> tuple[Any, int]:
+    if kind == "string":
+        length, at = _read("uint32", body, at)
+        text = body[at : at + length]
+        if not 0 < length <= _MOST or len(text) < length or text[-1]:
+            raise ValueError("a text that does not end")
+        return text[:-1].decode("utf-8", "replace"), at + length
+    if kind not in _SCALARS:
+        return _read_message(kind, body, at)
+    layout = f"<{_SCALARS[kind][0]}"
+    size = calcsize(layout)
+    at += -at % size
+    return unpack_from(layout, body, at)[0], at + size

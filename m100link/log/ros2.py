@@ -1,12 +1,10 @@
 """A flight log as a bag of ROS 2: an MCAP file with its messages in CDR.
 
-Frames and units of REP 103 and 105: east, north, up on the ground (``map``); forward, left, up in
-the body (``base_link``).
+The ground is ``map``, the body ``base_link``.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import IO, Any
 
@@ -14,6 +12,7 @@ from m100link.log.cdr import definition, encode
 from m100link.log.channels import COMMAND, EVENT
 from m100link.log.reading import FlightLog
 from m100link.log.records import mcap_module
+from m100link.log.ros2_messages import Messages, Stamp
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import (
     Acceleration,
@@ -25,7 +24,6 @@ from m100link.protocol.records import (
     RemoteControl,
     Velocity,
 )
-from m100link.telemetry.limits import GOOD_GPS
 from m100link.telemetry.sample import Sample
 
 __all__ = ["TOPICS", "write_bag"]
@@ -43,12 +41,7 @@ TOPICS = {
 }
 """What is in a bag: topic and message."""
 
-_MAP, _BODY = "map", "base_link"
-_UNKNOWN = [0.0] * 9
-_NOT_THERE = [-1.0] + [0.0] * 8  # as sensor_msgs/Imu says it
-_NO_FIX, _FIX, _GPS = -1, 0, 1
-_STICK = 10_000.0
-_NAN = math.nan
+_MESSAGES = Messages("map", "base_link")
 
 
 def write_bag(
@@ -78,12 +71,12 @@ def write_bag(
             topic, "cdr", schema, {"offered_qos_profiles": ""}
         )
     count = 0
-    for topic, at_ns, content in _messages(flight, firmware):
+    for topic, at_ns, data in _messages(flight, firmware):
         writer.add_message(
             channel_id=channels[topic],
             log_time=at_ns,
             publish_time=at_ns,
-            data=encode(TOPICS[topic], content),
+            data=data,
         )
         count += 1
     writer.finish()
@@ -92,11 +85,11 @@ def write_bag(
 
 def _messages(
     flight: FlightLog, firmware: str | FirmwareProfile | None
-) -> Iterator[tuple[str, int, dict[str, Any]]]:
+) -> Iterator[tuple[str, int, bytes]]:
     offset = None
     for message in flight.messages(COMMAND, EVENT):
-        text = message.data.decode("utf-8", "replace")
-        yield "/m100/events", max(0, round(message.utc * 1e9)), {"data": text}
+        text = encode("std_msgs/String", {"data": message.data.decode("utf-8", "replace")})
+        yield "/m100/events", max(0, round(message.utc * 1e9)), text
     for message in flight.messages():
         offset = message.utc - message.at
         break
@@ -104,98 +97,31 @@ def _messages(
         return
     for sample in flight.samples(firmware=firmware):
         at_ns = max(0, round((sample.received_at + offset) * 1e9))
-        for topic, content in _told(sample, at_ns):
-            yield topic, at_ns, content
+        for topic, data in _told(sample, divmod(at_ns, 10**9)):
+            yield topic, at_ns, data
 
 
-def _told(sample: Sample, at_ns: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    ground, body = _header(at_ns, _MAP), _header(at_ns, _BODY)
-    position = sample.get(Position)
+def _told(sample: Sample, stamp: Stamp) -> Iterator[tuple[str, bytes]]:
+    made = _MESSAGES
+    position, attitude = sample.get(Position), sample.get(Attitude)
     if position is not None:
-        yield "/m100/fix", _fix(body, position)
-    attitude, rates = sample.get(Attitude), sample.get(AngularVelocity)
+        yield "/m100/fix", made.fix(stamp, position)
+    rates, acceleration = sample.get(AngularVelocity), sample.get(Acceleration)
     if attitude is not None or rates is not None:
-        yield "/m100/imu", _imu(body, attitude, rates)
+        yield "/m100/imu", made.imu(stamp, attitude, rates, acceleration)
     if attitude is not None and position is not None:
-        transform = {
-            "translation": _vector(0.0, 0.0, position.height_m),
-            "rotation": dict(zip("xyzw", attitude.enu_flu_xyzw, strict=True)),
-        }
-        named = {"header": ground, "child_frame_id": _BODY, "transform": transform}
-        yield "/tf", {"transforms": [named]}
+        yield "/tf", made.transform(stamp, (0.0, 0.0, position.height_m), attitude)
     velocity = sample.get(Velocity)
     if velocity is not None:
-        twist = {"linear": _vector(*velocity.enu), "angular": _vector(0.0, 0.0, 0.0)}
-        yield "/m100/velocity", {"header": ground, "twist": twist}
-    acceleration = sample.get(Acceleration)
+        yield "/m100/velocity", made.velocity(stamp, velocity)
     if acceleration is not None:
-        yield "/m100/acceleration", {"header": ground, "vector": _vector(*acceleration.enu)}
+        yield "/m100/acceleration", made.acceleration(stamp, acceleration)
     battery = sample.get(Battery)
     if battery is not None:
-        yield "/m100/battery", _battery(body, battery)
+        yield "/m100/battery", made.battery(stamp, battery)
     rc = sample.get(RemoteControl)
     if rc is not None:
-        axes = [one / _STICK for one in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
-        yield "/m100/joy", {"header": body, "axes": axes, "buttons": [rc.mode, rc.gear or 0]}
+        yield "/m100/joy", made.joy(stamp, rc)
     status = sample.get(FlightStatus)
     if status is not None:
-        yield "/m100/flight_status", {"data": status.status}
-
-
-def _header(at_ns: int, frame: str) -> dict[str, Any]:
-    return {"stamp": {"sec": at_ns // 10**9, "nanosec": at_ns % 10**9}, "frame_id": frame}
-
-
-def _vector(x: float, y: float, z: float) -> dict[str, float]:
-    return {"x": x, "y": y, "z": z}
-
-
-def _fix(header: dict[str, Any], position: Position) -> dict[str, Any]:
-    is_good = position.gps_health is None or position.gps_health >= GOOD_GPS
-    return {
-        "header": header,
-        "status": {"status": _FIX if is_good else _NO_FIX, "service": _GPS},
-        "latitude": position.latitude_deg,
-        "longitude": position.longitude_deg,
-        "altitude": position.altitude_m,
-        "position_covariance": _UNKNOWN,
-        "position_covariance_type": 0,
-    }
-
-
-def _imu(
-    header: dict[str, Any], attitude: Attitude | None, rates: AngularVelocity | None
-) -> dict[str, Any]:
-    # The acceleration of the package is in the ground frame and without gravity, which is not what
-    # this message means: it has a topic of its own.
-    turned = (0.0, 0.0, 0.0, 1.0) if attitude is None else attitude.enu_flu_xyzw
-    turning = (
-        (0.0, 0.0, 0.0)
-        if rates is None
-        else (rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s)
-    )
-    return {
-        "header": header,
-        "orientation": dict(zip("xyzw", turned, strict=True)),
-        "orientation_covariance": _NOT_THERE if attitude is None else _UNKNOWN,
-        "angular_velocity": _vector(*turning),
-        "angular_velocity_covariance": _NOT_THERE if rates is None else _UNKNOWN,
-        "linear_acceleration": _vector(0.0, 0.0, 0.0),
-        "linear_acceleration_covariance": _NOT_THERE,
-    }
-
-
-def _battery(header: dict[str, Any], battery: Battery) -> dict[str, Any]:
-    unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
-    kinds = ("power_supply_status", "power_supply_health", "power_supply_technology")
-    return {
-        "header": header,
-        **dict.fromkeys(unknown, _NAN),
-        "percentage": battery.percent / 100.0,
-        **dict.fromkeys(kinds, 0),
-        "present": True,
-        "cell_voltage": [],
-        "cell_temperature": [],
-        "location": "",
-        "serial_number": "",
-    }
+        yield "/m100/flight_status", encode("std_msgs/UInt8", {"data": status.status})
