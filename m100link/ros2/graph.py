@@ -1,0 +1,273 @@
+"""Names of the graph of ROS 2 on zenoh, as rmw_zenoh has them: keys, tokens, attachments.
+
+A topic or service is a key with its type and hash; a node and each of its ends is a liveliness
+token that whoever asks for the graph reads. Texts in, texts out: nothing is sent here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from struct import Struct, error
+
+from m100link.errors import UsageError
+from m100link.log.cdr import full_name, type_hash
+
+__all__ = [
+    "ADMIN",
+    "Attachment",
+    "End",
+    "Names",
+    "NodeName",
+    "Qos",
+    "Seen",
+    "data_key",
+    "dds_name",
+    "read_attachment",
+    "read_token",
+]
+
+ADMIN = "@ros2_lv"
+"""What tokens begin with."""
+
+GID_SIZE = 16
+
+_HEAD = Struct("<QQB")
+_NODE_PARTS, _END_PARTS = 9, 13
+_TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+class End(Enum):
+    """What a token stands for."""
+
+    NODE = "NN"
+    PUBLISHER = "MP"
+    SUBSCRIBER = "MS"
+    SERVER = "SS"
+    CLIENT = "SC"
+
+
+@dataclass(frozen=True, slots=True)
+class Qos:
+    """Quality of service, as far as an end here chooses it.
+
+    Attributes:
+        is_reliable: Else best effort, which sensors have.
+        is_latched: Whether who comes late gets the last one: transient local.
+        depth: How many are kept.
+    """
+
+    is_reliable: bool = True
+    is_latched: bool = False
+    depth: int = 10
+
+    def __str__(self) -> str:
+        """As a token has it; what is the default stays empty."""
+        reliability = "" if self.is_reliable else "2"
+        durability = "1" if self.is_latched else ""
+        return f"{reliability}:{durability}:,{self.depth}:,:,:,,"
+
+
+def dds_name(name: str) -> str:
+    """A type as keys have it: ``sensor_msgs::msg::dds_::Imu_``."""
+    package, kind, last = full_name(name).split("/")
+    return f"{package}::{kind}::dds_::{last}_"
+
+
+def data_key(domain: int, topic: str, kind: str) -> str:
+    """Where the data of a topic goes, or the requests to a service.
+
+    Args:
+        domain: ROS_DOMAIN_ID.
+        topic: With all of its namespaces.
+        kind: Its type, such as ``sensor_msgs/Imu``.
+    """
+    return f"{domain}/{topic.strip('/')}/{dds_name(kind)}/{type_hash(kind)}"
+
+
+def _mangled(name: str) -> str:
+    return name.replace("/", "%") or "%"
+
+
+@dataclass(frozen=True, slots=True)
+class NodeName:
+    """A node of this process.
+
+    Attributes:
+        domain: ROS_DOMAIN_ID.
+        session: Id of the zenoh session.
+        namespace: ``/`` or ``/drones/first``.
+        name: Its own name.
+        number: Its number within the session.
+    """
+
+    domain: int
+    session: str
+    namespace: str
+    name: str
+    number: int = 0
+
+    @property
+    def full(self) -> str:
+        """Its name with its namespace."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
+    def _token(self, number: int, end: End) -> str:
+        where = f"{ADMIN}/{self.domain}/{self.session}/{self.number}/{number}/{end.value}"
+        return f"{where}/%/{_mangled(self.namespace)}/{self.name}"
+
+    @property
+    def token(self) -> str:
+        """What says that it is there."""
+        return self._token(self.number, End.NODE)
+
+    def token_of(self, number: int, end: End, topic: str, kind: str, qos: Qos) -> str:
+        """What says that one of its ends is there.
+
+        Args:
+            number: Of the end, within the session.
+            end: What it is.
+            topic: Of the topic or service, with all of its namespaces.
+            kind: Its type.
+            qos: Its quality of service.
+        """
+        about = f"{_mangled(topic)}/{dds_name(kind)}/{type_hash(kind)}/{qos}"
+        return f"{self._token(number, end)}/{about}"
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A node or an end of somebody, as its token says.
+
+    Attributes:
+        node: Which node: its session and number.
+        node_name: Its name with its namespace.
+        end: What it is.
+        topic: Of which topic or service; empty for the node itself.
+    """
+
+    node: tuple[str, str]
+    node_name: str
+    end: End
+    topic: str
+
+
+def read_token(key: str) -> Seen | None:
+    """What a token says; None where it is not one as rmw_zenoh writes them."""
+    parts = key.split("/")
+    if len(parts) not in (_NODE_PARTS, _END_PARTS) or parts[0] != ADMIN:
+        return None
+    try:
+        end = End(parts[5])
+    except ValueError:
+        return None
+    if (end is End.NODE) != (len(parts) == _NODE_PARTS):
+        return None
+    namespace = parts[7].replace("%", "/").rstrip("/")
+    topic = "" if end is End.NODE else parts[9].replace("%", "/")
+    return Seen((parts[2], parts[3]), f"{namespace}/{parts[8]}", end, topic)
+
+
+# -- attachments ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """What goes with each sample and request.
+
+    Attributes:
+        sequence: Counts what its sender sent.
+        at_ns: When it was sent, POSIX time in ns by the clock of the sender.
+        gid: Id of the sender; an answer has that of the request.
+    """
+
+    sequence: int
+    at_ns: int
+    gid: bytes
+
+    def __bytes__(self) -> bytes:
+        return _HEAD.pack(self.sequence, self.at_ns, len(self.gid)) + self.gid
+
+
+def read_attachment(data: bytes) -> Attachment:
+    """The attachment of somebody else.
+
+    Raises:
+        ValueError: It is not one.
+    """
+    try:
+        sequence, at_ns, size = _HEAD.unpack_from(data)
+    except error:
+        raise ValueError("no attachment as rmw_zenoh writes it") from None
+    gid = data[_HEAD.size : _HEAD.size + size]
+    if size != GID_SIZE or len(gid) != size:
+        raise ValueError("an attachment without an id of its sender")
+    return Attachment(sequence, at_ns, gid)
+
+
+# -- names ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """How names of the node become names of the graph.
+
+    Attributes:
+        namespace: ``/`` or ``/drones/first``.
+        node: Name of the node.
+        remaps: Full names by full names.
+    """
+
+    namespace: str
+    node: str
+    remaps: Mapping[str, str]
+
+    @classmethod
+    def of(cls, namespace: str, node: str, remaps: tuple[str, ...] = ()) -> Names:
+        """From what was asked for.
+
+        Args:
+            namespace: With or without a slash in front.
+            node: One word.
+            remaps: Rules ``from:=to``, with private (``~/imu``), relative and full names.
+
+        Raises:
+            UsageError: A name or a rule cannot be.
+        """
+        words = [one for one in namespace.split("/") if one]
+        for word in (*words, node):
+            if not _TOKEN.fullmatch(word):
+                raise UsageError(
+                    f"{word!r} cannot be part of a name in ROS",
+                    remedy="take letters, digits and underscores, no digit in front",
+                )
+        plain = cls("/" + "/".join(words), node, {})
+        found = {}
+        for rule in remaps:
+            before, sign, after = rule.partition(":=")
+            if not (sign and before and after):
+                raise UsageError(f"{rule!r} is not a rule", remedy="write from:=to: ~/imu:=/imu")
+            found[plain.full(before)] = plain.full(after)
+        return cls(plain.namespace, node, found)
+
+    def full(self, name: str) -> str:
+        """A private, relative or full name with all of its namespaces, and remapped.
+
+        Raises:
+            UsageError: It cannot be a name.
+        """
+        base = self.namespace.rstrip("/")
+        if name.startswith("~/"):
+            name = f"{base}/{self.node}/{name[2:]}"
+        elif not name.startswith("/"):
+            name = f"{base}/{name}"
+        if not all(_TOKEN.fullmatch(word) for word in name[1:].split("/")):
+            raise UsageError(f"{name!r} cannot be a name in ROS")
+        return self.remaps.get(name, name)
+
+    def frame(self, name: str) -> str:
+        """A frame of this node: those of several nodes differ by their namespaces."""
+        inner = self.namespace.strip("/")
+        return f"{inner}/{name}" if inner else name

@@ -1,0 +1,268 @@
+"""What the node publishes: made of what the agent tells, for as long as somebody listens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from m100link.agent.client import AgentClient
+from m100link.agent.messages import Event
+from m100link.geodesy import LocalFrame
+from m100link.log.cdr import encode
+from m100link.log.ros2_messages import Messages, Stamp
+from m100link.protocol.records import (
+    AngularVelocity,
+    Attitude,
+    Battery,
+    FlightStatus,
+    Gimbal,
+    Magnetometer,
+    Position,
+    RemoteControl,
+    Time,
+    Velocity,
+)
+from m100link.ros2.graph import Names
+from m100link.ros2.topics import OUTPUTS
+from m100link.telemetry.device_clock import DeviceClock
+from m100link.telemetry.limits import GOOD_GPS
+from m100link.telemetry.sample import Sample
+
+__all__ = ["Places", "Teller"]
+
+R = TypeVar("R", bound=tuple[Any, ...])
+
+Publish = Callable[[str, bytes], None]
+
+_FRESH_S = 0.3
+"""Seconds for which an item of another package belongs to this one."""
+
+_EARLY = 0.2
+"""Part of the time between two messages by which a package may be early."""
+
+_STATE_S, _LOOK_S, _OLD_S = 1.0, 0.1, 2.5
+_LEVELS = {"info": 20, "warning": 30, "error": 40}
+_UNKNOWN = 255
+_HERE = (0.0, 0.0, 0.0)
+_EAST = Attitude(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # turned by nothing from east, north, up
+
+
+class Places:
+    """Where the aircraft is, from where its GPS was good first.
+
+    Attributes:
+        origin: That place; None before.
+    """
+
+    def __init__(self) -> None:
+        self.origin: LocalFrame | None = None
+
+    def local(self, position: Position) -> tuple[float, float, float] | None:
+        """East, north, up in metres; up from the take-off point. None before the first fix."""
+        if not position.is_possible or not math.isfinite(position.height_m):
+            return None
+        is_good = position.gps_health is None or position.gps_health >= GOOD_GPS
+        if self.origin is None:
+            if not is_good:
+                return None
+            self.origin = LocalFrame(position.latitude_deg, position.longitude_deg)
+        north, east = self.origin.to_local(position.latitude_deg, position.longitude_deg)
+        return east, north, position.height_m
+
+
+class Teller:
+    """Makes the messages.
+
+    Args:
+        agent: What tells.
+        names: Frames of the node, and its own name.
+        publish: Takes a topic of the table and its message.
+        is_wanted: Whether anybody listens to a topic.
+        utc: POSIX time, s.
+
+    Attributes:
+        clock: Of the aircraft; None before its first tick.
+        places: Where it is.
+        hz: Messages per second at most, by topic; 0 for each that there is.
+    """
+
+    def __init__(
+        self,
+        agent: AgentClient,
+        names: Names,
+        publish: Publish,
+        is_wanted: Callable[[str], bool],
+        utc: Callable[[], float],
+    ) -> None:
+        self._agent, self._names = agent, names
+        self._publish, self._is_wanted, self._utc = publish, is_wanted, utc
+        self.clock: DeviceClock | None = None
+        self.places = Places()
+        self.hz = {name: row.hz for name, row in OUTPUTS.items()}
+        self._messages = Messages(names.frame("odom"), names.frame("base_link"))
+        self._due: dict[str, float] = {}
+        self._status: dict[str, Any] = {}
+        self._looks_at = agent.now
+        self._makers: dict[str, Callable[[Sample, Stamp], bytes | None]] = {
+            "~/imu": self._imu,
+            "~/fix": _of(Position, self._messages.fix),
+            "~/odom": self._odometry,
+            "~/pose": self._pose,
+            "~/velocity": _of(Velocity, self._messages.velocity),
+            "~/battery": _of(Battery, self._messages.battery),
+            "~/magnetic_field": _of(Magnetometer, self._messages.magnetometer),
+            "~/joy": _of(RemoteControl, self._messages.joy),
+            "~/gimbal": _of(Gimbal, self._messages.gimbal),
+            "/tf": self._transform,
+        }
+        agent.on_event.append(self._event)
+
+    # -- times -----------------------------------------------------------------------------------
+
+    def _stamp(self, at: float) -> Stamp:
+        """POSIX time of a time of the event loop."""
+        nanoseconds = max(0, round((at - self._agent.now + self._utc()) * 1e9))
+        return divmod(nanoseconds, 10**9)
+
+    def _taken_at(self, sample: Sample) -> float:
+        """When a package was made: by the clock of the aircraft, never later than it came."""
+        time = sample.get(Time)
+        if time is None:
+            return sample.received_at
+        if self.clock is None or self.clock.tick_hz != sample.profile.tick_hz:
+            self.clock = DeviceClock(sample.profile.tick_hz)
+        self.clock.update(time.tick, sample.received_at)
+        found = self.clock.host_time(time.tick)
+        if found is None or not math.isfinite(found.uncertainty_s):
+            return sample.received_at
+        return min(found.time, sample.received_at)
+
+    # -- with each package -----------------------------------------------------------------------
+
+    def hear(self, sample: Sample) -> None:
+        """A package of telemetry came."""
+        now = sample.received_at
+        stamp = self._stamp(self._taken_at(sample))
+        for name, make in self._makers.items():
+            pause = self._pause(name)
+            if now + _EARLY * pause < self._due.get(name, now) or not self._is_wanted(name):
+                continue
+            message = make(sample, stamp)
+            if message is not None:
+                # From when it was due, so that the rate holds; not from long ago.
+                self._due[name] = max(self._due.get(name, now) + pause, now)
+                self._publish(name, message)
+
+    def _pause(self, name: str) -> float:
+        hz = self.hz[name]
+        return 1.0 / hz if hz else 0.0
+
+    def _near(self, record: type[R], sample: Sample) -> R | None:
+        """An item of this package, or of one just before."""
+        found = sample.get(record)
+        if found is not None or self._agent.telemetry is None:
+            return found
+        return self._agent.telemetry.fresh(record, within=_FRESH_S)
+
+    def _imu(self, sample: Sample, stamp: Stamp) -> bytes | None:
+        attitude, rates = sample.attitude, sample.angular_velocity
+        if attitude is None and rates is None:
+            return None
+        return self._messages.imu(stamp, attitude, rates, sample.acceleration)
+
+    def _place(self, sample: Sample) -> tuple[float, float, float] | None:
+        position = self._near(Position, sample)
+        return None if position is None else self.places.local(position)
+
+    def _odometry(self, sample: Sample, stamp: Stamp) -> bytes | None:
+        attitude, place = sample.attitude, self._place(sample)
+        velocity, rates = self._near(Velocity, sample), self._near(AngularVelocity, sample)
+        if attitude is None or place is None or velocity is None or rates is None:
+            return None
+        return self._messages.odometry(stamp, place, attitude, velocity, rates)
+
+    def _pose(self, sample: Sample, stamp: Stamp) -> bytes | None:
+        attitude, place = sample.attitude, self._place(sample)
+        if attitude is None or place is None:
+            return None
+        return self._messages.pose(stamp, place, attitude)
+
+    def _transform(self, sample: Sample, stamp: Stamp) -> bytes | None:
+        attitude, place = sample.attitude, self._place(sample)
+        if attitude is None or place is None:
+            return None
+        return self._messages.transform(stamp, place, attitude)
+
+    # -- with time -------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Say what does not change, and what has happened."""
+        ground = Messages(self._names.frame("map"), self._names.frame("odom"))
+        self._publish("/tf_static", ground.transform(self._stamp(self._agent.now), _HERE, _EAST))
+        for event in self._agent.events:
+            self._event(event)
+
+    def advance(self) -> None:
+        """Say how it stands, if that has changed or was not said for a while."""
+        now = self._agent.now
+        if now < self._looks_at:
+            return
+        self._looks_at = now + _LOOK_S
+        status = self._flight_status()
+        if status != self._status or now >= self._due.get("~/flight_status", now):
+            self._status = status
+            self._due["~/flight_status"] = now + _STATE_S
+            told = {"header": self._header(self._stamp(now)), **status}
+            self._publish("~/flight_status", encode("m100_msgs/FlightStatus", told))
+
+    def _header(self, stamp: Stamp) -> dict[str, Any]:
+        time = {"sec": stamp[0], "nanosec": stamp[1]}
+        return {"stamp": time, "frame_id": self._names.frame("base_link")}
+
+    def _flight_status(self) -> dict[str, Any]:
+        agent = self._agent
+
+        def known(record: type[R]) -> R | None:
+            telemetry = agent.telemetry
+            return None if telemetry is None else telemetry.fresh(record, within=_OLD_S)
+
+        status, remote = known(FlightStatus), known(RemoteControl)
+        position, battery = known(Position), known(Battery)
+        health = None if position is None else position.gps_health
+        return {
+            "phase": _UNKNOWN if status is None else status.status,
+            "has_authority": agent.has_authority,
+            "holder": agent.holder.name,
+            "task": agent.state.task,
+            "mode_switch": "" if remote is None else remote.mode_switch.name,
+            "gps_health": _UNKNOWN if health is None else health,
+            "battery_percent": _UNKNOWN if battery is None else battery.percent,
+            "firmware": agent.state.firmware,
+            "connection": "silent" if agent.is_silent else agent.state.connection,
+        }
+
+    def _event(self, event: Event) -> None:
+        sec, nanosec = self._stamp(event.at)
+        said = {
+            "stamp": {"sec": sec, "nanosec": nanosec},
+            "level": _LEVELS.get(event.level, 20),
+            "name": self._names.full("~/x")[1:-2].replace("/", "."),
+            "msg": event.text,
+            "file": "",
+            "function": "",
+            "line": 0,
+        }
+        self._publish("/rosout", encode("rcl_interfaces/Log", said))
+
+
+def _of(
+    record: type[R], make: Callable[[Stamp, R], bytes]
+) -> Callable[[Sample, Stamp], bytes | None]:
+    """What is made of one item, where a package has it."""
+
+    def made(sample: Sample, stamp: Stamp) -> bytes | None:
+        found = sample.get(record)
+        return None if found is None else make(stamp, found)
+
+    return made

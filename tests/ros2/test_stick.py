@@ -1,0 +1,72 @@
+"""Who has the stick, and who does not get it by the death of another."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.ros2.stick import SILENCE_S, Stick
+
+ONE, OTHER = b"1" * 16, b"2" * 16
+
+
+@pytest.fixture
+def stick() -> Stick:
+    made = Stick()
+    made.begin(0.0)
+    return made
+
+
+def test_who_begins_first_has_it(stick: Stick) -> None:
+    assert stick.hear(ONE, 0.0, 0.0) == ""
+    assert stick.hear(OTHER, 0.1, 0.1) == "other"
+    assert stick.hear(ONE, 0.2, 0.2) == ""
+    assert stick.refused == {"late": 0, "other": 1, "closed": 0}
+
+
+def test_who_was_refused_has_to_be_silent_first(stick: Stick) -> None:
+    stick.hear(ONE, 0.0, 0.0)
+    for step in range(1, 20):
+        assert stick.hear(OTHER, step / 10, step / 10) == "other"
+    assert stick.holder is None
+    assert stick.hear(OTHER, 2.5, 2.5) == ""
+
+
+def test_who_was_silent_begins_anew(stick: Stick) -> None:
+    stick.hear(ONE, 0.0, 0.0)
+    assert stick.hear(ONE, 5.0, 5.0) == ""
+
+
+def test_before_control_nobody_has_it() -> None:
+    stick = Stick()
+    assert stick.hear(ONE, 0.0, 0.0) == "closed"
+    stick.begin(0.1)
+    assert stick.holder == ONE  # whoever sends alone while control is obtained
+
+
+def test_of_two_that_send_nobody_gets_it() -> None:
+    stick = Stick()
+    stick.hear(ONE, 0.0, 0.0)
+    stick.hear(OTHER, 0.0, 0.0)
+    stick.begin(0.1)
+    assert stick.hear(ONE, 0.2, 0.2) == stick.hear(OTHER, 0.2, 0.2) == "other"
+    assert stick.hear(ONE, 1.0, 0.3 + SILENCE_S) == ""
+
+
+def test_after_the_end_nothing_goes_on(stick: Stick) -> None:
+    stick.hear(ONE, 0.0, 0.0)
+    stick.end()
+    assert stick.hear(ONE, 0.1, 0.1) == "closed"
+
+
+def test_what_waited_is_late_by_whatever_clock(stick: Stick) -> None:
+    assert stick.hear(ONE, 1000.0, 0.0) == ""
+    assert stick.hear(ONE, 1000.1, 0.45) == "late"
+    assert stick.hear(ONE, 1000.5, 0.5) == ""
+
+
+def test_a_thousand_senders_are_not_kept(stick: Stick) -> None:
+    stick.hear(ONE, 0.0, 0.0)
+    for number in range(1000):
+        stick.hear(number.to_bytes(16, "little"), 0.0, 0.01)
+    assert len(stick._senders) <= 32
+    assert stick.hear(ONE, 0.1, 0.1) != ""  # pushed out: it lets go, which is a hover
