@@ -26,6 +26,7 @@ extensions = [
     "tables",
     "command_tables",
     "mavlink_tables",
+    "ros2_tables",
     "error_list",
     "figures",
 ]

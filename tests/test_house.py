@@ -285,7 +285,6 @@ TESTED_ELSEWHERE = {
     "station/launch.py": ("station/test_config.py", "launch files are one source of the settings"),
     "station/ros/encoding.py": ("station/ros/test_client.py", "seen in what a client gets"),
     "station/ros/leases.py": ("station/ros/test_node_2015.py", "taken by opening control"),
-    "station/mavlink.py": ("cli/test_mavlink.py", "sockets of a process"),
     "station/owner.py": ("station/test_several.py", "a process of its own"),
     "station/run.py": ("station/web/test_server.py", "every test there runs it"),
     "station/web/access.py": ("station/web/test_gate.py", "the gate's two questions"),

@@ -128,6 +128,10 @@ VERBS = {
         "mavlink:mavlink",
         "Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.",
     ),
+    "ros2": (
+        "ros2:ros2",
+        "Be a node of ROS 2, without a ROS installation, until Ctrl-C.",
+    ),
     "console": (
         "station:console",
         "Serve the console for browsers, beside everything that `serve` serves, and open it.",

@@ -51,6 +51,7 @@ _FromSettings: Any = options_of(
         "baud_rate": "--baud",
         "metrics_port": "--metrics",
         "foxglove_port": "--foxglove",
+        "ros2": "--ros2",
     },
     is_layer=True,
 )
@@ -452,11 +453,13 @@ def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool
             told = {"rosbridge": addresses, "console": console_url} | told
         if running.mavlink:
             told |= {"mavlink": running.mavlink}
+        told |= {"ros2": _nodes(aircraft)} if settings.ros2 else {}
         told |= {} if metrics_url is None else {"metrics": metrics_url}
         told |= {"foxglove": viewers[0]} if viewers else {}
         print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
     else:
         all_served = {"rosbridge": addresses, "mavlink": running.mavlink, "foxglove": viewers}
+        all_served["ros2"] = _nodes(aircraft) if settings.ros2 else []
         for name, served in all_served.items():
             if served:
                 out.print(f"{name + ':':10} {', '.join(served)}", markup=False, soft_wrap=True)
@@ -464,6 +467,15 @@ def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool
             out.print(f"console:   {console_url}", markup=False, soft_wrap=True)
         if metrics_url is not None:
             out.print(f"metrics:   {metrics_url}", markup=False, soft_wrap=True)
+
+
+def _nodes(aircraft: dict[str, Settings]) -> list[str]:
+    from m100link.ros2.graph import NodeName
+    from m100link.station.ros2 import nodes_of
+
+    settings = next(iter(aircraft.values()))
+    names = nodes_of(settings, list(aircraft)).values()
+    return [NodeName(0, "", one.namespace, one.node).full for one in names]
 
 
 def _tell_unused(settings: Settings) -> None:

@@ -93,6 +93,11 @@ class Settings:
         autopilot: What the heartbeat says that it is: px4, which ground stations know, or generic.
         signing_key_file: File with the key that signs MAVLink, 64 hex digits, readable by you
             alone; what is not signed with it moves nothing.
+        ros2: Be a node of ROS 2, for everybody in its graph.
+        ros2_namespace: Namespace of the node, such as /drones.
+        ros2_node: Name of the node; what is private to it stands below: /m100/imu.
+        ros2_domain: Domain of the graph; 0 by default.
+        ros2_remap: Call something otherwise, from:=to, such as ~/imu:=/imu; may be repeated.
         record: Folder for a flight log of each connection; nothing in it is ever removed. By
             default `serve` and `console` keep them in m100link/flights of the user's state folder
             (~/.local/state).
@@ -139,6 +144,11 @@ class Settings:
     sysid: int = 1
     autopilot: str = "px4"
     signing_key_file: Path | None = None
+    ros2: bool = False
+    ros2_namespace: str = "/"
+    ros2_node: str = ONLY_NAME
+    ros2_domain: int = 0
+    ros2_remap: tuple[str, ...] = ()
     record: Path | None = None
     no_record: bool = False
     record_keep: int = RECORD_KEEP
@@ -239,6 +249,7 @@ ENVIRONMENT = {
     "level": "M100LINK_LEVEL",
     "host": "M100LINK_HOST",
     "port": "M100LINK_PORT",
+    "ros2_domain": "ROS_DOMAIN_ID",
     "console_port": "M100LINK_CONSOLE_PORT",
     "token": "M100LINK_TOKEN",
     "token_file": "M100LINK_TOKEN_FILE",

@@ -15,6 +15,7 @@ from m100link.errors import LinkError, UsageError
 from m100link.station.config import Settings
 from m100link.station.console.orders import Orders
 from m100link.station.mavlink import open_mavlink, serving_mavlink
+from m100link.station.ros2 import check_ros2, serving_ros2
 from m100link.station.web.access import Access
 
 if TYPE_CHECKING:
@@ -106,8 +107,10 @@ def open_sockets(
 
     Raises:
         PortBusy, PortFailed: A port is taken, or the address cannot be bound.
-        UsageError: MAVLink is to be served to other machines, and nothing signs it.
+        UsageError: MAVLink is to be served to other machines, and nothing signs it; or a name in
+            ROS cannot be.
     """
+    check_ros2(settings)
 
     def opened(port: int) -> socket.socket:
         from m100link.station.web.server import listen  # what has no page needs no server
@@ -166,6 +169,9 @@ async def serving_fronts(
         if sockets.mavlink:
             vehicles = await _reached(stack, reach, "mavlink")
             await stack.enter_async_context(serving_mavlink(vehicles, settings, sockets.mavlink))
+        if settings.ros2:
+            flown = await _reached(stack, reach, "ROS 2")
+            await stack.enter_async_context(serving_ros2(flown, settings))
         if sockets.metrics is not None and bridge is not None:
             servers.append(_metrics(bridge, settings, dropped_by_tabs))
             await stack.enter_async_context(_serving(servers[-1], [sockets.metrics]))

@@ -1,0 +1,73 @@
+"""``m100link ros2``: aircraft as nodes of ROS 2, for RViz, Nav2, rosbag2 and every program."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from m100link.cli.common import places
+from m100link.cli.logs import AS_IT_IS, LogOptions
+from m100link.cli.options import offered, options_of
+from m100link.cli.station import aircraft_of, run_station
+from m100link.station.config import ENVIRONMENT, Settings
+
+__all__ = ["ros2"]
+
+_FromSettings: Any = options_of(
+    Settings,
+    (
+        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+        *("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap"),
+    ),
+    environment=ENVIRONMENT,
+    called={
+        "baud_rate": "--baud",
+        "ros2_namespace": "--namespace",
+        "ros2_node": "--node",
+        "ros2_domain": "--domain",
+        "ros2_remap": "--remap",
+    },
+    is_layer=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Ros2Options(_FromSettings):  # type: ignore[misc] # a class that is made has no type
+    """Where the aircraft is, what it is called in the graph, and how far it may fly.
+
+    Attributes:
+        config: TOML file with settings.
+        json_output: Print one line of JSON when it runs.
+        show_config: Print the settings and where each came from, and end.
+        single_process: Let one process fly and talk to programs: to look into it, not to fly.
+        log: What is logged.
+    """
+
+    config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
+    json_output: Annotated[bool, Parameter(name="--json")] = False
+    show_config: bool = False
+    single_process: bool = False
+    log: LogOptions = AS_IT_IS
+
+    @property
+    def launch(self) -> None:
+        """A launch file of ROS 1 says nothing of ROS 2."""
+
+
+def ros2(*url: Annotated[str, offered(places)], options: Ros2Options = Ros2Options()) -> int:
+    """Be a node of ROS 2, without a ROS installation, until Ctrl-C.
+
+    Programs that run with RMW_IMPLEMENTATION=rmw_zenoh_cpp see and fly the aircraft, by the router
+    at localhost:7447 or wherever ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE say. Whoever
+    reaches that router can fly: `m100link ros2 sim://`.
+
+    Args:
+        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
+        options: See below.
+    """
+    return run_station(aircraft_of(options, url, ros2=True), options, with_rosbridge=False)
