@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from m100link.agent.guided import (
     ChangeHeading,
@@ -235,16 +235,24 @@ class Commands:
         return self._fly(order, Mode.GOTO, asked.peer, now)
 
     def orbit(self, asked: Asked, now: float) -> Result:
-        """DO_ORBIT around a place, or around where it is."""
+        """DO_ORBIT around a place, or around where it is.
+
+        The altitude is above sea level whatever the frame says, as PX4 takes it: MAVSDK leaves the
+        frame at "relative" and means that.
+        """
         radius, speed = asked.parameters[:2]
         position = self._world.position
-        if not math.isfinite(radius) or radius == 0.0 or position is None:
+        if not math.isfinite(radius) or radius == 0.0:
+            self._tell(Severity.WARNING, f"orbit: a radius of {radius:g} m")
             return Result.DENIED
+        if position is None:
+            self._tell(Severity.WARNING, "orbit: nobody knows where the aircraft is")
+            return Result.TEMPORARILY_REJECTED
         here = position.latitude_deg, position.longitude_deg
         place = (asked.x, asked.y) if self._is_place(asked) else here
         order = FlyAround(
             *place,
-            self._height_of(asked),
+            self._height_of(replace(asked, frame=Frame.GLOBAL)),
             abs(radius),
             speed if math.isfinite(speed) and speed > 0 else 2.0,
             _ORBIT_TURNS,
@@ -434,7 +442,9 @@ COMMANDS: Mapping[int, CommandRow] = {
     Command.DO_REPOSITION: CommandRow(
         Commands.reposition, "flies to a place, changes height or heading; without any: hold"
     ),
-    Command.DO_ORBIT: CommandRow(Commands.orbit, "circles a place, looking at it"),
+    Command.DO_ORBIT: CommandRow(
+        Commands.orbit, "circles a place, looking at it; altitude above sea level in every frame"
+    ),
     Command.DO_PAUSE_CONTINUE: CommandRow(Commands.pause, "hold, or the mission"),
     Command.DO_CHANGE_SPEED: CommandRow(Commands.change_speed, "of later flights to a place"),
     Command.MISSION_START: CommandRow(Commands.start_mission, "flies the mission"),

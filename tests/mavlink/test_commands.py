@@ -233,3 +233,17 @@ async def test_a_take_off_is_as_high_as_its_frame_says(
     await rig.until(lambda: rig.height > 3.6)
     await anyio.sleep(3.0)
     assert rig.height == pytest.approx(4.0, abs=0.5)
+
+
+@pytest.mark.parametrize("frame", [0, 3, 5, 6])
+async def test_the_altitude_of_a_circle_is_above_sea_level_whatever_its_frame_says(
+    rig: Rig, ground: Ground, frame: int
+) -> None:
+    """MAVSDK names the relative frame, and means above sea level; PX4 does not read the frame."""
+    await ground.fly(5.0)
+    latitude, longitude = (round(one * 1e7) for one in place(10.0, 0.0))
+    fields = {"command": Command.DO_ORBIT, "target_system": 1, "target_component": 1}
+    around = {"param1": 6.0, "param2": 2.0, "x": latitude, "y": longitude}
+    ground.send("COMMAND_INT", **fields, **around, frame=frame, z=rig.ground_altitude + 9.0)
+    await rig.until(lambda: ground.mode is Mode.ORBIT)
+    await rig.until(lambda: abs(rig.height - 9.0) < 0.5)
