@@ -1,12 +1,13 @@
-"""What would become of a guided order, before it is given: nothing is asked of anybody."""
+"""What would become of a guided order or plan, before it is given: nothing is asked of anybody."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from m100link.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.agent.messages import Limits
-from m100link.errors import LinkError
+from m100link.errors import GuardRefused, LinkError
 from m100link.flight.foresight import (
     Foresight,
     foresee_climb,
@@ -16,9 +17,11 @@ from m100link.flight.foresight import (
     frame_at,
 )
 from m100link.flight.guards import Envelope, GuardKeeper, Guards
+from m100link.flight.missions.checks import check_battery, check_plan
+from m100link.missions.plan import WaypointPlan
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["Preview", "preview"]
+__all__ = ["Preview", "preview", "preview_plan"]
 
 Preview = Foresight
 """Distance, time, battery, and the refusals that are foreseen."""
@@ -62,6 +65,32 @@ def preview(order: GuidedOrder, state: AircraftState | None, limits: Limits) -> 
         return foresee_climb(state, guards, order.height)
     assert isinstance(order, ChangeHeading)
     return foresee_turn(state, guards, order.yaw_deg)
+
+
+def preview_plan(
+    plan: WaypointPlan, state: AircraftState | None, limits: Limits
+) -> tuple[GuardRefused, ...]:
+    """What the guards of the agent would say to a mission, as far as is known here.
+
+    Args:
+        plan: What would be flown.
+        state: Telemetry; without any nothing is foreseen.
+        limits: What the guards allow.
+    """
+    if state is None:
+        return ()
+    guards = _guards_of(state, limits)
+    refusals = []
+    checks: tuple[Callable[[], None], ...] = (
+        lambda: check_plan(guards, state, plan, allow_far=False),
+        lambda: check_battery(guards, state, plan),
+    )
+    for check in checks:
+        try:
+            check()
+        except GuardRefused as refusal:
+            refusals.append(refusal)
+    return tuple(refusals)
 
 
 def _guards_of(state: AircraftState, limits: Limits) -> GuardKeeper:

@@ -9,9 +9,10 @@ import pytest
 
 from m100link.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.agent.messages import Limits
-from m100link.agent.preview import preview
+from m100link.agent.preview import preview, preview_plan
 from m100link.errors import GuardRefused
 from m100link.geodesy import LocalFrame
+from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.telemetry.state import AircraftState
 from tests.agent.conftest import Rig
@@ -83,3 +84,29 @@ async def test_without_an_aircraft_everything_is_refused(order: GuidedOrder) -> 
     found = preview(order, AircraftState(anyio.current_time), Limits())
     assert found.refusals
     assert found.distance_m == 0.0 or isinstance(order, FlyAround)
+
+
+@pytest.mark.parametrize(
+    ("limits", "guards"),
+    [
+        (Limits(), []),
+        (Limits(max_height_m=12.0), ["envelope"]),
+        (Limits(max_radius_m=20.0, battery_floor_percent=100), ["envelope", "battery"]),
+        (Limits(battery_floor_percent=20), []),
+    ],
+)
+async def test_a_plan_is_refused_by_the_guards_that_its_start_would_ask(
+    rig: Rig, limits: Limits, guards: list[str]
+) -> None:
+    state, frame = await hovering(rig)
+    points = [Waypoint(*frame.to_geodetic(north, 0.0), height=15) for north in (30, 60)]
+    found = preview_plan(WaypointPlan(points), state, limits)
+    assert [one.guard.split("_")[0] for one in found] == guards
+    assert preview_plan(WaypointPlan(points), None, limits) == ()
+
+
+async def test_a_plan_of_another_place_is_refused(rig: Rig) -> None:
+    state, frame = await hovering(rig)
+    points = [Waypoint(*frame.to_geodetic(north, 0.0), height=15) for north in (600, 630)]
+    (refusal,) = preview_plan(WaypointPlan(points), state, Limits())
+    assert refusal.guard == "allow_far"

@@ -12,9 +12,10 @@ from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Battery, FlightPhase, FlightStatus, Position
 
 if TYPE_CHECKING:
-    from m100link.flight.guards import Envelope
+    from m100link.flight.guards import Envelope, GuardKeeper
     from m100link.flight.missions.deck import Deck
     from m100link.missions.plan import WaypointPlan
+    from m100link.telemetry.state import AircraftState
 
 __all__ = [
     "FAR_M",
@@ -76,23 +77,25 @@ def check_envelope(envelope: Envelope, plan: WaypointPlan) -> None:
     envelope.check(_WHAT, speed=abs(plan.speed))
 
 
-def check_plan(deck: Deck, plan: WaypointPlan, *, allow_far: bool) -> None:
-    """Whether a plan may be flown from here, with this battery, within the envelope.
+def check_plan(
+    guards: GuardKeeper, state: AircraftState, plan: WaypointPlan, *, allow_far: bool
+) -> None:
+    """Whether a plan may be flown from here, within the envelope.
 
     Raises:
         GuardRefused: With the guard, the waypoint, the measured value and the limit.
     """
-    envelope = deck.guards.guards.envelope
+    envelope = guards.guards.envelope
     if envelope is not None:
         check_envelope(envelope, plan)
     for index, point in enumerate(plan.waypoints):
         place = point.latitude_deg, point.longitude_deg
-        deck.guards.check_target(f"waypoint {index} of {_WHAT}", place)
+        guards.check_target(f"waypoint {index} of {_WHAT}", place)
     first = plan.waypoints[0]
-    check_way(deck, _WHAT, (first.latitude_deg, first.longitude_deg), allow_far=allow_far)
+    check_way(state, _WHAT, (first.latitude_deg, first.longitude_deg), allow_far=allow_far)
 
 
-def check_battery(deck: Deck, plan: WaypointPlan) -> None:
+def check_battery(guards: GuardKeeper, state: AircraftState, plan: WaypointPlan) -> None:
     """Whether the charge lasts for the plan and what the floor wants to be left, by estimate.
 
     A plan that only the pilot's stick moves has no estimate; the floor ends it in flight.
@@ -100,8 +103,7 @@ def check_battery(deck: Deck, plan: WaypointPlan) -> None:
     Raises:
         GuardRefused: It does not.
     """
-    floor = deck.guards.guards.battery_floor_percent
-    state = deck.commander.state
+    floor = guards.guards.battery_floor_percent
     battery, position = known(state, Battery), known(state, Position)
     if floor is None or battery is None:
         return  # without a charge and with a floor nothing comes here
@@ -119,13 +121,15 @@ def check_battery(deck: Deck, plan: WaypointPlan) -> None:
         )
 
 
-def check_way(deck: Deck, what: str, place: tuple[float, float], *, allow_far: bool) -> float:
+def check_way(
+    state: AircraftState, what: str, place: tuple[float, float], *, allow_far: bool
+) -> float:
     """How far it is to where a mission begins, m; 0 while the position is unknown.
 
     Raises:
         GuardRefused: Farther than 500 m, and nobody allowed it.
     """
-    position = known(deck.commander.state, Position)
+    position = known(state, Position)
     if position is None:
         return 0.0
     here = LocalFrame(position.latitude_deg, position.longitude_deg)

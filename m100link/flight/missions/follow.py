@@ -155,7 +155,9 @@ class FollowFlight(MissionFlight):
                 raise UsageError("the source of targets ended before the first one") from None
         self._check(first)
         place = first.latitude_deg, first.longitude_deg
-        check_way(self._deck, "the follow mission", place, allow_far=self._allow_far)
+        check_way(
+            self._deck.commander.state, "the follow mission", place, allow_far=self._allow_far
+        )
         await self._make_way("the follow mission")
         self._track.target = first
         request = FollowStart(*_on_wire(first), yaw_mode=int(self._face_target))

@@ -180,7 +180,9 @@ class HotpointFlight(MissionFlight):
         _require_rate(self._rate, self._radius)
         await require_airborne(self._deck, "the hotpoint")
         self._check(self._radius, self._rate)
-        check_way(self._deck, "the hotpoint", self._centre, allow_far=self._allow_far)
+        check_way(
+            self._deck.commander.state, "the hotpoint", self._centre, allow_far=self._allow_far
+        )
         await self._make_way("the hotpoint")
         answer: HotpointStartAnswer = await self._run.start(self._request, lambda got: got.code)
         self._largest_radius = answer.largest_radius

@@ -86,8 +86,9 @@ class WaypointFlight(MissionFlight):
         is_on_ground = await require_airborne(
             self._deck, "the waypoint mission", may_take_off=self._take_off is not None
         )
-        check_plan(self._deck, self.plan, allow_far=self._allow_far)
-        check_battery(self._deck, self.plan)
+        guards, state = self._deck.guards, self._deck.commander.state
+        check_plan(guards, state, self.plan, allow_far=self._allow_far)
+        check_battery(guards, state, self.plan)
         await self._upload()
         if is_on_ground and self._take_off is not None:
             await self._take_off()
