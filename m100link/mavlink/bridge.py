@@ -49,11 +49,13 @@ class _Craft:
 
     def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
         self.vehicle = Vehicle(agent, system, autopilot=autopilot)
-        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, self.vehicle.leg)
+        flights = self.vehicle.flights
+        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, flights.leg, flights.begun)
         # By address: whoever counts what is missing finds nothing missing that went elsewhere.
         self.sequences: dict[Address, int] = {}
         agent.on_event.append(self.vehicle.event)
         agent.on_steer_refused.append(self._steer_refused)
+        agent.on_mission_told.append(flights.told)
         agent.on_authority_taken.append(lambda _: self.vehicle.deck.taken())
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:

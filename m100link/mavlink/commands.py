@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
+from m100link.agent.actions import Action
 from m100link.agent.guided import (
     ChangeHeading,
     ChangeHeight,
@@ -14,19 +15,21 @@ from m100link.agent.guided import (
     GuidedOrder,
     name_of,
 )
-from m100link.agent.preview import preview
+from m100link.agent.preview import preview, preview_plan
 from m100link.errors import GuardRefused, UsageError
 from m100link.mavlink.codec import LAYOUTS, Message
-from m100link.mavlink.deck import Deck, Wish
+from m100link.mavlink.deck import Deck
 from m100link.mavlink.modes import Mode, Phase
 from m100link.mavlink.numbers import BaseMode, Command, Frame, Result, Severity
-from m100link.mavlink.orders import Flight, GoHome, Halt, Land, Order, TakeOff
+from m100link.mavlink.orders import Do, Flight, GoHome, Halt, Land, Order, TakeOff
 from m100link.mavlink.parameters import Parameters
 from m100link.mavlink.peers import Peer
 from m100link.mavlink.rates import Rates
 from m100link.mavlink.standard_modes import mode_of_number, mode_of_standard
 from m100link.mavlink.telemetry import NUMBERS, STREAMS
+from m100link.mavlink.wishes import Wish
 from m100link.mavlink.world import World
+from m100link.missions.plan import WaypointPlan
 
 __all__ = ["COMMANDS", "Asked", "CommandRow", "Commands", "read_command"]
 
@@ -292,7 +295,19 @@ class Commands:
         if isinstance(wish.order, Flight):
             for leg in wish.order.legs:
                 self._check(leg)
+            if wish.order.plan is not None:
+                self._check_plan(wish.order.plan)
         return self._deck.wish(wish, now)
+
+    def _check_plan(self, plan: WaypointPlan) -> None:
+        """Refuse on the ground what the agent would refuse when it has taken off.
+
+        Raises:
+            GuardRefused: Outside of the envelope, or the battery does not last.
+        """
+        known = self._world.known
+        for refusal in preview_plan(plan, known.telemetry, known.state.limits):
+            raise refusal
 
     def set_current(self, asked: Asked, now: float) -> Result:
         """DO_SET_MISSION_CURRENT: the item to go on from, at once if the mission flies."""
@@ -307,13 +322,15 @@ class Commands:
         return self._fly_mission(wish, now) if self._deck.flies_mission else Result.ACCEPTED
 
     def change_speed(self, asked: Asked, now: float) -> Result:
-        """DO_CHANGE_SPEED: of the flights that come."""
+        """DO_CHANGE_SPEED: of a mission that the aircraft flies, and of the flights that come."""
         speed = asked.parameters[1]
         if asked.parameters[0] not in (0.0, 1.0) or not 0.0 < speed <= 10.0:
             return Result.DENIED
         if self._is_others(asked.peer, "speed"):
             return Result.TEMPORARILY_REJECTED
         self._speed = speed
+        if self._deck.is_flown_by_aircraft:
+            self._deck.orders.append(Do(Action.MISSION_SPEED, round(speed * 1000)))
         return Result.ACCEPTED
 
     def _speed_of(self, wanted: float) -> float:
@@ -446,7 +463,9 @@ COMMANDS: Mapping[int, CommandRow] = {
         Commands.orbit, "circles a place, looking at it; altitude above sea level in every frame"
     ),
     Command.DO_PAUSE_CONTINUE: CommandRow(Commands.pause, "hold, or the mission"),
-    Command.DO_CHANGE_SPEED: CommandRow(Commands.change_speed, "of later flights to a place"),
+    Command.DO_CHANGE_SPEED: CommandRow(
+        Commands.change_speed, "of a mission that the aircraft flies, of later flights to a place"
+    ),
     Command.MISSION_START: CommandRow(Commands.start_mission, "flies the mission"),
     Command.DO_SET_MISSION_CURRENT: CommandRow(Commands.set_current, "the item to go on from"),
     Command.SET_MESSAGE_INTERVAL: CommandRow(Commands.set_interval, "up to 50 Hz, for who asks"),

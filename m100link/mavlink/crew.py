@@ -4,26 +4,42 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any
 
+from m100link.agent.actions import UNTIL_OVER, Action
 from m100link.agent.client import AgentClient
 from m100link.agent.guided import ChangeHeight
-from m100link.errors import LinkError, M100Error, NoAuthority, TaskRefused
+from m100link.agent.lease import Lease
+from m100link.agent.plan_told import told_of
+from m100link.errors import (
+    AckTimeout,
+    LinkError,
+    M100Error,
+    MissionRefused,
+    NoAuthority,
+    TaskRefused,
+)
 from m100link.mavlink.deck import Deck
 from m100link.mavlink.orders import (
     Arm,
     CallOff,
     Disarm,
+    Do,
     Drop,
+    Errand,
     Flight,
     GoHome,
     Halt,
     Land,
     Order,
+    Pause,
+    Resume,
     Steer,
     TakeOff,
 )
 from m100link.mavlink.world import World
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 
 __all__ = ["Crew"]
@@ -44,6 +60,7 @@ class Crew:
         world: What is known of the aircraft; it gets the lease.
         deck: What decides.
         on_leg: Called with a flight, the number of its leg and whether that is done, or begins.
+        on_mission: Called with a flight whose mission the aircraft has begun to fly by itself.
     """
 
     def __init__(
@@ -52,17 +69,23 @@ class Crew:
         world: World,
         deck: Deck,
         on_leg: Callable[[Flight, int, bool], None],
+        on_mission: Callable[[Flight], None],
     ) -> None:
         self._agent = agent
         self._world = world
         self._deck = deck
         self._on_leg = on_leg
+        self._on_mission = on_mission
         # The order under way; a new one ends it.
         self._work: asyncio.Task[None] | None = None
         # Giving back ends before authority is asked for anew: they would cross.
         self._is_disarming = False
         # A request for authority is never ended: its answer decides who has it.
         self._arming: asyncio.Task[None] | None = None
+        # From before a mission's start leaves until its end is told, or its stop is heard.
+        self._owes_a_stop = False
+        # What is told to a mission goes out in the order in which it was wanted.
+        self._telling = asyncio.Lock()
         self._renewed_at = agent.now
         self._doing: dict[type[Any], Callable[[Any], Awaitable[None]]] = {
             Disarm: self._disarm,
@@ -79,8 +102,9 @@ class Crew:
         orders, self._deck.orders = self._deck.orders, []
         for order in orders:
             if isinstance(order, Steer):
-                if self._world.lease is not None and self._world.has_lease:
-                    self._agent.steer(self._world.lease, order.setpoint, order.lifetime)
+                self._steer(order)
+            elif isinstance(order, Pause | Resume | Do):
+                self._agent.background.spawn(self._tell(order), type(order).__name__)
             elif isinstance(order, Drop):
                 if self._work is not None and not self._is_disarming:
                     self._work.cancel()
@@ -88,11 +112,32 @@ class Crew:
                 self._arming = self._agent.background.spawn(self._arm(order), "arming")
             else:
                 self._replace(order)
+        if not self._world.has_authority:
+            self._owes_a_stop = False  # the agent ends the mission of whoever lost control
         now = self._agent.now
         if self._world.lease is not None and now - self._renewed_at >= _RENEWAL_S:
             self._renewed_at = now
             if self._world.has_lease:
                 self._agent.keep(self._world.lease)
+
+    def _steer(self, order: Steer) -> None:
+        lease = self._world.lease
+        # A mission ignores setpoints: they are refused until its stop is heard.
+        if lease is not None and self._world.has_lease and not self._owes_a_stop:
+            self._agent.steer(lease, order.setpoint, order.lifetime)
+
+    async def _tell(self, errand: Errand) -> None:
+        actions = {Pause: Action.MISSION_PAUSE, Resume: Action.MISSION_RESUME}
+        async with self._telling:
+            if not self._deck.is_due(errand):
+                return
+            try:
+                if isinstance(errand, Do):
+                    await self._agent.ask(errand.action, self._world.lease, number=errand.number)
+                else:
+                    await self._agent.ask(actions[type(errand)], self._world.lease)
+            except M100Error as error:
+                self._deck.failed(errand, error)
 
     def _replace(self, order: Order) -> None:
         if self._work is not None:
@@ -174,15 +219,26 @@ class Crew:
         except M100Error:
             pass  # it has ended meanwhile, which is what was wanted
         self._world.lease = None
+        self._owes_a_stop = False  # the agent stops the mission of a lease that ends
 
     # -- flying ----------------------------------------------------------------------------------
 
-    async def _make_way(self, is_interrupting: bool) -> None:
-        """End the task of the aircraft: giving authority back is the only way that there is."""
-        if not is_interrupting:
-            return
-        await self._agent.stop()
-        await self._agent.obtain(self._world.lease)
+    async def _make_way(self, is_interrupting: bool = False) -> None:
+        """End what the aircraft flies by itself: its task, or its mission.
+
+        For a task giving authority back is the only way that there is. A mission is told to stop,
+        whoever started it.
+
+        Raises:
+            AckTimeout, MissionRefused: It may be flying on.
+            LinkError, NoAuthority: See each class.
+        """
+        if is_interrupting:
+            await self._agent.stop()
+            await self._agent.obtain(self._world.lease)
+        elif self._owes_a_stop or self._world.flies_mission:
+            await self._agent.ask(Action.MISSION_STOP, self._world.lease)
+        self._owes_a_stop = False
 
     async def _take_off(self, order: TakeOff) -> None:
         await self._agent.fly(self._world.lease, Task.TAKE_OFF)
@@ -193,7 +249,9 @@ class Crew:
         await self._agent.guide(self._world.lease, ChangeHeight(order.height))
 
     async def _land(self, order: Land) -> None:
-        await self._make_way(order.is_interrupting)
+        with suppress(AckTimeout, MissionRefused):
+            # Told by the agent; and a landing breaks off what a stop did not end.
+            await self._make_way(order.is_interrupting)
         self._agent.halt("landing", self._world.lease)
         await self._agent.fly(self._world.lease, Task.LAND)
 
@@ -208,15 +266,38 @@ class Crew:
 
     async def _fly(self, order: Flight) -> None:
         lease = self._world.lease  # of this flight: it does not go on under a later one
+        await self._make_way()
         if order.takes_off:
             await self._agent.fly(lease, Task.TAKE_OFF)
             self._deck.took_off(order, self._agent.now)
-        for number, leg in enumerate(order.legs):
+        for number, leg in enumerate(order.legs[: order.by_agent]):
             self._on_leg(order, number, False)
             await self._agent.guide(lease, leg)
             if number < len(order.waits):
                 await asyncio.sleep(order.waits[number])
             self._on_leg(order, number, True)
+        if order.plan is not None:
+            await self._fly_plan(order, order.plan, lease)
+
+    async def _fly_plan(self, order: Flight, plan: WaypointPlan, lease: Lease | None) -> None:
+        """Let the aircraft fly it by itself; done when that is over."""
+        agent = self._agent
+        told = told_of(plan, "")
+        await agent.ask(Action.MISSION_PLAN, lease, data=told.mission)
+        for point in told.points:
+            await agent.ask(Action.MISSION_POINT, lease, data=point)
+        self._owes_a_stop = True
+        try:
+            await agent.ask(
+                Action.MISSION_START,
+                lease,
+                number=UNTIL_OVER,
+                accepted=lambda: self._on_mission(order),
+            )
+        except M100Error:
+            self._owes_a_stop = False  # the agent has stopped it, or told what came of that
+            raise
+        self._owes_a_stop = False
 
     async def end(self) -> None:
         """Give back what is held."""

@@ -8,14 +8,12 @@ an argument.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import replace
 
 from m100link.errors import GuardRefused, M100Error
 from m100link.mavlink.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
-    MODES,
     RUNNING,
     VERDICTS,
     Mode,
@@ -29,21 +27,25 @@ from m100link.mavlink.orders import (
     Arm,
     CallOff,
     Disarm,
+    Do,
     Drop,
+    Errand,
     Flight,
     GoHome,
     Halt,
     Land,
     Order,
+    Pause,
+    Resume,
     Steer,
     TakeOff,
     running_of,
 )
 from m100link.mavlink.peers import Peer
+from m100link.mavlink.wishes import Stream, Wish
 from m100link.mavlink.world import World
-from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["IDLE_S", "REMEMBERED_S", "STEER_LIFETIME", "Deck", "Stream", "Wish"]
+__all__ = ["IDLE_S", "REMEMBERED_S", "STEER_LIFETIME", "Deck"]
 
 REMEMBERED_S = 10.0
 """Seconds that a take-off or mission waits for the aircraft to be armed."""
@@ -58,36 +60,6 @@ _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
 _BEFORE_CONTROL = (Phase.DISARMED, Phase.ARMING, Phase.OBTAINING)
 _TAKEN = (Phase.ARMING, Phase.OBTAINING, Phase.ARMED, Phase.AIRBORNE)
-
-
-class Stream(Protocol):
-    """Where setpoints of a mode come from."""
-
-    def setpoint(self, now: float) -> Setpoint | None:
-        """What to fly now; None when nobody says it any more."""
-
-    def is_fresh(self, now: float) -> bool:
-        """Whether somebody says it."""
-        ...
-
-    def wants_up(self, now: float) -> bool:
-        """Whether it asks to leave the ground."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Wish:
-    """What somebody wants to be flown.
-
-    Attributes:
-        mode: In which mode.
-        order: What the agent is asked for; None where setpoints fly.
-        peer: Who wants it; None for the bridge itself.
-    """
-
-    mode: Mode
-    order: Order | None
-    peer: Peer | None = None
 
 
 class Deck:
@@ -116,7 +88,7 @@ class Deck:
         self._world = world
         self._tell = tell
         self._streams = streams
-        self.orders: list[Order | Steer | Drop] = []
+        self.orders: list[Order | Steer | Errand | Drop] = []
         self.operator: Peer | None = None
         self.steering: Peer | None = None
         self.running = Running.NOTHING
@@ -147,11 +119,28 @@ class Deck:
     def mode(self) -> Mode:
         """What ground stations are shown."""
         phase = self.phase
+        if phase is Phase.AIRBORNE and self._is_flown_by_a_stranger:
+            return Mode.MISSION
         if phase in (Phase.ARMED, Phase.AIRBORNE) or self._is_interrupting:
             return Mode.HOLD if self._mode is Mode.GOTO else self._mode
         if self._remembered is not None and phase in _BEFORE_CONTROL:
             return self._remembered[0].mode
         return self._world.mode_of_others()
+
+    @property
+    def flight(self) -> Flight | None:
+        """The flight under way, if what is under way is one."""
+        return self._current if isinstance(self._current, Flight) else None
+
+    @property
+    def is_flown_by_aircraft(self) -> bool:
+        """Whether the aircraft has a mission that it flies by itself, or has paused, for us."""
+        return self.running in (Running.MISSION, Running.PAUSED)
+
+    @property
+    def _is_flown_by_a_stranger(self) -> bool:
+        """Whether it tells of a mission where nothing of ours flies: a stop was not heard, say."""
+        return self.running is Running.NOTHING and self._world.flies_mission
 
     @property
     def _is_interrupting(self) -> bool:
@@ -166,20 +155,7 @@ class Deck:
 
     def explain(self) -> str:
         """Why a wish is refused in this phase."""
-        phase = self.phase
-        if phase is Phase.OTHER:
-            return f"{self._world.known.holder.name} has control"
-        if phase is Phase.PILOT:
-            switch = self._world.switch
-            place = "unknown" if switch is None else f"in {switch.name}"
-            return f"the pilot flies: the mode switch is {place}"
-        if phase is Phase.DISARMED or phase is Phase.ARMING:
-            return "on the ground: arm, and take off first"
-        if phase is Phase.ARMED:
-            return "on the ground: take off first"
-        if phase in (Phase.FREE, Phase.OBTAINING):
-            return "control authority is not held: arm first"
-        return str(phase.value)
+        return self._world.explain(self.phase)
 
     # -- wishes ----------------------------------------------------------------------------------
 
@@ -249,7 +225,13 @@ class Deck:
             self._tell(Severity.NOTICE, f"{wish.mode.value}: when the take-off is over")
         elif step is Step.INTERRUPT and isinstance(wish.order, Land | GoHome | Halt):
             self._begin(replace(wish, order=replace(wish.order, is_interrupting=True)))
-        elif step is not Step.KEEP:
+        elif step is Step.PAUSE and self.flight is not None:
+            self._mode, self.running = wish.mode, Running.PAUSED
+            self.orders.append(Pause(self.flight))
+        elif step is Step.RESUME and self.flight is not None and not wish.is_anew:
+            self._mode, self.running = wish.mode, Running.MISSION
+            self.orders.append(Resume(self.flight))
+        elif step is not Step.KEEP or wish.is_anew:
             self._begin(wish)
         return Result.ACCEPTED
 
@@ -257,13 +239,18 @@ class Deck:
         self._waiting, self._mode, self._idle_since = None, wish.mode, None
         order = wish.order
         if order is None:
-            if self.running is Running.FLIGHT:
+            # A mission of whoever is gone ignores setpoints, too.
+            flies = self.running is Running.FLIGHT or self.is_flown_by_aircraft
+            if flies or self._is_flown_by_a_stranger:
                 self.orders.append(Halt(why=f"{wish.mode.value} was asked for"))
             self._current, self.running = None, Running.STREAM
             return
         self._current, self.running = order, running_of(order)
-        if isinstance(order, Flight) and order.takes_off:
-            self.running = Running.TAKE_OFF
+        if isinstance(order, Flight):
+            if order.takes_off:
+                self.running = Running.TAKE_OFF
+            if order.why:
+                self._tell(Severity.NOTICE, f"mission: flown from here, {order.why}")
         self.orders.append(order)
 
     # -- arming ----------------------------------------------------------------------------------
@@ -338,6 +325,8 @@ class Deck:
             self._mode, self._current, self.running = Mode.HOLD, None, Running.NOTHING
             if remembered is not None and now < remembered[1]:
                 self.wish(remembered[0], now)
+            elif self._world.flies_mission and self.phase is Phase.AIRBORNE:
+                self.hold("hold: the mission that was flown when it was armed is stopped")
         self.on_armed(error)
 
     def took_off(self, order: Order, now: float) -> None:
@@ -347,16 +336,46 @@ class Deck:
             if self._waiting is not None:
                 self._begin(self._waiting)
 
+    def mission_begun(self, flight: Flight) -> bool:
+        """The aircraft flies the mission of a flight; False where nobody wants that any more."""
+        if flight is not self._current or self.running is not Running.FLIGHT:
+            return False
+        self.running = Running.MISSION
+        return True
+
+    def mission_flown(self, flight: Flight) -> None:
+        """The aircraft was at the last place of the mission, and goes home or lands by its plan."""
+        if flight is self._current and self.is_flown_by_aircraft and flight.then is not None:
+            self.running = running_of(flight.then)
+            self._mode = Mode.LAND if isinstance(flight.then, Land) else Mode.RTL
+
+    def is_due(self, errand: Errand) -> bool:
+        """Whether something that is told to a mission on its way is still wanted."""
+        if isinstance(errand, Do):
+            return self.is_flown_by_aircraft
+        wanted = Running.PAUSED if isinstance(errand, Pause) else Running.MISSION
+        return errand.flight is self._current and self.running is wanted
+
+    def failed(self, errand: Errand, error: M100Error) -> None:
+        """It was not taken; an aircraft that may not hover is told to stop its mission."""
+        if self.is_due(errand):
+            self._tell(Severity.ERROR, f"mission: {error.seen}")
+            if not isinstance(errand, Do):
+                self.hold("hold: the mission is stopped")
+
     def ended(self, order: Order, error: M100Error | None, now: float) -> None:
         """An order has ended; what was replaced meanwhile means nothing."""
         if order is not self._current:
+            if error is not None and isinstance(order, Halt) and self.running is Running.STREAM:
+                self.hold(f"hold: {error.seen}")  # a mission that may fly on ignores setpoints
             return
         if error is not None:
             self._tell(Severity.ERROR, f"{self._mode.value}: {error.seen}")
         waiting, self._waiting = self._waiting, None
         self._current, self.running, self._idle_since = None, Running.NOTHING, None
         self._mode = Mode.HOLD
-        if error is None and isinstance(order, Land | GoHome):
+        lands = isinstance(order, Flight) and order.plan is not None and order.then is not None
+        if error is None and (lands or isinstance(order, Land | GoHome)):
             self._disarm()
         elif waiting is None and error is None and isinstance(order, Flight) and order.then:
             mode = Mode.LAND if isinstance(order.then, Land) else Mode.RTL
@@ -401,7 +420,7 @@ class Deck:
 
         A landing or a way home goes on; STOP ends them by giving control back.
         """
-        if self.running in (Running.TAKE_OFF, Running.FLIGHT, Running.STREAM):
+        if self.running not in (Running.NOTHING, Running.LAND, Running.GO_HOME):
             self.hold(f"{self._mode.value}: {why}")
 
     def _look_idle(self, phase: Phase, now: float) -> None:
@@ -479,8 +498,3 @@ class Deck:
             is_down = self._waiting is not None and self._waiting.mode in _TO_THE_GROUND
             if not is_down:
                 self.hold(f"{lost.name} is lost: hold")
-
-    @property
-    def number(self) -> int:
-        """``custom_mode`` of what is shown."""
-        return MODES[self.mode].number

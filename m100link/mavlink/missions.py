@@ -73,6 +73,7 @@ class Missions:
     Attributes:
         fence: What was uploaded last.
         current: Number of the item that is flown to, or would be.
+        edition: Counts what was uploaded, cleared, or told to begin elsewhere.
     """
 
     def __init__(
@@ -95,6 +96,7 @@ class Missions:
         self._answered: tuple[Peer, int, MissionResult, float] | None = None
         self.fence = Fence()
         self.current = 0
+        self.edition = 0
         self._reached = -1
         self._told_at = float("-inf")
 
@@ -169,13 +171,7 @@ class Missions:
     def _take(self, item: Message, kind: int, peer: Peer, now: float) -> None:
         upload = self._upload
         if upload is None or upload.peer != peer or upload.kind != kind:
-            answered = self._answered
-            if (
-                answered is not None
-                and answered[:2] == (peer, kind)
-                and now - answered[3] < _LATE_S
-            ):
-                self._acknowledge(answered[2], kind, peer)
+            self._answer_again(peer, kind, now)
             return
         if item["seq"] != len(upload.items):
             return  # one that came twice, or too early: the next one is asked for again
@@ -213,6 +209,7 @@ class Missions:
             return refused.result
         self._stored.items[kind] = items
         if kind == MissionType.MISSION:
+            self.edition += 1
             self.restart()
         return MissionResult.ACCEPTED
 
@@ -244,6 +241,7 @@ class Missions:
             if one == MissionType.FENCE:
                 self.fence = Fence()
             elif one == MissionType.MISSION:
+                self.edition += 1
                 self.restart()
         self._acknowledge(MissionResult.ACCEPTED, kind, peer)
 
@@ -253,6 +251,12 @@ class Missions:
         """It begins at its first item."""
         self.current, self._reached = 0, -1
         self._told_at = float("-inf")
+
+    def begin_at(self, number: int) -> None:
+        """Somebody wants it flown from that item on."""
+        self.edition += 1
+        self._reached = -1
+        self.flies_to(number)
 
     def flies_to(self, number: int) -> None:
         """The item that is flown to."""

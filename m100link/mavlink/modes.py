@@ -15,6 +15,7 @@ __all__ = [
     "ARM_VERDICTS",
     "DISARM_VERDICTS",
     "MODES",
+    "REMEDIES",
     "RUNNING",
     "VERDICTS",
     "Mode",
@@ -97,6 +98,16 @@ class Phase(Enum):
     PILOT = "the pilot flies"
 
 
+REMEDIES: dict[Phase, str] = {
+    Phase.DISARMED: "on the ground: arm, and take off first",
+    Phase.ARMING: "on the ground: arm, and take off first",
+    Phase.ARMED: "on the ground: take off first",
+    Phase.FREE: "control authority is not held: arm first",
+    Phase.OBTAINING: "control authority is not held: arm first",
+}
+"""Why a wish is refused in a phase that a ground station can change."""
+
+
 class Verdict(Enum):
     """What becomes of a wish."""
 
@@ -144,6 +155,8 @@ class Running(Enum):
     LAND = "the autopilot's landing"
     GO_HOME = "the autopilot's way home"
     FLIGHT = "a flight of the agent: a place, a height, a circle, a mission"
+    MISSION = "a mission that the aircraft flies by itself"
+    PAUSED = "a mission of the aircraft that hovers until it goes on"
     STREAM = "setpoints of a program or of sticks"
 
 
@@ -153,7 +166,10 @@ class Step(Enum):
     REPLACE = "what flies ends at once, the wish begins"
     WAIT = "it begins when what flies has ended; the newest waits, but a way to the ground stays"
     INTERRUPT = "authority goes back and is obtained again, which ends what flies; then it begins"
-    KEEP = "it is what flies"
+    KEEP = "it is what flies; a mission that was changed is stopped, and begins anew"
+    PAUSE = "the aircraft hovers and keeps its mission"
+    RESUME = "the aircraft goes on with its mission; one that was changed is stopped, and begins"
+    STOP = "the aircraft is told to stop its mission, which ends it; then the wish begins"
     REFUSE = "what flies goes on"
 
 
@@ -167,6 +183,9 @@ RUNNING: dict[Running, dict[Mode, Step]] = {
     _R.LAND: _LANDING | {_M.LAND: _S.KEEP, _M.RTL: _S.INTERRUPT},
     _R.GO_HOME: _LANDING | {_M.RTL: _S.KEEP, _M.LAND: _S.INTERRUPT},
     _R.FLIGHT: dict.fromkeys(_M, _S.REPLACE),
+    # The aircraft ignores setpoints and tasks as long as it has a mission.
+    _R.MISSION: dict.fromkeys(_M, _S.STOP) | {_M.HOLD: _S.PAUSE, _M.MISSION: _S.KEEP},
+    _R.PAUSED: dict.fromkeys(_M, _S.STOP) | {_M.HOLD: _S.KEEP, _M.MISSION: _S.RESUME},
     _R.STREAM: dict.fromkeys(_M, _S.REPLACE),
 }
 """What flies, wish, how the wish takes over."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from m100link.agent.guided import GuidedOrder
+from m100link.agent.guided import FlyTo, GuidedOrder
 from m100link.agent.messages import Action
 from m100link.mavlink.modes import Running
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = [
@@ -15,11 +16,14 @@ __all__ = [
     "Disarm",
     "Do",
     "Drop",
+    "Errand",
     "Flight",
     "GoHome",
     "Halt",
     "Land",
     "Order",
+    "Pause",
+    "Resume",
     "Steer",
     "TakeOff",
     "running_of",
@@ -107,12 +111,54 @@ class Flight:
         waits: Seconds to hover after each.
         takes_off: Take off first.
         then: The way to the ground that follows them; None hovers.
+        items: Number of the mission's item of each leg, None for a leg of none; empty where no
+            mission is flown.
+        edition: Of the mission.
+        plan: What the aircraft flies by itself in place of the last legs; None where the agent
+            flies them all.
+        why: Why it does, of a mission.
     """
 
     legs: tuple[GuidedOrder, ...]
     waits: tuple[float, ...] = ()
     takes_off: bool = False
     then: Land | GoHome | None = None
+    items: tuple[int | None, ...] = ()
+    edition: int = 0
+    plan: WaypointPlan | None = None
+    why: str = ""
+
+    @property
+    def by_agent(self) -> int:
+        """How many legs the agent flies."""
+        return len(self.legs) - (0 if self.plan is None else len(self.plan.waypoints))
+
+    def speed_of(self, number: int) -> float:
+        """Of a leg to a place, m/s; 0 of others."""
+        leg = self.legs[number]
+        return leg.speed if isinstance(leg, FlyTo) else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Let the aircraft hover, and keep the mission that it flies.
+
+    Attributes:
+        flight: Of which that is the mission.
+    """
+
+    flight: Flight
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Let the aircraft fly on what it has paused.
+
+    Attributes:
+        flight: As in :class:`Pause`.
+    """
+
+    flight: Flight
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +168,10 @@ class Do:
     Attributes:
         action: What.
         number: Of the question.
-        data: Of the question.
     """
 
     action: Action
     number: int = 0
-    data: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +194,9 @@ class Steer:
 
 Order = Arm | Disarm | CallOff | TakeOff | Land | GoHome | Halt | Flight
 """What takes time and has an end; the newest one replaces what was ordered before it."""
+
+Errand = Pause | Resume | Do
+"""What is told to the mission that the aircraft flies, and replaces nothing."""
 
 _RUNNING: dict[type[Order], Running] = {
     Arm: Running.NOTHING,

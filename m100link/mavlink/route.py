@@ -15,12 +15,14 @@ from m100link.mavlink.codec import Message
 from m100link.mavlink.modes import Mode
 from m100link.mavlink.numbers import Command, Frame, MissionResult
 
-__all__ = ["ITEMS", "Leg", "Refused", "Route", "read_route"]
+__all__ = ["FASTEST_M_S", "ITEMS", "Leg", "Refused", "Route", "read_route"]
 
 _SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
 _RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
 _LONGEST_WAIT = 600.0
-_FASTEST = 10.0
+FASTEST_M_S = 10.0
+"""Of a leg, and what the pilot's stick adds to a mission that the aircraft flies included."""
+
 _LAST_NAV, _LAST_CONDITION = 95, 114
 _CHANGES_THE_WAY = {34, 177, 192, 3000}
 """DO_ORBIT, DO_JUMP, DO_REPOSITION, VTOL transition: what is not a NAV item and moves all the same.
@@ -152,7 +154,7 @@ class _Reader:
         """DO_CHANGE_SPEED of the legs that follow."""
         speed = item["param2"]
         if math.isfinite(speed) and speed > 0.0:
-            if speed > _FASTEST:
+            if speed > FASTEST_M_S:
                 raise Refused(MissionResult.INVALID, f"item {number}: {speed:g} m/s is too fast")
             self.route.speed = speed
 

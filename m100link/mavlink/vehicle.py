@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable
 
 from m100link import __version__
-from m100link.agent.guided import ChangeHeight, GuidedOrder
 from m100link.agent.messages import Event, Topic
-from m100link.errors import M100Error, UsageError
+from m100link.errors import M100Error
 from m100link.geodesy import LocalFrame
 from m100link.mavlink.codec import LAYOUTS, Message
 from m100link.mavlink.commands import Asked, Commands, read_command
-from m100link.mavlink.deck import Deck, Stream, Wish
+from m100link.mavlink.deck import Deck
+from m100link.mavlink.flights import MissionFlights
 from m100link.mavlink.manual import Manual
 from m100link.mavlink.missions import Missions
 from m100link.mavlink.modes import Mode, Phase, Running
@@ -26,14 +26,13 @@ from m100link.mavlink.numbers import (
     Severity,
 )
 from m100link.mavlink.offboard import Offboard
-from m100link.mavlink.orders import Flight, GoHome, Land
 from m100link.mavlink.parameters import Parameters
 from m100link.mavlink.peers import Address, Peer
 from m100link.mavlink.rates import Audience, Rates
-from m100link.mavlink.route import Refused
 from m100link.mavlink.standard_modes import available, current, mode_of_number
 from m100link.mavlink.statustext import Texts, severity_of
 from m100link.mavlink.telemetry import NUMBERS, heartbeat
+from m100link.mavlink.wishes import Stream
 from m100link.mavlink.world import Known, World
 
 __all__ = ["COMPONENT", "Vehicle"]
@@ -48,6 +47,9 @@ _VENDOR, _PRODUCT = 0x2CA3, 0x0100  # DJI's number at the USB forum; the product
 _TO_ALL = (0, COMPONENT)
 _AHEAD_S = 1.0
 """Seconds ahead that the fence is looked at: what the aircraft needs to stop."""
+
+_FLIGHTS = (Running.FLIGHT, Running.MISSION)
+"""What leads back into the fence by itself, if it leads there."""
 
 _MISSION_MESSAGES = (
     *("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"),
@@ -66,6 +68,7 @@ class Vehicle:
     Attributes:
         world: What is known of the aircraft.
         deck: What flies.
+        flights: The mission, and how far it is.
         outbox: What has to be sent: to which peer, to which addresses, or None for everybody.
     """
 
@@ -92,7 +95,7 @@ class Vehicle:
             self._rates,
             tell=self._texts.tell,
             request=self._request,
-            mission=self._mission,
+            mission=lambda peer, first: self.flights.wish(peer, first),
             fence=lambda *place: self._missions.fence.refusal(*place),
         )
         self._missions = Missions(
@@ -102,8 +105,7 @@ class Vehicle:
             speed=lambda: self._parameters["MPC_XY_CRUISE"],
             may_change=self._may_change,
         )
-        # The items of the legs of the flight that flies the mission.
-        self._legs: tuple[Flight, tuple[int | None, ...]] | None = None
+        self.flights = MissionFlights(self.world, self.deck, self._missions, self._texts.tell)
         self._was_inside = True
         # Who waits for the answer to arming, and when they were told last that it takes time.
         self._arming: dict[Peer, float] = {}
@@ -254,49 +256,6 @@ class Vehicle:
             return f"{self.deck.operator.name} flies" if self.deck.operator else ""
         return ""
 
-    def _mission(self, peer: Peer, first: int | None) -> Wish | None:
-        """The wish that flies the mission on, from an item on if one is named."""
-        missions = self._missions
-        try:
-            route = missions.route()
-        except Refused as refused:
-            raise UsageError(f"mission: {refused.why}") from None
-        if route is None or (first is not None and first >= len(missions.items)):
-            return None
-        if first is not None:
-            missions.flies_to(first)
-        elif missions.is_over:
-            missions.restart()
-        legs = [leg for leg in route.legs if leg.item >= missions.current]
-        orders: list[GuidedOrder] = [leg.order for leg in legs]
-        waits, items = [leg.wait for leg in legs], [leg.item for leg in legs]
-        takes_off = self.world.is_on_ground is not False
-        climb: list[None] = []
-        if takes_off and legs:
-            # Up first, in place: what stands between the ground and the first leg is not known.
-            height = legs[0].order.height if route.height is None else route.height
-            orders, waits, climb = [ChangeHeight(height), *orders], [0.0, *waits], [None]
-        ends: dict[Mode, Land | GoHome] = {Mode.LAND: Land(), Mode.RTL: GoHome()}
-        then = ends.get(route.then)
-        flight = Flight(tuple(orders), tuple(waits), takes_off, then)
-        self._legs = flight, (*climb, *items)
-        return Wish(Mode.MISSION, flight, peer)
-
-    def leg(self, flight: Flight, number: int, is_done: bool) -> None:
-        """A leg of a flight begins, or is done."""
-        if self._legs is None or self._legs[0] is not flight:
-            return
-        items = self._legs[1]
-        item = items[number]
-        if item is None:
-            return
-        if not is_done:
-            self._missions.flies_to(item)
-            return
-        self._missions.reached(item)
-        if number == len(items) - 1:
-            self._missions.over()
-
     def _watch_fence(self) -> None:
         """Hold whoever leaves the fence; from outside only flights lead back, not setpoints."""
         position, velocity = self.world.position, self.world.velocity
@@ -305,16 +264,12 @@ class Vehicle:
             return
         place = position.latitude_deg, position.longitude_deg
         why = self._missions.fence.refusal(*place)
-        if (
-            not why
-            and velocity is not None
-            and self.deck.running in (Running.FLIGHT, Running.STREAM)
-        ):
+        if not why and velocity is not None and self.deck.running in (*_FLIGHTS, Running.STREAM):
             frame = LocalFrame(*place)
             ahead = velocity.north_m_s * _AHEAD_S, velocity.east_m_s * _AHEAD_S
             why = self._missions.fence.refusal(*frame.to_geodetic(*ahead))
         is_moving = self.deck.running is Running.STREAM or (
-            self._was_inside and self.deck.running is Running.FLIGHT
+            self._was_inside and self.deck.running in _FLIGHTS
         )
         if why and is_moving:
             self.deck.hold(f"hold: {why}")

@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 from m100link.agent.lease import Lease
 from m100link.agent.messages import LeaseChanged, State
 from m100link.geodesy import LocalFrame
-from m100link.mavlink.modes import Mode, Phase
+from m100link.mavlink.modes import REMEDIES, Mode, Phase
 from m100link.protocol.records import (
     Attitude,
     Battery,
@@ -35,6 +35,9 @@ GPS_NEEDED = 3
 
 _FRESH: dict[type[Any], float] = {FlightStatus: 2.5, Battery: 5.0}
 _FRESH_S = 1.2
+
+_MISSIONS = ("waypoint mission", "hotpoint", "follow mission")
+"""Kinds of which the aircraft tells and that it flies by itself."""
 
 _TASKS = {"take off": Mode.TAKEOFF, "land": Mode.LAND, "go home": Mode.RTL}
 _BY_SWITCH = {RcMode.P: Mode.POSCTL, RcMode.F: Mode.POSCTL, RcMode.A: Mode.ALTCTL}
@@ -221,15 +224,31 @@ class World:
             return Phase.DISARMED
         return Phase.FREE if self.switch is RcMode.F else Phase.PILOT
 
+    def explain(self, phase: Phase) -> str:
+        """Why a wish is refused in a phase."""
+        if phase is Phase.OTHER:
+            return f"{self.known.holder.name} has control"
+        if phase is Phase.PILOT:
+            place = "unknown" if self.switch is None else f"in {self.switch.name}"
+            return f"the pilot flies: the mode switch is {place}"
+        return REMEDIES.get(phase, str(phase.value))
+
+    @property
+    def flies_mission(self) -> bool:
+        """Whether the aircraft tells that it flies a mission by itself, whoever started it."""
+        return self.known.is_connected and self.known.state.mission in _MISSIONS
+
     def mode_of_others(self) -> Mode:
         """What flies when the bridge does not."""
         state, phase = self.known.state, self.phase
         if phase is Phase.OTHER and self.known.has_authority:
             if state.task in _TASKS:
                 return _TASKS[state.task]
-            if state.mission and state.mission != "no mission":
+            if self.flies_mission:
                 return Mode.MISSION
             return Mode.HOLD if state.guided is not None else Mode.POSCTL
+        if phase in (Phase.FREE, Phase.OBTAINING) and self.flies_mission:
+            return Mode.MISSION  # of a program that is gone, or a phone
         if phase in (Phase.DISARMED, Phase.ARMING, Phase.ARMED) and self.switch in (None, RcMode.F):
             return Mode.HOLD
         return Mode.POSCTL if self.switch is None else _BY_SWITCH[self.switch]

@@ -22,6 +22,7 @@ from m100link.mavlink.numbers import Command, Result
 from m100link.mavlink.peers import Address
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
+from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 
 GCS = ("127.0.0.1", 14540)
@@ -120,9 +121,14 @@ class Rig:
     """The whole: aircraft, agent, bridge."""
 
     def __init__(
-        self, *, firmware: str = "1.0", signer: Signer | None = None, **options: Any
+        self,
+        *,
+        firmware: str = "1.0",
+        signer: Signer | None = None,
+        settings: AircraftSettings | None = None,
+        **options: Any,
     ) -> None:
-        self.aircraft = VirtualAircraft(seed=5, firmware=firmware)
+        self.aircraft = VirtualAircraft(seed=5, firmware=firmware, settings=settings)
         self.ground_altitude = self.aircraft.vehicle.settings.ground_altitude
         self.driver = Driver(self.aircraft)
         self.agent = Agent(by_driver(self.driver), credentials=self.aircraft.credentials, **options)

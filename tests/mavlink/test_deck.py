@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import anyio
 import pytest
 
-from m100link.agent.guided import ChangeHeight
+from m100link.agent.guided import ChangeHeight, FlyTo
+from m100link.agent.messages import State
 from m100link.errors import GuardRefused, LinkError
-from m100link.mavlink.deck import REMEMBERED_S, Deck, Wish
+from m100link.mavlink.deck import REMEMBERED_S, Deck
 from m100link.mavlink.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
@@ -22,14 +24,35 @@ from m100link.mavlink.modes import (
     Verdict,
 )
 from m100link.mavlink.numbers import Command, Result, Severity
-from m100link.mavlink.orders import Arm, CallOff, Disarm, Flight, GoHome, Halt, Land, Order, TakeOff
+from m100link.mavlink.orders import (
+    Arm,
+    CallOff,
+    Disarm,
+    Flight,
+    GoHome,
+    Halt,
+    Land,
+    Order,
+    Pause,
+    Resume,
+    TakeOff,
+)
 from m100link.mavlink.peers import Peer
+from m100link.mavlink.wishes import Wish
 from m100link.mavlink.world import World
+from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 from tests.mavlink.conftest import Ground, Rig
 
 PEER, OTHER = Peer(("127.0.0.1", 1), 245, 190), Peer(("127.0.0.1", 2), 255, 190)
 
+BY_AIRCRAFT = Flight(
+    (FlyTo(22.5, 113.9, 8.0, 5.0), FlyTo(22.5001, 113.9, 8.0, 5.0)),
+    (0.0, 0.0),
+    then=GoHome(),
+    items=(0, 1),
+    plan=WaypointPlan([Waypoint(22.5, 113.9, 8.0), Waypoint(22.5001, 113.9, 8.0)]),
+)
 ORDERS: dict[Mode, Order | None] = {
     Mode.HOLD: Halt(),
     Mode.TAKEOFF: TakeOff(5.0),
@@ -49,6 +72,8 @@ FLYING: dict[Running, Wish | None] = {
     Running.GO_HOME: Wish(Mode.RTL, GoHome(), PEER),
     Running.FLIGHT: Wish(Mode.GOTO, Flight((ChangeHeight(9.0),)), PEER),
     Running.STREAM: Wish(Mode.OFFBOARD, None, PEER),
+    Running.MISSION: Wish(Mode.MISSION, BY_AIRCRAFT, PEER),
+    Running.PAUSED: Wish(Mode.MISSION, BY_AIRCRAFT, PEER),
 }
 RESULTS = {Verdict.DENY: Result.DENIED, Verdict.REJECT: Result.TEMPORARILY_REJECTED}
 
@@ -59,6 +84,7 @@ class Still(World):
     def __init__(self, phase: Phase) -> None:
         class Known:
             telemetry = None
+            state = State(at=0.0)
             is_connected = has_authority = False
 
             class holder:  # noqa: N801 - an attribute
@@ -96,6 +122,21 @@ def deck_in(phase: Phase) -> tuple[Deck, Still, list[tuple[Severity, str]]]:
     return Deck(world, lambda *one: told.append(one), streams), world, told
 
 
+def let_fly(deck: Deck, running: Running) -> Wish | None:
+    """Bring it about that this flies; what begins on the ground has begun in the air."""
+    flying = FLYING[running]
+    if flying is None:
+        return None
+    deck._begin(flying)
+    if running in (Running.MISSION, Running.PAUSED):
+        assert deck.mission_begun(BY_AIRCRAFT)
+    if running is Running.PAUSED:
+        assert deck.wish(Wish(Mode.HOLD, Halt(), PEER), 0.0) is Result.ACCEPTED
+    deck.orders.clear()
+    assert deck.running is running
+    return flying
+
+
 def shown(deck: Deck) -> Mode:
     return deck.mode
 
@@ -126,11 +167,7 @@ def test_a_wish_in_a_phase(phase: Phase, mode: Mode) -> None:
 @pytest.mark.parametrize("running", Running)
 def test_a_wish_over_what_flies(running: Running, mode: Mode) -> None:
     deck, _, told = deck_in(Phase.AIRBORNE)
-    flying = FLYING[running]
-    if flying is not None:
-        # What begins on the ground has begun when it is in the air.
-        deck._begin(flying)
-    deck.orders.clear()
+    flying = let_fly(deck, running)
     wish = Wish(mode, ORDERS[mode], PEER)
     if VERDICTS[Phase.AIRBORNE][mode] is Verdict.DENY:
         assert deck.wish(wish, 0.0) is Result.DENIED
@@ -149,6 +186,16 @@ def test_a_wish_over_what_flies(running: Running, mode: Mode) -> None:
         [order] = deck.orders
         assert isinstance(order, Land | GoHome | Halt)
         assert order.is_interrupting
+    if step is Step.PAUSE:
+        assert (deck.orders, deck.running) == ([Pause(BY_AIRCRAFT)], Running.PAUSED)
+        assert deck.mode is Mode.HOLD
+    if step is Step.RESUME:
+        assert (deck.orders, deck.running) == ([Resume(BY_AIRCRAFT)], Running.MISSION)
+        assert deck.mode is Mode.MISSION
+    if step is Step.STOP:
+        # The crew stops the mission before whatever takes over; setpoints have no order of theirs.
+        assert deck.orders == [ORDERS[mode] or Halt(why=f"{mode.value} was asked for")]
+        assert not deck.is_flown_by_aircraft
     if step is Step.REPLACE and ORDERS[mode] is not None:
         assert deck.orders == [ORDERS[mode]]
     if step is Step.WAIT and flying is not None and flying.order is not None:
@@ -204,11 +251,8 @@ def test_another_ground_station_only_ends_a_flight(mode: Mode) -> None:
 @pytest.mark.parametrize("running", Running)
 def test_an_operator_that_is_lost_holds_unless_it_is_on_its_way_down(running: Running) -> None:
     deck, _, _ = deck_in(Phase.AIRBORNE)
-    flying = FLYING[running]
-    if flying is not None:
-        deck._begin(flying)
+    flying = let_fly(deck, running)
     deck.operator = PEER
-    deck.orders.clear()
     deck.operator_lost()
     assert not deck.operator
     if running in (Running.LAND, Running.GO_HOME, Running.TAKE_OFF):
@@ -218,6 +262,81 @@ def test_an_operator_that_is_lost_holds_unless_it_is_on_its_way_down(running: Ru
     if running is Running.TAKE_OFF and flying is not None and flying.order is not None:
         deck.took_off(flying.order, 1.0)
         assert [type(order) for order in deck.orders] == [Halt], "it does not climb on"
+
+
+@pytest.mark.parametrize("running", [Running.MISSION, Running.PAUSED])
+def test_a_mission_that_was_changed_begins_anew_over_one_that_flies(running: Running) -> None:
+    deck, _, _ = deck_in(Phase.AIRBORNE)
+    let_fly(deck, running)
+    changed = replace(BY_AIRCRAFT, edition=1)
+    assert deck.wish(Wish(Mode.MISSION, changed, PEER, True), 0.0) is Result.ACCEPTED
+    assert deck.orders == [changed]
+    assert deck.flight is changed
+    assert flies(deck) is Running.FLIGHT, "the aircraft has not begun it"
+
+
+@pytest.mark.parametrize("errand", [Pause(BY_AIRCRAFT), Resume(BY_AIRCRAFT)])
+def test_a_mission_of_which_nobody_knows_whether_it_hovers_is_stopped(errand: Pause) -> None:
+    deck, _, told = deck_in(Phase.AIRBORNE)
+    let_fly(deck, Running.PAUSED if isinstance(errand, Pause) else Running.MISSION)
+    deck.failed(errand, LinkError("no answer"))
+    assert [type(order) for order in deck.orders] == [Halt]
+    assert "no answer" in told[0][1]
+
+
+def test_what_is_told_to_a_mission_late_is_not_told_at_all() -> None:
+    deck, _, told = deck_in(Phase.AIRBORNE)
+    let_fly(deck, Running.PAUSED)
+    pause, resume = Pause(BY_AIRCRAFT), Resume(BY_AIRCRAFT)
+    assert (deck.is_due(pause), deck.is_due(resume)) == (True, False)
+    deck.wish(Wish(Mode.MISSION, BY_AIRCRAFT, PEER), 0.0)
+    assert (deck.is_due(pause), deck.is_due(resume)) == (False, True)
+    deck.wish(Wish(Mode.LAND, Land(), PEER), 0.0)
+    assert (deck.is_due(pause), deck.is_due(resume)) == (False, False)
+    deck.failed(pause, LinkError("no answer"))
+    assert flies(deck) is Running.LAND
+    assert told == []
+
+
+@pytest.mark.parametrize(
+    ("then", "running"),
+    [(GoHome(), Running.GO_HOME), (Land(), Running.LAND), (None, Running.MISSION)],
+)
+def test_the_way_down_behind_a_mission_is_the_mode_that_is_shown(
+    then: GoHome | Land | None, running: Running
+) -> None:
+    deck, world, _ = deck_in(Phase.AIRBORNE)
+    flight = replace(BY_AIRCRAFT, then=then)
+    deck._begin(Wish(Mode.MISSION, flight, PEER))
+    assert deck.mission_begun(flight)
+    deck.mission_flown(flight)
+    assert deck.running is running
+    deck.orders.clear()
+    world.now_phase = Phase.ARMED
+    deck.ended(flight, None, 1.0)
+    assert deck.orders == ([Disarm()] if then is not None else [])
+    assert flies(deck) is Running.NOTHING
+
+
+def test_a_stop_that_was_not_heard_ends_the_stream_that_waits_for_it() -> None:
+    deck, _, told = deck_in(Phase.AIRBORNE)
+    let_fly(deck, Running.MISSION)
+    deck.wish(Wish(Mode.OFFBOARD, None, PEER), 0.0)
+    [halt] = deck.orders
+    assert isinstance(halt, Halt)
+    deck.ended(halt, LinkError("no answer"), 1.0)
+    assert flies(deck) is Running.NOTHING
+    assert "no answer" in told[-1][1]
+
+
+def test_a_mission_of_somebody_who_is_gone_is_shown_and_ends_when_it_is_armed() -> None:
+    deck, world, told = deck_in(Phase.AIRBORNE)
+    world.known.state = State(at=0.0, mission="waypoint mission")
+    world.known.is_connected = True  # type: ignore[misc] # it is, of this one
+    assert shown(deck) is Mode.MISSION
+    deck.armed(None, 0.0)
+    assert [type(order) for order in deck.orders] == [Halt]
+    assert "is stopped" in told[-1][1]
 
 
 def test_what_ends_late_means_nothing() -> None:
