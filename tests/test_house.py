@@ -232,6 +232,8 @@ TESTED_ELSEWHERE = {
     "flight/missions/orders.py": ("flight/missions/test_keeper.py", "requests by their kind"),
     "flight/missions/refusal.py": ("flight/missions/test_waypoint.py", "seen in what is raised"),
     "log/ros2_definitions.py": ("log/test_cdr.py", "compared with those of others"),
+    "ros2/ends.py": ("ros2/test_node.py", "seen in what comes in and goes out"),
+    "ros2/flights.py": ("ros2/test_actions.py", "each is a goal of an action"),
     "ros2/helm.py": ("ros2/test_node.py", "seen in what flies"),
     "ros2/topics.py": ("ros2/test_node.py", "a table that all of it is made from"),
     "station/ros2.py": ("cli/test_ros2.py", "a session of a process"),

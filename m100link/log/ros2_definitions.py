@@ -13,6 +13,9 @@ OWN_PACKAGE = "m100_msgs"
 """The package of messages that nobody else has."""
 
 _STANDARD = {
+    "action_msgs/GoalInfo": "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp",
+    "action_msgs/GoalStatus": "action_msgs/GoalInfo goal_info\nint8 status",
+    "action_msgs/GoalStatusArray": "action_msgs/GoalStatus[] status_list",
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "diagnostic_msgs/DiagnosticArray": "std_msgs/Header header\n"
     "diagnostic_msgs/DiagnosticStatus[] status",
@@ -39,6 +42,19 @@ _STANDARD = {
     "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
     "rcl_interfaces/Log": "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
     "string file\nstring function\nuint32 line",
+    "rcl_interfaces/FloatingPointRange": "float64 from_value\nfloat64 to_value\nfloat64 step",
+    "rcl_interfaces/IntegerRange": "int64 from_value\nint64 to_value\nuint64 step",
+    "rcl_interfaces/ListParametersResult": "string[] names\nstring[] prefixes",
+    "rcl_interfaces/Parameter": "string name\nrcl_interfaces/ParameterValue value",
+    "rcl_interfaces/ParameterDescriptor": "string name\nuint8 type\nstring description\n"
+    "string additional_constraints\nbool read_only\nbool dynamic_typing\n"
+    "rcl_interfaces/FloatingPointRange[<=1] floating_point_range\n"
+    "rcl_interfaces/IntegerRange[<=1] integer_range",
+    "rcl_interfaces/ParameterValue": "uint8 type\nbool bool_value\nint64 integer_value\n"
+    "float64 double_value\nstring string_value\nbyte[] byte_array_value\n"
+    "bool[] bool_array_value\nint64[] integer_array_value\nfloat64[] double_array_value\n"
+    "string[] string_array_value",
+    "rcl_interfaces/SetParametersResult": "bool successful\nstring reason",
     "rosgraph_msgs/Clock": "builtin_interfaces/Time clock",
     "sensor_msgs/BatteryState": "std_msgs/Header header\nfloat32 voltage\nfloat32 temperature\n"
     "float32 current\nfloat32 charge\nfloat32 capacity\nfloat32 design_capacity\n"
@@ -60,20 +76,62 @@ _STANDARD = {
     "std_msgs/String": "string data",
     "std_msgs/UInt8": "uint8 data",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "unique_identifier_msgs/UUID": "uint8[16] uuid",
 }
 
 _OWN = {
     f"{OWN_PACKAGE}/FlightStatus": "std_msgs/Header header\nuint8 phase\nbool has_authority\n"
     "string holder\nstring task\nstring mode_switch\nuint8 gps_health\nuint8 battery_percent\n"
     "string firmware\nstring connection",
+    f"{OWN_PACKAGE}/MissionEvent": "std_msgs/Header header\nuint8 event\nuint8[5] data",
+    f"{OWN_PACKAGE}/Waypoint": "float64 latitude\nfloat64 longitude\nfloat32 height\nfloat32 wait",
 }
 
 SERVICES = {
+    "action_msgs/srv/CancelGoal": (
+        "action_msgs/GoalInfo goal_info",
+        "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
+    ),
+    "rcl_interfaces/srv/DescribeParameters": (
+        "string[] names",
+        "rcl_interfaces/ParameterDescriptor[] descriptors",
+    ),
+    "rcl_interfaces/srv/GetParameterTypes": ("string[] names", "uint8[] types"),
+    "rcl_interfaces/srv/GetParameters": (
+        "string[] names",
+        "rcl_interfaces/ParameterValue[] values",
+    ),
+    "rcl_interfaces/srv/ListParameters": (
+        "string[] prefixes\nuint64 depth",
+        "rcl_interfaces/ListParametersResult result",
+    ),
+    "rcl_interfaces/srv/SetParameters": (
+        "rcl_interfaces/Parameter[] parameters",
+        "rcl_interfaces/SetParametersResult[] results",
+    ),
+    "rcl_interfaces/srv/SetParametersAtomically": (
+        "rcl_interfaces/Parameter[] parameters",
+        "rcl_interfaces/SetParametersResult result",
+    ),
     "std_srvs/srv/Trigger": ("", "bool success\nstring message"),
 }
 """Request and response of each service."""
 
-ACTIONS: dict[str, tuple[str, str, str]] = {}
+_RESULT = "bool success\nstring message"
+
+ACTIONS = {
+    f"{OWN_PACKAGE}/action/TakeOff": ("float32 height", _RESULT, "float32 height"),
+    f"{OWN_PACKAGE}/action/FlyTo": (
+        "float64 latitude\nfloat64 longitude\nfloat32 height\nfloat32 speed",
+        _RESULT,
+        "float32 distance\nfloat32 seconds",
+    ),
+    f"{OWN_PACKAGE}/action/FlyMission": (
+        f"{OWN_PACKAGE}/Waypoint[] waypoints\nfloat32 speed",
+        _RESULT,
+        "uint16 waypoint\nfloat32 distance\nfloat32 seconds",
+    ),
+}
 """Goal, result and feedback of each action."""
 
 
@@ -90,6 +148,22 @@ def _parts_of_service(name: str, request: str, response: str) -> dict[str, str]:
     }
 
 
+def _parts_of_action(name: str, goal: str, result: str, feedback: str) -> dict[str, str]:
+    identity = "unique_identifier_msgs/UUID goal_id"
+    return {
+        f"{name}_Goal": goal,
+        f"{name}_Result": result,
+        f"{name}_Feedback": feedback,
+        f"{name}_FeedbackMessage": f"{identity}\n{name}_Feedback feedback",
+        **_parts_of_service(
+            f"{name}_SendGoal",
+            f"{identity}\n{name}_Goal goal",
+            "bool accepted\nbuiltin_interfaces/Time stamp",
+        ),
+        **_parts_of_service(f"{name}_GetResult", identity, f"int8 status\n{name}_Result result"),
+    }
+
+
 DEFINITIONS = {
     **_STANDARD,
     **_OWN,
@@ -97,6 +171,11 @@ DEFINITIONS = {
         part: text
         for name, (request, response) in SERVICES.items()
         for part, text in _parts_of_service(name, request, response).items()
+    },
+    **{
+        part: text
+        for name, texts in ACTIONS.items()
+        for part, text in _parts_of_action(name, *texts).items()
     },
 }
 """Fields of each message, in the language of ``.msg`` files."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from m100link.agent.client import AgentClient
-from m100link.agent.messages import Event
+from m100link.agent.messages import Event, MissionTold
 from m100link.geodesy import LocalFrame
-from m100link.log.cdr import encode
 from m100link.log.ros2_messages import Messages, Stamp
 from m100link.protocol.records import (
     AngularVelocity,
@@ -23,6 +22,8 @@ from m100link.protocol.records import (
     Time,
     Velocity,
 )
+from m100link.ros2.diagnostics import diagnostics
+from m100link.ros2.ends import Topic
 from m100link.ros2.graph import Names
 from m100link.ros2.topics import OUTPUTS
 from m100link.telemetry.device_clock import DeviceClock
@@ -33,7 +34,7 @@ __all__ = ["Places", "Teller"]
 
 R = TypeVar("R", bound=tuple[Any, ...])
 
-Publish = Callable[[str, bytes], None]
+Counts = Mapping[str, int]
 
 _FRESH_S = 0.3
 """Seconds for which an item of another package belongs to this one."""
@@ -42,6 +43,7 @@ _EARLY = 0.2
 """Part of the time between two messages by which a package may be early."""
 
 _STATE_S, _LOOK_S, _OLD_S = 1.0, 0.1, 2.5
+_CLOCK_S = 0.02
 _LEVELS = {"info": 20, "warning": 30, "error": 40}
 _UNKNOWN = 255
 _HERE = (0.0, 0.0, 0.0)
@@ -77,9 +79,9 @@ class Teller:
     Args:
         agent: What tells.
         names: Frames of the node, and its own name.
-        publish: Takes a topic of the table and its message.
-        is_wanted: Whether anybody listens to a topic.
+        topics: Where the topics of the table go; those that are missing are not told.
         utc: POSIX time, s.
+        counted: What the node did not do, by the reason.
 
     Attributes:
         clock: Of the aircraft; None before its first tick.
@@ -91,12 +93,12 @@ class Teller:
         self,
         agent: AgentClient,
         names: Names,
-        publish: Publish,
-        is_wanted: Callable[[str], bool],
+        topics: Mapping[str, Topic],
         utc: Callable[[], float],
+        counted: Callable[[], Counts],
     ) -> None:
         self._agent, self._names = agent, names
-        self._publish, self._is_wanted, self._utc = publish, is_wanted, utc
+        self._topics, self._utc, self._counted = topics, utc, counted
         self.clock: DeviceClock | None = None
         self.places = Places()
         self.hz = {name: row.hz for name, row in OUTPUTS.items()}
@@ -117,6 +119,7 @@ class Teller:
             "/tf": self._transform,
         }
         agent.on_event.append(self._event)
+        agent.on_mission_told.append(self._mission)
 
     # -- times -----------------------------------------------------------------------------------
 
@@ -124,6 +127,10 @@ class Teller:
         """POSIX time of a time of the event loop."""
         nanoseconds = max(0, round((at - self._agent.now + self._utc()) * 1e9))
         return divmod(nanoseconds, 10**9)
+
+    def time_now(self) -> dict[str, int]:
+        """Now, as builtin_interfaces/Time."""
+        return _time(self._stamp(self._agent.now))
 
     def _taken_at(self, sample: Sample) -> float:
         """When a package was made: by the clock of the aircraft, never later than it came."""
@@ -146,13 +153,20 @@ class Teller:
         stamp = self._stamp(self._taken_at(sample))
         for name, make in self._makers.items():
             pause = self._pause(name)
-            if now + _EARLY * pause < self._due.get(name, now) or not self._is_wanted(name):
+            topic = self._topics[name]
+            if now + _EARLY * pause < self._due.get(name, now) or not topic.is_wanted:
                 continue
             message = make(sample, stamp)
             if message is not None:
                 # From when it was due, so that the rate holds; not from long ago.
                 self._due[name] = max(self._due.get(name, now) + pause, now)
-                self._publish(name, message)
+                topic.put(message)
+        clock = self._topics.get("/clock")
+        if clock is None or not clock.is_wanted:
+            return
+        if now + _EARLY * _CLOCK_S >= self._due.get("/clock", now):
+            self._due["/clock"] = max(self._due.get("/clock", now) + _CLOCK_S, now)
+            clock.say({"clock": _time(self._stamp(now))})
 
     def _pause(self, name: str) -> float:
         hz = self.hz[name]
@@ -199,7 +213,8 @@ class Teller:
     def begin(self) -> None:
         """Say what does not change, and what has happened."""
         ground = Messages(self._names.frame("map"), self._names.frame("odom"))
-        self._publish("/tf_static", ground.transform(self._stamp(self._agent.now), _HERE, _EAST))
+        still = ground.transform(self._stamp(self._agent.now), _HERE, _EAST)
+        self._topics["/tf_static"].put(still)
         for event in self._agent.events:
             self._event(event)
 
@@ -214,11 +229,19 @@ class Teller:
             self._status = status
             self._due["~/flight_status"] = now + _STATE_S
             told = {"header": self._header(self._stamp(now)), **status}
-            self._publish("~/flight_status", encode("m100_msgs/FlightStatus", told))
+            self._topics["~/flight_status"].say(told)
+        is_wanted = self._topics["/diagnostics"].is_wanted
+        if is_wanted and now >= self._due.get("/diagnostics", now):
+            self._due["/diagnostics"] = now + _STATE_S
+            told = {"stamp": _time(self._stamp(now)), "frame_id": ""}
+            named = self._names.full("~/x")[1:-2]
+            status_of = diagnostics(self._agent, self.clock, self._counted())
+            self._topics["/diagnostics"].say(
+                {"header": told, "status": [one.told(named) for one in status_of]}
+            )
 
     def _header(self, stamp: Stamp) -> dict[str, Any]:
-        time = {"sec": stamp[0], "nanosec": stamp[1]}
-        return {"stamp": time, "frame_id": self._names.frame("base_link")}
+        return {"stamp": _time(stamp), "frame_id": self._names.frame("base_link")}
 
     def _flight_status(self) -> dict[str, Any]:
         agent = self._agent
@@ -243,9 +266,8 @@ class Teller:
         }
 
     def _event(self, event: Event) -> None:
-        sec, nanosec = self._stamp(event.at)
         said = {
-            "stamp": {"sec": sec, "nanosec": nanosec},
+            "stamp": _time(self._stamp(event.at)),
             "level": _LEVELS.get(event.level, 20),
             "name": self._names.full("~/x")[1:-2].replace("/", "."),
             "msg": event.text,
@@ -253,7 +275,16 @@ class Teller:
             "function": "",
             "line": 0,
         }
-        self._publish("/rosout", encode("rcl_interfaces/Log", said))
+        self._topics["/rosout"].say(said)
+
+    def _mission(self, told: MissionTold) -> None:
+        header = self._header(self._stamp(self._agent.now))
+        data = list(told.data[:5].ljust(5, b"\0"))
+        self._topics["~/mission_event"].say({"header": header, "event": told.event, "data": data})
+
+
+def _time(stamp: Stamp) -> dict[str, int]:
+    return {"sec": stamp[0], "nanosec": stamp[1]}
 
 
 def _of(

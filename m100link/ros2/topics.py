@@ -78,6 +78,9 @@ OUTPUTS: Mapping[str, Output] = {
     "~/flight_status": Output(
         "m100_msgs/FlightStatus", STATE, 1, "phase, who has control, what flies; at each change"
     ),
+    "~/mission_event": Output(
+        "m100_msgs/MissionEvent", EVENTS, 0, "what the aircraft pushes of a mission of its own"
+    ),
     "/tf": Output("tf2_msgs/TFMessage", EVENTS, 50, "odom to base_link"),
     "/tf_static": Output("tf2_msgs/TFMessage", STATE, 0, "map to odom, which are the same"),
     "/diagnostics": Output(
@@ -85,6 +88,9 @@ OUTPUTS: Mapping[str, Output] = {
     ),
     "/rosout": Output(
         "rcl_interfaces/Log", Qos(is_latched=True, depth=100), 0, "events of the aircraft"
+    ),
+    "/clock": Output(
+        "rosgraph_msgs/Clock", Qos(is_reliable=False, depth=1), 50, "of a virtual aircraft alone"
     ),
 }
 """By name."""

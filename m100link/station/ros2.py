@@ -69,7 +69,14 @@ async def serving_ros2(
     names = nodes_of(settings, list(agents))
     async with open_bus() as bus:
         nodes = [
-            Node(agent, bus, names[name], domain=settings.ros2_domain, number=number)
+            Node(
+                agent,
+                bus,
+                names[name],
+                domain=settings.ros2_domain,
+                number=number,
+                has_clock=settings.sim and not number,
+            )
             for number, (name, agent) in enumerate(agents.items())
         ]
         # A node that fails takes the process with it, which is started again.

@@ -116,8 +116,9 @@ class Program:
             self.speed(x, y, **more)
             await anyio.sleep(0.05)
 
-    async def call(self, name: str, **request: Any) -> dict[str, Any]:
-        kind = SERVICES[name].kind
+    async def call(self, name: str, kind: str = "", **request: Any) -> dict[str, Any]:
+        """Ask a service of the table, or any other one whose type is given."""
+        kind = kind or SERVICES[name].kind
         answers: list[tuple[bytes, bytes]] = []
         attachment = self.attachment()
         asked = Request(
@@ -163,7 +164,7 @@ class Rig:
             ours, its = memory_channels()
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "ROS 2"))
-            self.node = Node(self.client, self.bus, self.names, utc=self.utc)
+            self.node = Node(self.client, self.bus, self.names, has_clock=True, utc=self.utc)
             self.work = self.agent.background.spawn(self.node.run(), "node")
             self.program = Program(self)
             await self.until(lambda: bool(self.outlet("~/odom").sent))

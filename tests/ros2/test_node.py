@@ -36,7 +36,7 @@ async def test_all_that_is_offered_has_a_token(rig: Rig) -> None:
     ends = [(one.end, one.topic) for one in seen if one is not None]
     assert ends[0] == (End.NODE, "")
     full = rig.names.full
-    assert set(ends[1:]) == {
+    assert set(ends[1:]) >= {
         *((End.PUBLISHER, full(name)) for name in OUTPUTS),
         *((End.SUBSCRIBER, full(name)) for name in INPUTS),
         *((End.SERVER, full(name)) for name in SERVICES),
@@ -223,7 +223,7 @@ async def test_junk_is_counted_and_moves_nothing(rig: Rig, program: Program) -> 
             rig.inbox(name, service.kind).waiting.append(asked)
             await anyio.sleep(0.02)
     assert len(dropped) >= 2 * len(SERVICES)
-    assert rig.node.refused > 200
+    assert rig.node.ends.junk > 200
     assert rig.speed < 1.0
     assert not rig.work.done()
     assert (await program.call("~/land"))["success"]

@@ -1,0 +1,47 @@
+"""Who is in the graph: which nodes could have asked for something, and whether they still are."""
+
+from __future__ import annotations
+
+from m100link.ros2.bus import Inbox, TokenChange
+from m100link.ros2.graph import End, Seen, read_token
+
+__all__ = ["Presence"]
+
+_MOST = 4096
+"""Tokens that are known: a graph of hundreds of nodes has fewer."""
+
+
+class Presence:
+    """The ends of others.
+
+    Args:
+        inbox: Tokens that come and go.
+    """
+
+    def __init__(self, inbox: Inbox[TokenChange]) -> None:
+        self._inbox = inbox
+        self._seen: dict[str, Seen] = {}
+
+    def look(self) -> None:
+        """Take what has changed."""
+        for change in self._inbox.take():
+            if not change.is_there:
+                self._seen.pop(change.key, None)
+                continue
+            seen = read_token(change.key)
+            if seen is not None and len(self._seen) < _MOST:
+                self._seen[change.key] = seen
+
+    def clients(self, service: str) -> frozenset[str]:
+        """Tokens of those who can call a service."""
+        return frozenset(
+            key for key, one in self._seen.items() if one.end is End.CLIENT and one.topic == service
+        )
+
+    def names(self, keys: frozenset[str]) -> str:
+        """Whose tokens these are, for people."""
+        return ", ".join(sorted({self._seen[key].node_name for key in keys if key in self._seen}))
+
+    def missing(self, keys: frozenset[str]) -> bool:
+        """Whether any of these tokens is gone."""
+        return any(key not in self._seen for key in keys)

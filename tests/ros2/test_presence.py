@@ -1,0 +1,41 @@
+"""Tokens that come and go."""
+
+from __future__ import annotations
+
+from m100link.ros2.bus import TokenChange
+from m100link.ros2.graph import End, NodeName, Qos
+from m100link.ros2.presence import Presence
+from tests.ros2.conftest import MemoryInbox
+
+TOPIC = "/m100/land"
+
+
+def token(session: str, end: End = End.CLIENT, topic: str = TOPIC) -> str:
+    node = NodeName(0, session, "/", f"node_{session}")
+    return node.token_of(1, end, topic, "std_srvs/srv/Trigger", Qos())
+
+
+def test_those_who_can_call_are_known_until_one_is_gone() -> None:
+    inbox = MemoryInbox(99)
+    presence = Presence(inbox)
+    others = (token("c", End.SERVER), token("d", topic="/other"), "@ros2_lv/junk")
+    for key in (token("a"), token("b"), *others):
+        inbox.waiting.append(TokenChange(key, True))
+    presence.look()
+    clients = presence.clients(TOPIC)
+    assert clients == {token("a"), token("b")}
+    assert presence.names(clients) == "/node_a, /node_b"
+    assert not presence.missing(clients)
+    inbox.waiting.append(TokenChange(token("b"), False))
+    presence.look()
+    assert presence.missing(clients)
+    assert presence.clients(TOPIC) == {token("a")}
+
+
+def test_a_flood_of_tokens_is_not_kept() -> None:
+    inbox = MemoryInbox(10_000)
+    presence = Presence(inbox)
+    for number in range(10_000):
+        inbox.waiting.append(TokenChange(token(str(number)), True))
+    presence.look()
+    assert len(presence.clients(TOPIC)) == 4096
