@@ -3,6 +3,7 @@
 ```{ros2-outputs}     m100link.ros2.topics.OUTPUTS
 ```{ros2-inputs}      m100link.ros2.topics.INPUTS
 ```{ros2-services}    m100link.ros2.topics.SERVICES
+```{ros2-actions}     m100link.ros2.flights.FLIGHTS
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from sphinx.application import Sphinx
 from tables import TableDirective
 
 from m100link.log.cdr import full_name
+from m100link.ros2.flights import FLIGHTS
 from m100link.ros2.topics import INPUTS, OUTPUTS, SERVICES
 
 
@@ -50,9 +52,20 @@ class Services(TableDirective):
             yield f"``{name}``", f"``{full_name(row.kind)}``", row.text
 
 
+class Actions(TableDirective):
+    """Actions."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """One row per action."""
+        yield "Action", "Type", "What it does"
+        for name, (kind, _, text) in FLIGHTS.items():
+            yield f"``{name}``", f"``{kind}``", text
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.add_directive("ros2-outputs", Outputs)
     app.add_directive("ros2-inputs", Inputs)
     app.add_directive("ros2-services", Services)
+    app.add_directive("ros2-actions", Actions)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
