@@ -156,6 +156,30 @@ def test_mavsdks_own_library_sees_two_and_flies_one(firmware: str) -> None:
         assert found.truth(0)["flight_status"] == "standby"
 
 
+# -- examples -------------------------------------------------------------------------------------
+
+EXAMPLES = HERE.parents[2] / "examples" / "mavlink"
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_the_example_that_needs_no_library_flies_a_square(firmware: str) -> None:
+    with site(firmware) as found:
+        told = run(str(EXAMPLES / "square.py"), f"udp://{found.address}")
+        assert told.count("corner") == 4
+        assert told.endswith("landed\n")
+        assert found.truth()["flight_status"] == "standby"
+        assert found.truth()["control"] == "rc"
+
+
+@pytest.mark.skipif(GRPC == "mavsdk", reason="it is written for mavsdk-grpc")
+def test_the_example_by_mavsdk_flies_a_square() -> None:
+    with site("1.0") as found:
+        told = run(str(EXAMPLES / "square_by_mavsdk.py"), f"udpin://127.0.0.1:{found.port}")
+        assert told.count("corner") == 4
+        assert "landed" in told
+        found.until(lambda: found.truth()["flight_status"] == "standby")
+
+
 # -- pymavlink ------------------------------------------------------------------------------------
 
 
