@@ -34,6 +34,7 @@ from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import M100Error, NotObserved
 from m100link.flight.control import Control
+from m100link.flight.guards import Guards
 from m100link.geodesy import LocalFrame
 from m100link.link import LinkStatistics
 from m100link.log.folder import Flights, default_folder
@@ -184,7 +185,7 @@ async def _fly(
             else:
                 aircraft = await by_url(f"serial://{flight.port}:230400", flights=flight.flights)()
         try:
-            await _mission(aircraft, flight, virtual, side)
+            await _mission(aircraft, flight, virtual, side, 1.0 if is_in_memory else speed)
         finally:
             flight.line = aircraft.statistics()
             await aircraft.aclose()
@@ -207,7 +208,7 @@ def _say(text: str, level: str) -> None:
 
 
 async def _mission(
-    aircraft: Aircraft, flight: _Flight, virtual: VirtualAircraft, side: float
+    aircraft: Aircraft, flight: _Flight, virtual: VirtualAircraft, side: float, speed: float
 ) -> None:
     flight.firmware = aircraft.firmware.name
 
@@ -224,7 +225,10 @@ async def _mission(
     tracker = asyncio.create_task(_track(aircraft, flight))
     try:
         with flight.during("obtain control"):
-            control = await aircraft.control(stop="land").__aenter__()
+            # A second of the clock on the wall: what is written into a pseudo-terminal comes out
+            # when the kernel gets to it, however many seconds of flight go by meanwhile.
+            guards = Guards(stale_telemetry_s=max(1.0, speed))
+            control = await aircraft.control(stop="land", guards=guards).__aenter__()
         try:
             await _fly_square(aircraft, control, flight, side)
         finally:

@@ -61,7 +61,7 @@ def test_on_the_virtual_clock_equal_seeds_are_equal_flights(cli: CommandLine) ->
 
 @pytest.mark.pty
 def test_demo_flies_over_a_pseudo_terminal() -> None:
-    outcome = process("demo", "--speed", "20", "--json")
+    outcome = process("demo", "--speed", "5", "--json")
     assert outcome.status == 0, outcome.err
     [summary] = outcome.objects
     check(summary, "1.0")
