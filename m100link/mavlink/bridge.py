@@ -19,10 +19,14 @@ from m100link.mavlink.numbers import AUTOPILOT_PX4
 from m100link.mavlink.peers import Address, Peer, Peers
 from m100link.mavlink.vehicle import Vehicle
 
-__all__ = ["HIGHEST_SYSTEM", "STEP_S", "Bridge", "signature_time"]
+__all__ = ["HIGHEST_SYSTEM", "IDLE_STEP_S", "STEP_S", "Bridge", "signature_time"]
 
 STEP_S = 0.02
 """Seconds between two steps: of setpoints, and of telemetry that is due."""
+
+IDLE_STEP_S = 0.05
+"""The same while nothing waits, no setpoints are flown, and nobody wants more than 20 Hz: most of
+what a step costs is to wake up."""
 
 HIGHEST_SYSTEM = 250
 """The greatest system id of an aircraft: those above are ground stations."""
@@ -109,6 +113,10 @@ class Bridge:
         self.dropped = 0
         self.unsent = 0
         self._ran_at = self._clock()
+        # The rest before the next step: what ends it, when it began, and whether it is short.
+        self._rest: asyncio.Future[None] | None = None
+        self._stepped_at = 0.0
+        self._is_short = False
 
     @property
     def vehicles(self) -> list[Vehicle]:
@@ -129,6 +137,7 @@ class Bridge:
             self._shares[sender] -= _MESSAGE_COST
             self._take(message, Peer(address, message.system, message.component), now)
         self._flush(now)
+        self._hurry()
 
     def _take(self, message: Message, peer: Peer, now: float) -> None:
         if message.system == 0 or any(one.system == message.system for one in self.vehicles):
@@ -212,10 +221,35 @@ class Bridge:
         try:
             while True:
                 self.step()
-                await asyncio.sleep(STEP_S)
+                await self._until_next()
         finally:
             for craft in self._crafts:
                 await craft.crew.end()
+
+    async def _until_next(self) -> None:
+        loop = asyncio.get_running_loop()
+        self._rest, self._stepped_at, self._is_short = loop.create_future(), loop.time(), False
+        timer = loop.call_later(IDLE_STEP_S, _end, self._rest)
+        self._hurry()
+        try:
+            await self._rest
+        finally:
+            timer.cancel()
+            self._rest = None
+
+    def _hurry(self) -> None:
+        """Rest for a short time if something waits or flies; not for less: shares are by step."""
+        if self._rest is None or self._is_short:
+            return
+        if any(vehicle.is_busy for vehicle in self.vehicles):
+            self._is_short = True
+            loop = asyncio.get_running_loop()
+            loop.call_at(self._stepped_at + STEP_S, _end, self._rest)
+
+
+def _end(rest: asyncio.Future[None]) -> None:
+    if not rest.done():
+        rest.set_result(None)
 
 
 def signature_time() -> int:

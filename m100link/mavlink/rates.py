@@ -35,6 +35,9 @@ class Rates:
 
     Args:
         world: The aircraft.
+
+    Attributes:
+        is_often: Whether anything is sent more often than usual telemetry ever is.
     """
 
     def __init__(self, world: World) -> None:
@@ -44,6 +47,7 @@ class Rates:
         self._audience: Audience | None = None
         self._present: set[Peer] = set()
         self._tables: dict[Address, dict[str, float]] = {}
+        self.is_often = False
         self._due: dict[Address, dict[str, float]] = {}
 
     def hz(self, name: str, peer: Peer) -> float:
@@ -78,6 +82,8 @@ class Rates:
             }
             for address, peers in audience.items()
         }
+        fastest = max((hz for table in self._tables.values() for hz in table.values()), default=0.0)
+        self.is_often = fastest > max(_USUAL.values())
         # Nobody waits for the end of an interval that somebody wanted who has gone.
         self._due = {
             address: {

@@ -130,6 +130,12 @@ class Vehicle:
             "FILE_TRANSFER_PROTOCOL": self._no_files,
         }
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether it cannot wait: orders, setpoints, or telemetry that comes often."""
+        deck = self.deck
+        return bool(deck.orders) or deck.running is Running.STREAM or self._rates.is_often
+
     # -- what comes in ---------------------------------------------------------------------------
 
     def receive(self, message: Message, peer: Peer, now: float) -> None:

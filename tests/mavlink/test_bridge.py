@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from random import Random
 
 import anyio
 import pytest
 
+from m100link.mavlink.bridge import IDLE_STEP_S, STEP_S
 from m100link.mavlink.codec import Message, Signer, write_frame
 from m100link.mavlink.modes import Mode, Phase
 from m100link.mavlink.numbers import Command, Result
@@ -257,7 +259,7 @@ async def test_what_is_disarmed_while_it_is_armed_does_not_take_off(
 
 
 @pytest.mark.parametrize("commands", [(_DISARM, _UP), (_UP, _DISARM), (_DISARM, _UP, _UP)])
-@pytest.mark.parametrize("gap", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize("gap", [0.0, 0.01, 0.02])
 async def test_disarming_on_the_ground_wins_over_a_take_off(
     rig: Rig, ground: Ground, commands: tuple[tuple[float, ...], ...], gap: float
 ) -> None:
@@ -313,8 +315,9 @@ async def test_what_takes_off_although_it_was_called_off_is_landed(
     monkeypatch.setattr(FlightController, "interrupt", lambda _: None)
     await ground.arm()
     ground.command(*_UP)
-    await anyio.sleep(0.03)
-    assert rig.vehicle.world.phase is Phase.ARMED
+    while not rig.motors_on:  # noqa: ASYNC110 - virtual time: it costs nothing
+        await anyio.sleep(0.001)
+    assert rig.vehicle.world.phase is Phase.ARMED, "telemetry has not told it yet"
     assert await ground.ask(int(end[0]), *end[1:]) is Result.ACCEPTED
     await rig.until(lambda: rig.height > 0.5)
     assert ground.armed()
@@ -527,3 +530,31 @@ async def test_short_messages_are_as_few_as_long_ones(rig: Rig, ground: Ground) 
     for _ in range(1000):
         ground.beat()
     assert rig.bridge.dropped > 700
+
+
+async def test_steps_are_few_while_nothing_waits_and_short_when_something_does(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await ground.fly(5.0)
+    steps: list[float] = []
+    step = rig.bridge.step
+
+    def counted() -> None:
+        steps.append(rig.client.now)
+        step()
+
+    monkeypatch.setattr(rig.bridge, "step", counted)
+    await anyio.sleep(2.0)
+    assert len(steps) == pytest.approx(2.0 / IDLE_STEP_S, abs=2)
+    for _ in range(100):  # who gives orders without end gets no more steps than setpoints
+        ground.command(Command.DO_SET_MODE, 1, 4, 3)
+        await anyio.sleep(0.001)
+    between = [after - before for before, after in itertools.pairwise(steps)]
+    assert min(between) > 0.9 * STEP_S
+    steps.clear()
+    send_velocity(ground)
+    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    for _ in range(40):
+        send_velocity(ground)
+        await anyio.sleep(0.05)
+    assert len(steps) == pytest.approx(2.0 / STEP_S, abs=6)
