@@ -127,6 +127,7 @@ def elsewhere(*folders: str) -> list[str]:
 OWN_SESSIONS = ("tests/interop", "tests/browser")
 CONSOLE = "tests/browser/long"
 MAVLINK = "tests/interop/mavlink"
+ROS2 = "tests/interop/ros2"
 # It takes off by a page that each message reaches a second late: minutes on a busy machine.
 SLOW_WAY = (
     "tests/browser/test_console.py::test_nobody_steers_with_a_second_each_way_and_the_page_says_why"
@@ -166,6 +167,7 @@ KINDS = {
                 pytest(
                     "--ignore=tests/interop/test_rosbridge_library.py",
                     f"--ignore={MAVLINK}",
+                    f"--ignore={ROS2}",
                     "tests/interop",
                 )
             ]
@@ -255,6 +257,13 @@ def interop_mavlink(session: nox.Session) -> None:
     """MAVSDK in both its kinds and pymavlink fly through the bridge; 30 min, real time."""
     install(session, PACKAGE, *group("test", "interop-mavlink"))
     session.run(*pytest(MAVLINK, *session.posargs))
+
+
+@nox.session(name="interop-ros2", default=False)
+def interop_ros2(session: nox.Session) -> None:
+    """zenoh-ros2-sdk and plain zenoh fly the node, and are killed in flight; 10 min, real time."""
+    install(session, PACKAGE, *group("test", "interop-ros2"))
+    session.run(*pytest(ROS2, *session.posargs))
 
 
 @nox.session(default=False)

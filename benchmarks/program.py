@@ -32,7 +32,7 @@ from benchmarks.rows import (
 SEED = 2015
 PROGRAMS = (
     *("frames", "hostile", "consumer", "fleet", "imports", "virtual_aircraft", "station"),
-    *("request", "hop", "ticks", "console", "replay"),
+    *("request", "hop", "ticks", "console", "replay", "ros2"),
 )
 ROOT = Path(__file__).parent.parent
 

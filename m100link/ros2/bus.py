@@ -19,13 +19,23 @@ from m100link.errors import UsageError
 if TYPE_CHECKING:
     import zenoh
 
-__all__ = ["Bus", "Inbox", "Outlet", "Received", "Request", "TokenChange", "ZenohBus", "open_bus"]
+__all__ = [
+    "MOST_TOKENS",
+    "Bus",
+    "Inbox",
+    "Outlet",
+    "Received",
+    "Request",
+    "TokenChange",
+    "ZenohBus",
+    "open_bus",
+]
 
 _logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-_TOKENS = 1024
+MOST_TOKENS = 1024
 """Changes of the graph that wait at most."""
 
 _SESSION = {
@@ -177,17 +187,18 @@ class _Ring(Inbox[T]):
     """A ring of zenoh's, and what is made of each thing in it."""
 
     def __init__(self, declared: Any, make: Callable[[Any], T]) -> None:
-        self._declared, self._make = declared, make
-
-    def take(self) -> list[T]:
         import zenoh
 
+        self._declared, self._make = declared, make
+        self._ended = zenoh.ZError
+
+    def take(self) -> list[T]:
         found = []
         try:
             while (one := self._declared.try_recv()) is not None:
                 found.append(self._make(one))
-        except zenoh.ZError:
-            pass  # the session has ended: nothing comes any more
+        except self._ended:
+            pass  # the session is closed: nothing comes any more
         return found
 
 
@@ -264,7 +275,7 @@ class ZenohBus:
         """See tokens come and go."""
         import zenoh
 
-        ring: Any = zenoh.handlers.RingChannel(_TOKENS)
+        ring: Any = zenoh.handlers.RingChannel(MOST_TOKENS)
         declared = self._session.liveliness().declare_subscriber(pattern, ring, history=True)
         put = zenoh.SampleKind.PUT
         return _Ring(declared, lambda one: TokenChange(str(one.key_expr), one.kind == put))

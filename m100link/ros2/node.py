@@ -27,7 +27,7 @@ from m100link.telemetry.subscription import Newest
 
 __all__ = ["STEP_S", "Node"]
 
-STEP_S = 0.01
+STEP_S = 0.02
 """Seconds between two looks at what has come."""
 
 _STOOD_STILL_S = 1.0
@@ -84,11 +84,14 @@ class Node:
         self.name = NodeName(domain, bus.session, names.namespace, names.node, number)
         self.ends = Ends(bus, self.name, agent.background, utc)
         self.helm = Helm(agent)
-        self._presence = Presence(bus.watch(f"{ADMIN}/{domain}/**"))
+        self._presence = Presence(lambda: bus.watch(f"{ADMIN}/{domain}/**"))
         self._looked_at = self._ran_at = self._deaf_until = agent.now
         self._told: dict[str, float] = {}
-        ground = (names.frame("odom"), names.frame("map"))
-        self._frames = Frames(ground, (names.frame("base_link"),))
+        # Services are many, and looked at in every second step.
+        self._is_even = False
+        # Plain names are understood in a namespace, too: nothing else can be meant.
+        ground = ("odom", "map", names.frame("odom"), names.frame("map"))
+        self._frames = Frames(ground, ("base_link", names.frame("base_link")))
         topics = {
             name: self.ends.publish(names.full(name), out.kind, out.qos)
             for name, out in OUTPUTS.items()
@@ -202,7 +205,9 @@ class Node:
         self._presence.look()
         for name, source, make in self._inputs:
             self._hear(name, source, make)
-        self.ends.take_requests(is_deaf=now < self._deaf_until)
+        self._is_even = not self._is_even
+        if self._is_even:
+            self.ends.take_requests(is_deaf=now < self._deaf_until)
         self.helm.advance()
         self.actions.advance()
         if now - self._looked_at >= _LOOK_S:

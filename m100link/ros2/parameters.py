@@ -89,7 +89,7 @@ class Parameters:
 
     def _add_rate(self, topic: str, teller: Teller) -> None:
         def take(value: float) -> None:
-            teller.hz[topic] = value
+            teller.set_hz(topic, value)
 
         word = topic.rpartition("/")[2]
         text = f"messages per second of {topic} at most, 0 to {MOST_HZ:g}; 0: each that there is"

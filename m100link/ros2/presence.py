@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from m100link.ros2.bus import Inbox, TokenChange
+from collections.abc import Callable
+
+from m100link.ros2.bus import MOST_TOKENS, Inbox, TokenChange
 from m100link.ros2.graph import End, Seen, read_token
 
 __all__ = ["Presence"]
 
-_MOST = 4096
+_MOST = 4 * MOST_TOKENS
 """Tokens that are known: a graph of hundreds of nodes has fewer."""
 
 
@@ -15,16 +17,22 @@ class Presence:
     """The ends of others.
 
     Args:
-        inbox: Tokens that come and go.
+        watch: Begins to see tokens come and go, those first that are there.
     """
 
-    def __init__(self, inbox: Inbox[TokenChange]) -> None:
-        self._inbox = inbox
+    def __init__(self, watch: Callable[[], Inbox[TokenChange]]) -> None:
+        self._watch = watch
+        self._inbox = watch()
         self._seen: dict[str, Seen] = {}
 
     def look(self) -> None:
-        """Take what has changed."""
-        for change in self._inbox.take():
+        """Take what has changed. Of a flood some is lost: then all of them count as gone."""
+        changes = self._inbox.take()
+        if len(changes) >= MOST_TOKENS:
+            self._seen.clear()
+            self._inbox = self._watch()
+            return
+        for change in changes:
             if not change.is_there:
                 self._seen.pop(change.key, None)
                 continue

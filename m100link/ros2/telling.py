@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from m100link.agent.client import AgentClient
 from m100link.agent.messages import Event, MissionTold
 from m100link.geodesy import LocalFrame
+from m100link.log.cdr import encode
 from m100link.log.ros2_messages import Messages, Stamp
 from m100link.protocol.records import (
     AngularVelocity,
@@ -34,7 +35,10 @@ __all__ = ["Places", "Teller"]
 
 R = TypeVar("R", bound=tuple[Any, ...])
 
-Counts = Mapping[str, int]
+Place = tuple[float, float, float]
+"""East, north, up, m."""
+
+_Make = Callable[[Sample, Stamp], bytes | None]
 
 _FRESH_S = 0.3
 """Seconds for which an item of another package belongs to this one."""
@@ -43,7 +47,6 @@ _EARLY = 0.2
 """Part of the time between two messages by which a package may be early."""
 
 _STATE_S, _LOOK_S, _OLD_S = 1.0, 0.1, 2.5
-_CLOCK_S = 0.02
 _LEVELS = {"info": 20, "warning": 30, "error": 40}
 _UNKNOWN = 255
 _HERE = (0.0, 0.0, 0.0)
@@ -60,7 +63,7 @@ class Places:
     def __init__(self) -> None:
         self.origin: LocalFrame | None = None
 
-    def local(self, position: Position) -> tuple[float, float, float] | None:
+    def local(self, position: Position) -> Place | None:
         """East, north, up in metres; up from the take-off point. None before the first fix."""
         if not position.is_possible or not math.isfinite(position.height_m):
             return None
@@ -71,6 +74,31 @@ class Places:
             self.origin = LocalFrame(position.latitude_deg, position.longitude_deg)
         north, east = self.origin.to_local(position.latitude_deg, position.longitude_deg)
         return east, north, position.height_m
+
+
+class _Source:
+    """A topic that is made of packages of telemetry.
+
+    Args:
+        name: In the table.
+        topic: Where it goes.
+        make: Makes a message of a package; None where that has nothing for it.
+
+    Attributes:
+        pause: Seconds between two messages.
+        due_at: From when on the next one is sent, s.
+    """
+
+    __slots__ = ("due_at", "make", "name", "pause", "topic")
+
+    def __init__(self, name: str, topic: Topic, make: _Make) -> None:
+        self.name, self.topic, self.make = name, topic, make
+        self.pause = 1.0 / OUTPUTS[name].hz
+        self.due_at = 0.0
+
+    def told(self, now: float) -> None:
+        """From when it was due, so that the rate holds; not from long ago, and a little early."""
+        self.due_at = max(self.due_at + self.pause, now + (1.0 - _EARLY) * self.pause)
 
 
 class Teller:
@@ -95,18 +123,19 @@ class Teller:
         names: Names,
         topics: Mapping[str, Topic],
         utc: Callable[[], float],
-        counted: Callable[[], Counts],
+        counted: Callable[[], Mapping[str, int]],
     ) -> None:
         self._agent, self._names = agent, names
         self._topics, self._utc, self._counted = topics, utc, counted
         self.clock: DeviceClock | None = None
         self.places = Places()
         self.hz = {name: row.hz for name, row in OUTPUTS.items()}
+        self._placed: tuple[Sample, Place | None] | None = None
         self._messages = Messages(names.frame("odom"), names.frame("base_link"))
         self._due: dict[str, float] = {}
         self._status: dict[str, Any] = {}
         self._looks_at = agent.now
-        self._makers: dict[str, Callable[[Sample, Stamp], bytes | None]] = {
+        makers: dict[str, _Make] = {
             "~/imu": self._imu,
             "~/fix": _of(Position, self._messages.fix),
             "~/odom": self._odometry,
@@ -117,7 +146,11 @@ class Teller:
             "~/joy": _of(RemoteControl, self._messages.joy),
             "~/gimbal": _of(Gimbal, self._messages.gimbal),
             "/tf": self._transform,
+            "/clock": lambda _, stamp: encode("rosgraph_msgs/Clock", {"clock": _time(stamp)}),
         }
+        self._sources = [
+            _Source(name, topics[name], make) for name, make in makers.items() if name in topics
+        ]
         agent.on_event.append(self._event)
         agent.on_mission_told.append(self._mission)
 
@@ -150,27 +183,23 @@ class Teller:
     def hear(self, sample: Sample) -> None:
         """A package of telemetry came."""
         now = sample.received_at
-        stamp = self._stamp(self._taken_at(sample))
-        for name, make in self._makers.items():
-            pause = self._pause(name)
-            topic = self._topics[name]
-            if now + _EARLY * pause < self._due.get(name, now) or not topic.is_wanted:
-                continue
-            message = make(sample, stamp)
-            if message is not None:
-                # From when it was due, so that the rate holds; not from long ago.
-                self._due[name] = max(self._due.get(name, now) + pause, now)
-                topic.put(message)
-        clock = self._topics.get("/clock")
-        if clock is None or not clock.is_wanted:
-            return
-        if now + _EARLY * _CLOCK_S >= self._due.get("/clock", now):
-            self._due["/clock"] = max(self._due.get("/clock", now) + _CLOCK_S, now)
-            clock.say({"clock": _time(self._stamp(now))})
+        taken_at = self._taken_at(sample)
+        stamp: Stamp | None = None
+        for source in self._sources:
+            if source.topic.is_wanted and now >= source.due_at:
+                if stamp is None:
+                    stamp = self._stamp(taken_at)
+                message = source.make(sample, stamp)
+                if message is not None:
+                    source.told(now)
+                    source.topic.put(message)
 
-    def _pause(self, name: str) -> float:
-        hz = self.hz[name]
-        return 1.0 / hz if hz else 0.0
+    def set_hz(self, name: str, hz: float) -> None:
+        """Let a topic have so many messages per second at most; 0 for each that there is."""
+        self.hz[name] = hz
+        for source in self._sources:
+            if source.name == name:
+                source.pause = 1.0 / hz if hz else 0.0
 
     def _near(self, record: type[R], sample: Sample) -> R | None:
         """An item of this package, or of one just before."""
@@ -185,9 +214,13 @@ class Teller:
             return None
         return self._messages.imu(stamp, attitude, rates, sample.acceleration)
 
-    def _place(self, sample: Sample) -> tuple[float, float, float] | None:
-        position = self._near(Position, sample)
-        return None if position is None else self.places.local(position)
+    def _place(self, sample: Sample) -> Place | None:
+        """Where it is; three topics ask for the same package."""
+        if self._placed is None or self._placed[0] is not sample:
+            position = self._near(Position, sample)
+            found = None if position is None else self.places.local(position)
+            self._placed = sample, found
+        return self._placed[1]
 
     def _odometry(self, sample: Sample, stamp: Stamp) -> bytes | None:
         attitude, place = sample.attitude, self._place(sample)

@@ -42,7 +42,7 @@ OUTPUTS: Mapping[str, Output] = {
     "~/imu": Output(
         "sensor_msgs/Imu",
         SENSOR,
-        100,
+        50,
         "attitude, angular velocity, and what an accelerometer in the body feels, with gravity",
         "imu",
     ),

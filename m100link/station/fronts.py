@@ -150,7 +150,8 @@ async def serving_fronts(
         LinkError: An agent cannot be reached.
     """
     async with AsyncExitStack() as stack:
-        agents = await _reached(stack, reach, "rosbridge")
+        others = "ROS 2" if settings.ros2 else "fronts"
+        agents = await _reached(stack, reach, "rosbridge" if sockets.rosbridge else others)
         bridge: Bridge | None = None
         servers: list[Server] = []
         if sockets.rosbridge:
@@ -170,7 +171,7 @@ async def serving_fronts(
             vehicles = await _reached(stack, reach, "mavlink")
             await stack.enter_async_context(serving_mavlink(vehicles, settings, sockets.mavlink))
         if settings.ros2:
-            flown = await _reached(stack, reach, "ROS 2")
+            flown = await _reached(stack, reach, "ROS 2") if sockets.rosbridge else agents
             await stack.enter_async_context(serving_ros2(flown, settings))
         if sockets.metrics is not None and bridge is not None:
             servers.append(_metrics(bridge, settings, dropped_by_tabs))

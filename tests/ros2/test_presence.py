@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from m100link.ros2.bus import TokenChange
+from m100link.ros2.bus import MOST_TOKENS, TokenChange
 from m100link.ros2.graph import End, NodeName, Qos
 from m100link.ros2.presence import Presence
 from tests.ros2.conftest import MemoryInbox
@@ -17,7 +17,7 @@ def token(session: str, end: End = End.CLIENT, topic: str = TOPIC) -> str:
 
 def test_those_who_can_call_are_known_until_one_is_gone() -> None:
     inbox = MemoryInbox(99)
-    presence = Presence(inbox)
+    presence = Presence(lambda: inbox)
     others = (token("c", End.SERVER), token("d", topic="/other"), "@ros2_lv/junk")
     for key in (token("a"), token("b"), *others):
         inbox.waiting.append(TokenChange(key, True))
@@ -33,9 +33,26 @@ def test_those_who_can_call_are_known_until_one_is_gone() -> None:
 
 
 def test_a_flood_of_tokens_is_not_kept() -> None:
-    inbox = MemoryInbox(10_000)
-    presence = Presence(inbox)
-    for number in range(10_000):
+    inbox = MemoryInbox(MOST_TOKENS)
+    presence = Presence(lambda: inbox)
+    for number in range(10 * MOST_TOKENS):
         inbox.waiting.append(TokenChange(token(str(number)), True))
+        if number % 1000 == 0:
+            presence.look()
+    assert len(presence.clients(TOPIC)) <= 4 * MOST_TOKENS
+
+
+def test_of_a_flood_some_is_lost_and_then_all_count_as_gone() -> None:
+    inboxes = [MemoryInbox(MOST_TOKENS), MemoryInbox(MOST_TOKENS)]
+    waiting = iter(inboxes)
+    presence = Presence(lambda: next(waiting))
+    inboxes[0].waiting.append(TokenChange(token("a"), True))
     presence.look()
-    assert len(presence.clients(TOPIC)) == 4096
+    clients = presence.clients(TOPIC)
+    for number in range(2 * MOST_TOKENS):
+        inboxes[0].waiting.append(TokenChange(token(str(number)), True))
+    presence.look()
+    assert presence.missing(clients)
+    inboxes[1].waiting.append(TokenChange(token("a"), True))  # told once more
+    presence.look()
+    assert presence.clients(TOPIC) == clients

@@ -50,8 +50,8 @@ async def test_every_value_is_that_of_the_sample(rig: Rig, program: Program) -> 
     imus = [read("~/imu", one) for one in sent["~/imu"]]
     turned = [(i.orientation.x, i.orientation.y, i.orientation.z, i.orientation.w) for i in imus]
     attitudes = [one.attitude.enu_flu_xyzw for one in samples if one.attitude is not None]
-    assert turned == attitudes[: len(turned)]
-    assert len(turned) == pytest.approx(len(attitudes), abs=3)
+    assert set(turned) <= set(attitudes)
+    assert len(turned) == pytest.approx(150, abs=3)  # thinned to 50 Hz
     felt = imus[-1].linear_acceleration
     assert felt.z == pytest.approx(9.8, abs=0.5)  # it hovers
     places = {one[Position] for one in samples if one.get(Position) is not None}
@@ -69,6 +69,7 @@ async def test_every_value_is_that_of_the_sample(rig: Rig, program: Program) -> 
 
 
 async def test_stamps_are_of_the_clock_of_the_aircraft(rig: Rig) -> None:
+    rig.node.teller.set_hz("~/imu", 0.0)  # each that there is
     await anyio.sleep(8.0)
     samples, sent = await told(rig, 3.0)
     stamps = [read("~/imu", one).header.stamp for one in sent["~/imu"]]
