@@ -54,7 +54,7 @@ class _Craft:
     def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
         self.vehicle = Vehicle(agent, system, autopilot=autopilot)
         flights = self.vehicle.flights
-        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, flights.leg, flights.begun)
+        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, flights)
         # By address: whoever counts what is missing finds nothing missing that went elsewhere.
         self.sequences: dict[Address, int] = {}
         agent.on_event.append(self.vehicle.event)

@@ -21,6 +21,7 @@ from m100link.errors import (
     TaskRefused,
 )
 from m100link.mavlink.deck import Deck
+from m100link.mavlink.flights import MissionFlights
 from m100link.mavlink.orders import (
     Arm,
     CallOff,
@@ -59,8 +60,7 @@ class Crew:
         agent: The agent.
         world: What is known of the aircraft; it gets the lease.
         deck: What decides.
-        on_leg: Called with a flight, the number of its leg and whether that is done, or begins.
-        on_mission: Called with a flight whose mission the aircraft has begun to fly by itself.
+        flights: Told how far a flight is.
     """
 
     def __init__(
@@ -68,14 +68,12 @@ class Crew:
         agent: AgentClient,
         world: World,
         deck: Deck,
-        on_leg: Callable[[Flight, int, bool], None],
-        on_mission: Callable[[Flight], None],
+        flights: MissionFlights,
     ) -> None:
         self._agent = agent
         self._world = world
         self._deck = deck
-        self._on_leg = on_leg
-        self._on_mission = on_mission
+        self._flights = flights
         # The order under way; a new one ends it.
         self._work: asyncio.Task[None] | None = None
         # Giving back ends before authority is asked for anew: they would cross.
@@ -106,13 +104,12 @@ class Crew:
             elif isinstance(order, Pause | Resume | Do):
                 self._agent.background.spawn(self._tell(order), type(order).__name__)
             elif isinstance(order, Drop):
-                if self._work is not None and not self._is_disarming:
-                    self._work.cancel()
+                self._drop()
             elif isinstance(order, Arm):
                 self._arming = self._agent.background.spawn(self._arm(order), "arming")
             else:
                 self._replace(order)
-        if not self._world.has_authority:
+        if self._agent.is_connected and not self._world.has_authority:
             self._owes_a_stop = False  # the agent ends the mission of whoever lost control
         now = self._agent.now
         if self._world.lease is not None and now - self._renewed_at >= _RENEWAL_S:
@@ -126,10 +123,17 @@ class Crew:
         if lease is not None and self._world.has_lease and not self._owes_a_stop:
             self._agent.steer(lease, order.setpoint, order.lifetime)
 
+    def _drop(self) -> None:
+        if self._owes_a_stop and self._world.has_lease and not self._agent.is_gone:
+            # Where the agent was only not heard for a while, it flies on what nobody wants now.
+            self._agent.halt("control was not seen to be held", self._world.lease)
+        if self._work is not None and not self._is_disarming:
+            self._work.cancel()
+
     async def _tell(self, errand: Errand) -> None:
         actions = {Pause: Action.MISSION_PAUSE, Resume: Action.MISSION_RESUME}
         async with self._telling:
-            if not self._deck.is_due(errand):
+            if not self._flights.is_due(errand):
                 return
             try:
                 if isinstance(errand, Do):
@@ -137,7 +141,7 @@ class Crew:
                 else:
                     await self._agent.ask(actions[type(errand)], self._world.lease)
             except M100Error as error:
-                self._deck.failed(errand, error)
+                self._flights.failed(errand, error)
 
     def _replace(self, order: Order) -> None:
         if self._work is not None:
@@ -235,6 +239,7 @@ class Crew:
         """
         if is_interrupting:
             await self._agent.stop()
+            await self._agent.release(self._world.lease)  # a stop keeps it where no task is known
             await self._agent.obtain(self._world.lease)
         elif self._owes_a_stop or self._world.flies_mission:
             await self._agent.ask(Action.MISSION_STOP, self._world.lease)
@@ -271,11 +276,11 @@ class Crew:
             await self._agent.fly(lease, Task.TAKE_OFF)
             self._deck.took_off(order, self._agent.now)
         for number, leg in enumerate(order.legs[: order.by_agent]):
-            self._on_leg(order, number, False)
+            self._flights.leg(order, number, False)
             await self._agent.guide(lease, leg)
             if number < len(order.waits):
                 await asyncio.sleep(order.waits[number])
-            self._on_leg(order, number, True)
+            self._flights.leg(order, number, True)
         if order.plan is not None:
             await self._fly_plan(order, order.plan, lease)
 
@@ -292,7 +297,7 @@ class Crew:
                 Action.MISSION_START,
                 lease,
                 number=UNTIL_OVER,
-                accepted=lambda: self._on_mission(order),
+                accepted=lambda: self._flights.begun(order),
             )
         except M100Error:
             self._owes_a_stop = False  # the agent has stopped it, or told what came of that

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from m100link.errors import GuardRefused, M100Error
+from m100link.errors import GuardRefused, M100Error, TaskRefused
 from m100link.mavlink.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
@@ -27,7 +27,6 @@ from m100link.mavlink.orders import (
     Arm,
     CallOff,
     Disarm,
-    Do,
     Drop,
     Errand,
     Flight,
@@ -345,23 +344,13 @@ class Deck:
 
     def mission_flown(self, flight: Flight) -> None:
         """The aircraft was at the last place of the mission, and goes home or lands by its plan."""
-        if flight is self._current and self.is_flown_by_aircraft and flight.then is not None:
-            self.running = running_of(flight.then)
-            self._mode = Mode.LAND if isinstance(flight.then, Land) else Mode.RTL
-
-    def is_due(self, errand: Errand) -> bool:
-        """Whether something that is told to a mission on its way is still wanted."""
-        if isinstance(errand, Do):
-            return self.is_flown_by_aircraft
-        wanted = Running.PAUSED if isinstance(errand, Pause) else Running.MISSION
-        return errand.flight is self._current and self.running is wanted
-
-    def failed(self, errand: Errand, error: M100Error) -> None:
-        """It was not taken; an aircraft that may not hover is told to stop its mission."""
-        if self.is_due(errand):
-            self._tell(Severity.ERROR, f"mission: {error.seen}")
-            if not isinstance(errand, Do):
-                self.hold("hold: the mission is stopped")
+        if flight is not self._current or not self.is_flown_by_aircraft or flight.then is None:
+            return
+        is_paused = self.running is Running.PAUSED
+        self.running = running_of(flight.then)
+        self._mode = Mode.LAND if isinstance(flight.then, Land) else Mode.RTL
+        if is_paused:  # it was there before the pause: what it flies now knows none
+            self.interrupt("hold: the mission is over")
 
     def ended(self, order: Order, error: M100Error | None, now: float) -> None:
         """An order has ended; what was replaced meanwhile means nothing."""
@@ -371,6 +360,11 @@ class Deck:
             return
         if error is not None:
             self._tell(Severity.ERROR, f"{self._mode.value}: {error.seen}")
+        is_refused = isinstance(error, TaskRefused) and self.phase is Phase.AIRBORNE
+        if is_refused and isinstance(order, Land | GoHome) and not order.is_interrupting:
+            # Something flies that nobody here was told of: the end of a mission, say.
+            self._begin(Wish(self._mode, replace(order, is_interrupting=True)))
+            return
         waiting, self._waiting = self._waiting, None
         self._current, self.running, self._idle_since = None, Running.NOTHING, None
         self._mode = Mode.HOLD
@@ -453,6 +447,11 @@ class Deck:
     def has_setpoint(self, mode: Mode, peer: Peer, now: float) -> bool:
         """Whether somebody's setpoints can be flown in a mode of setpoints."""
         return self.steering == peer and self._streams[mode].is_fresh(now)
+
+    def interrupt(self, why: str) -> None:
+        """Hover, whatever the aircraft flies by itself: authority goes back, which ends it."""
+        self._tell(Severity.WARNING, why)
+        self._begin(Wish(Mode.HOLD, Halt(is_interrupting=True, why=why)))
 
     def hold(self, why: str) -> None:
         """The bridge itself wants a hover, and says why."""

@@ -8,12 +8,12 @@ from m100link.agent.actions import Action
 from m100link.agent.guided import ChangeHeight, GuidedOrder
 from m100link.agent.messages import MissionTold
 from m100link.agent.preview import preview_plan
-from m100link.errors import UsageError
+from m100link.errors import M100Error, UsageError
 from m100link.mavlink.deck import Deck
 from m100link.mavlink.missions import Missions
-from m100link.mavlink.modes import Mode
+from m100link.mavlink.modes import Mode, Running
 from m100link.mavlink.numbers import Severity
-from m100link.mavlink.orders import Do, Flight, GoHome, Land
+from m100link.mavlink.orders import Do, Errand, Flight, GoHome, Land, Pause
 from m100link.mavlink.peers import Peer
 from m100link.mavlink.plans import Unfit, flies_missions, plan_of
 from m100link.mavlink.route import Leg, Refused, Route
@@ -136,6 +136,20 @@ class MissionFlights:
         if self._deck.mission_begun(flight):
             self._tell(Severity.NOTICE, "mission: the aircraft flies it by itself")
             self.leg(flight, flight.by_agent, False)
+
+    def is_due(self, errand: Errand) -> bool:
+        """Whether something that is told to a mission on its way is still wanted."""
+        if isinstance(errand, Do):
+            return self._deck.is_flown_by_aircraft
+        wanted = Running.PAUSED if isinstance(errand, Pause) else Running.MISSION
+        return errand.flight is self._deck.flight and self._deck.running is wanted
+
+    def failed(self, errand: Errand, error: M100Error) -> None:
+        """It was not taken: nobody knows what an aircraft flies that does not pause or go on."""
+        if self.is_due(errand):
+            self._tell(Severity.ERROR, f"mission: {error.seen}")
+            if not isinstance(errand, Do):
+                self._deck.interrupt("hold: the mission is stopped")
 
     def told(self, told: MissionTold) -> None:
         """The aircraft told of the mission that it flies for us."""

@@ -10,8 +10,9 @@ import pytest
 
 from m100link.agent.guided import ChangeHeight, FlyTo
 from m100link.agent.messages import State
-from m100link.errors import GuardRefused, LinkError
+from m100link.errors import GuardRefused, LinkError, TaskRefused
 from m100link.mavlink.deck import REMEMBERED_S, Deck
+from m100link.mavlink.flights import MissionFlights
 from m100link.mavlink.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
@@ -275,27 +276,61 @@ def test_a_mission_that_was_changed_begins_anew_over_one_that_flies(running: Run
     assert flies(deck) is Running.FLIGHT, "the aircraft has not begun it"
 
 
+def flights_of(deck: Deck, told: list[tuple[Severity, str]]) -> MissionFlights:
+    missions: Any = None
+    return MissionFlights(deck._world, deck, missions, lambda *one: told.append(one))
+
+
 @pytest.mark.parametrize("errand", [Pause(BY_AIRCRAFT), Resume(BY_AIRCRAFT)])
-def test_a_mission_of_which_nobody_knows_whether_it_hovers_is_stopped(errand: Pause) -> None:
+def test_an_aircraft_that_does_not_pause_or_go_on_loses_what_it_flies(errand: Pause) -> None:
     deck, _, told = deck_in(Phase.AIRBORNE)
     let_fly(deck, Running.PAUSED if isinstance(errand, Pause) else Running.MISSION)
-    deck.failed(errand, LinkError("no answer"))
-    assert [type(order) for order in deck.orders] == [Halt]
+    flights_of(deck, told).failed(errand, LinkError("no answer"))
+    [halt] = deck.orders
+    assert isinstance(halt, Halt)
+    assert halt.is_interrupting
     assert "no answer" in told[0][1]
 
 
 def test_what_is_told_to_a_mission_late_is_not_told_at_all() -> None:
     deck, _, told = deck_in(Phase.AIRBORNE)
+    flights = flights_of(deck, told)
     let_fly(deck, Running.PAUSED)
     pause, resume = Pause(BY_AIRCRAFT), Resume(BY_AIRCRAFT)
-    assert (deck.is_due(pause), deck.is_due(resume)) == (True, False)
+    assert (flights.is_due(pause), flights.is_due(resume)) == (True, False)
     deck.wish(Wish(Mode.MISSION, BY_AIRCRAFT, PEER), 0.0)
-    assert (deck.is_due(pause), deck.is_due(resume)) == (False, True)
+    assert (flights.is_due(pause), flights.is_due(resume)) == (False, True)
     deck.wish(Wish(Mode.LAND, Land(), PEER), 0.0)
-    assert (deck.is_due(pause), deck.is_due(resume)) == (False, False)
-    deck.failed(pause, LinkError("no answer"))
+    assert (flights.is_due(pause), flights.is_due(resume)) == (False, False)
+    flights.failed(pause, LinkError("no answer"))
     assert flies(deck) is Running.LAND
     assert told == []
+
+
+def test_a_hold_that_comes_with_the_end_of_the_mission_holds() -> None:
+    """The aircraft has begun its way home before the pause reaches it, and knows none there."""
+    deck, _, _ = deck_in(Phase.AIRBORNE)
+    let_fly(deck, Running.PAUSED)
+    deck.mission_flown(BY_AIRCRAFT)
+    [halt] = deck.orders
+    assert isinstance(halt, Halt)
+    assert halt.is_interrupting
+    assert shown(deck) is Mode.HOLD
+
+
+@pytest.mark.parametrize("order", [Land(), GoHome()])
+def test_a_way_down_that_is_refused_for_what_flies_ends_that(order: Land | GoHome) -> None:
+    deck, _, _ = deck_in(Phase.AIRBORNE)
+    let_fly(deck, Running.MISSION)
+    mode = Mode.LAND if isinstance(order, Land) else Mode.RTL
+    deck.wish(Wish(mode, order, PEER), 0.0)
+    deck.orders.clear()
+    deck.ended(order, TaskRefused("it goes home"), 1.0)
+    again = replace(order, is_interrupting=True)
+    assert deck.orders == [again]
+    deck.orders.clear()
+    deck.ended(again, TaskRefused("no"), 2.0)
+    assert deck.orders == [], "once"
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.agent.client import AgentClient
 from m100link.mavlink.modes import Mode
 from m100link.mavlink.numbers import Command, MissionType, Result
 from m100link.sim.line import LineFaults
@@ -259,6 +260,36 @@ async def test_hold_ends_the_way_down_behind_it(rig: Rig, ground: Ground, then: 
     await assert_hovers(rig)
     assert ground.mode is Mode.HOLD
     assert ground.armed()
+
+
+@pytest.mark.parametrize("wish", [Mode.HOLD, Mode.LAND])
+@pytest.mark.parametrize("wait", [0.0, 0.05, 0.1, 0.15, 0.2, 0.3])
+async def test_what_is_wanted_at_the_end_of_it_is_flown(
+    rig: Rig, ground: Ground, wish: Mode, wait: float
+) -> None:
+    """The aircraft turns home while nobody was told of that yet."""
+    await begin(rig, ground, [*FAR, item(Command.NAV_RETURN_TO_LAUNCH)])
+    await rig.until(lambda: rig.aircraft.vehicle.missions.arrivals[-1:] == [2], within=120.0)
+    await anyio.sleep(0.3 + wait)
+    assert await ground.set_mode(wish) is Result.ACCEPTED
+    if wish is Mode.LAND:
+        await rig.until(lambda: not ground.armed(), within=60.0)
+        assert math.hypot(*rig.aircraft.position) > 50.0
+    else:
+        await assert_hovers(rig)
+        assert ground.mode is Mode.HOLD
+
+
+async def test_an_agent_that_was_not_heard_for_a_while_flies_on_nothing(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await begin(rig, ground, FAR)
+    with monkeypatch.context() as silent:
+        silent.setattr(AgentClient, "is_silent", True)
+        await anyio.sleep(0.5)
+    await assert_hovers(rig)
+    assert not flies_itself(rig)
+    assert ground.mode is Mode.HOLD
 
 
 async def test_land_ends_the_way_home_behind_it(rig: Rig, ground: Ground) -> None:
