@@ -118,6 +118,22 @@ async def mission_of_three(drone: Any) -> None:
     await first(drone.telemetry.armed(), lambda armed: not armed)
 
 
+async def patrol(drone: Any) -> None:
+    """Fly a mission of 200 m, home at its end, and wait until somebody ends this program."""
+    await ready(drone)
+    home = await first(drone.telemetry.home(), lambda _: True)
+    latitude, longitude = home.latitude_deg, home.longitude_deg
+    corners = [(0.0005, 0.0), (0.0005, 0.0005), (0.0001, 0.0005)]
+    items = [waypoint(latitude + north, longitude + east) for north, east in corners]
+    await drone.mission.set_return_to_launch_after_mission(True)
+    await drone.mission.upload_mission(mission.MissionPlan(items))
+    await drone.action.arm()
+    await drone.mission.start_mission()
+    await first(drone.telemetry.flight_mode(), lambda one: str(one) == "MISSION")
+    print("flying", flush=True)
+    await asyncio.sleep(3600.0)
+
+
 async def stay(drone: Any) -> None:
     """Fly north by setpoints until somebody ends this program."""
     await up(drone)
@@ -133,6 +149,7 @@ FLIGHTS: dict[str, Callable[[Any], Awaitable[None]]] = {
     "setpoints": setpoints,
     "mission": mission_of_three,
     "stay": stay,
+    "patrol": patrol,
 }
 
 

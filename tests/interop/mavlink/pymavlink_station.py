@@ -210,7 +210,16 @@ def ground_station(station: Station) -> None:
     print("as QGroundControl asks: done")
 
 
+def hold(station: Station) -> None:
+    """Whoever comes sees the mission that still flies, and ends it."""
+    station.wait("HEARTBEAT", custom_mode=4 << 16 | 4 << 24)
+    assert station.command(176, 1, 4, 3) == 0
+    station.wait("HEARTBEAT", custom_mode=4 << 16 | 3 << 24)
+    print("mission, then hold")
+
+
 WHAT = {
+    "hold": hold,
     "parameters": parameters,
     "missions": missions,
     "junk": junk,

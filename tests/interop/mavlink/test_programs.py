@@ -230,9 +230,9 @@ def test_what_is_not_signed_is_not_obeyed(tmp_path: Path) -> None:
 
 
 @contextmanager
-def flying(found: Site) -> Iterator[subprocess.Popen[str]]:
-    """MAVSDK flies north at 3 m/s."""
-    words = [str(HERE / "mavsdk_grpc_flights.py"), "stay", str(found.port)]
+def flying(found: Site, flight: str = "stay") -> Iterator[subprocess.Popen[str]]:
+    """MAVSDK flies north: by setpoints at 3 m/s, or by a mission."""
+    words = [str(HERE / "mavsdk_grpc_flights.py"), flight, str(found.port)]
     grpc = str(free_port(socket.SOCK_STREAM))
     with started("-W", "ignore", *words, grpc, start_new_session=True) as program:
         assert program.stdout is not None
@@ -265,15 +265,20 @@ def test_a_bridge_that_is_ended_leaves_a_hover(number: signal.Signals) -> None:
 @needs_grpc
 def test_a_front_that_is_killed_leaves_a_hover_and_comes_back() -> None:
     with site("1.0") as found, flying(found):
-        children = subprocess.run(
-            ["ps", "-o", "pid=", "--ppid", str(found.bridge.pid)],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        [front] = [int(one) for one in children.stdout.split()]
-        os.kill(front, signal.SIGKILL)
+        os.kill(front_of(found), signal.SIGKILL)
         found.assert_hovers()
+
+
+def front_of(found: Site) -> int:
+    """The process that strangers reach; the other one has the aircraft."""
+    children = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(found.bridge.pid)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    [front] = [int(one) for one in children.stdout.split()]
+    return front
 
 
 @needs_grpc
@@ -289,3 +294,56 @@ def test_a_cable_that_is_pulled_leaves_a_hover() -> None:
     with site("1.0") as found, flying(found):
         found.order("unplug")
         found.assert_hovers()
+
+
+# -- endings of a mission that the aircraft flies by itself ---------------------------------------
+
+ENDINGS: dict[str, Callable[[Site, subprocess.Popen[str]], object]] = {
+    "the program is killed": lambda _, program: os.killpg(program.pid, signal.SIGKILL),
+    "the bridge is told to end": lambda found, _: found.bridge.terminate(),
+    "the front is killed": lambda found, _: os.kill(front_of(found), signal.SIGKILL),
+    "the pilot takes it": lambda found, _: found.order("rc-mode", "P"),
+}
+LOSSES: dict[str, Callable[[Site], object]] = {
+    "the agent is killed": lambda found: found.bridge.kill(),
+    "the cable is pulled": lambda found: found.order("unplug"),
+}
+
+
+def flies_itself(found: Site) -> bool:
+    mission = found.truth()["mission"]
+    return mission is not None and mission.get("waypoint") is not None and not mission["is_paused"]
+
+
+@needs_grpc
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_mission_that_nobody_wants_any_more_ends_in_a_hover(ending: str) -> None:
+    with site("3.1") as found, flying(found, "patrol") as program:
+        assert flies_itself(found)
+        ENDINGS[ending](found, program)
+        found.assert_hovers()
+        assert not flies_itself(found)
+
+
+@needs_grpc
+@pytest.mark.parametrize("loss", LOSSES)
+def test_a_mission_that_nobody_can_stop_is_flown_to_its_end(loss: str) -> None:
+    with site("3.1") as found, flying(found, "patrol"):
+        assert flies_itself(found)
+        LOSSES[loss](found)
+        found.until(lambda: found.truth()["flight_status"] == "standby")
+        assert math.hypot(found.truth()["north"], found.truth()["east"]) < 3.0
+
+
+@needs_grpc
+def test_a_mission_that_flew_on_is_stopped_by_the_next_hold() -> None:
+    with site("3.1") as found:
+        with flying(found, "patrol"):
+            found.order("unplug")
+            time.sleep(2.0)
+        assert flies_itself(found)
+        found.order("replug")
+        told = run("pymavlink_station.py", "hold", found.address)
+        assert "mission, then hold" in told
+        found.assert_hovers()
+        assert not flies_itself(found)
