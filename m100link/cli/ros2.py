@@ -21,7 +21,7 @@ _FromSettings: Any = options_of(
     (
         *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
         *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
-        *("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap"),
+        *("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap", "ros2_dji_names"),
     ),
     environment=ENVIRONMENT,
     called={
@@ -30,6 +30,7 @@ _FromSettings: Any = options_of(
         "ros2_node": "--node",
         "ros2_domain": "--domain",
         "ros2_remap": "--remap",
+        "ros2_dji_names": "--dji-names",
     },
     is_layer=True,
 )

@@ -72,6 +72,7 @@ _STANDARD = {
     "sensor_msgs/NavSatStatus": "int8 status\nuint16 service",
     "service_msgs/ServiceEventInfo": "uint8 event_type\nbuiltin_interfaces/Time stamp\n"
     "uint8[16] client_gid\nint64 sequence_number",
+    "std_msgs/Float32": "float32 data",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     "std_msgs/String": "string data",
     "std_msgs/UInt8": "uint8 data",

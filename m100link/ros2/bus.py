@@ -241,13 +241,19 @@ class ZenohBus:
         import zenoh
 
         if kept:
-            latched = zenoh.ext.declare_advanced_publisher(
-                self._session,
-                key,
-                congestion_control=zenoh.CongestionControl.DROP,
-                cache=zenoh.ext.CacheConfig(max_samples=kept),
-                publisher_detection=True,
-            )
+            try:
+                latched = zenoh.ext.declare_advanced_publisher(
+                    self._session,
+                    key,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    cache=zenoh.ext.CacheConfig(max_samples=kept),
+                    publisher_detection=True,
+                )
+            except zenoh.ZError as error:
+                raise UsageError(
+                    f"this session of zenoh keeps nothing for who comes late: {error}",
+                    remedy=f"let {_CONFIG} enable timestamping, as rmw_zenoh's own file does",
+                ) from error
             return _Latched(latched)
         return _Outlet(
             self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)

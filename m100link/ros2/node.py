@@ -15,14 +15,15 @@ from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.ros2.actions import Actions
 from m100link.ros2.bus import Bus
+from m100link.ros2.dji import DJI_OUTPUTS
 from m100link.ros2.ends import Call, Ends, Input
 from m100link.ros2.graph import ADMIN, Names, NodeName
 from m100link.ros2.helm import Helm
 from m100link.ros2.parameters import Parameters
 from m100link.ros2.presence import Presence
 from m100link.ros2.setpoints import Frames, speed, toward
-from m100link.ros2.telling import Teller
-from m100link.ros2.topics import INPUTS, OUTPUTS, SERVICES
+from m100link.ros2.telling import ALL_OUTPUTS, Teller
+from m100link.ros2.topics import INPUTS, SERVICES
 from m100link.telemetry.subscription import Newest
 
 __all__ = ["STEP_S", "Node"]
@@ -59,6 +60,7 @@ class Node:
         domain: ROS_DOMAIN_ID.
         number: Its number within the session.
         has_clock: Whether it publishes ``/clock``, as for a virtual aircraft.
+        has_dji_names: Whether it publishes by the names of DJI's node, too.
         utc: POSIX time, s.
 
     Attributes:
@@ -78,6 +80,7 @@ class Node:
         domain: int = 0,
         number: int = 0,
         has_clock: bool = False,
+        has_dji_names: bool = False,
         utc: Callable[[], float] = time.time,
     ) -> None:
         self._agent, self._names = agent, names
@@ -94,8 +97,8 @@ class Node:
         self._frames = Frames(ground, ("base_link", names.frame("base_link")))
         topics = {
             name: self.ends.publish(names.full(name), out.kind, out.qos)
-            for name, out in OUTPUTS.items()
-            if has_clock or name != "/clock"
+            for name, out in ALL_OUTPUTS.items()
+            if (has_clock or name != "/clock") and (has_dji_names or name not in DJI_OUTPUTS)
         }
         self.teller = Teller(agent, names, topics, utc, lambda: self.counted)
         takes: dict[str, Make] = {

@@ -24,6 +24,7 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.ros2.diagnostics import diagnostics
+from m100link.ros2.dji import DJI_OUTPUTS, dji_makers
 from m100link.ros2.ends import Topic
 from m100link.ros2.graph import Names
 from m100link.ros2.topics import OUTPUTS
@@ -31,9 +32,12 @@ from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.limits import GOOD_GPS
 from m100link.telemetry.sample import Sample
 
-__all__ = ["Places", "Teller"]
+__all__ = ["ALL_OUTPUTS", "Places", "Teller"]
 
 R = TypeVar("R", bound=tuple[Any, ...])
+
+ALL_OUTPUTS = {**OUTPUTS, **DJI_OUTPUTS}
+"""With those that are there when they are asked for."""
 
 Place = tuple[float, float, float]
 """East, north, up, m."""
@@ -83,6 +87,7 @@ class _Source:
         name: In the table.
         topic: Where it goes.
         make: Makes a message of a package; None where that has nothing for it.
+        hz: Messages per second at most.
 
     Attributes:
         pause: Seconds between two messages.
@@ -91,9 +96,9 @@ class _Source:
 
     __slots__ = ("due_at", "make", "name", "pause", "topic")
 
-    def __init__(self, name: str, topic: Topic, make: _Make) -> None:
+    def __init__(self, name: str, topic: Topic, make: _Make, hz: float) -> None:
         self.name, self.topic, self.make = name, topic, make
-        self.pause = 1.0 / OUTPUTS[name].hz
+        self.pause = 1.0 / hz
         self.due_at = 0.0
 
     def told(self, now: float) -> None:
@@ -148,8 +153,11 @@ class Teller:
             "/tf": self._transform,
             "/clock": lambda _, stamp: encode("rosgraph_msgs/Clock", {"clock": _time(stamp)}),
         }
+        makers |= dji_makers()
         self._sources = [
-            _Source(name, topics[name], make) for name, make in makers.items() if name in topics
+            _Source(name, topics[name], make, ALL_OUTPUTS[name].hz)
+            for name, make in makers.items()
+            if name in topics
         ]
         agent.on_event.append(self._event)
         agent.on_mission_told.append(self._mission)

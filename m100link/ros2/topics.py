@@ -28,14 +28,12 @@ class Output:
         qos: Its quality of service.
         hz: Messages per second at most; 0 where they come when there is something to say.
         text: What it is, for the manual.
-        dji: Its name in DJI's node, where it has one of the same meaning.
     """
 
     kind: str
     qos: Qos
     hz: float
     text: str
-    dji: str = ""
 
 
 OUTPUTS: Mapping[str, Output] = {
@@ -44,14 +42,12 @@ OUTPUTS: Mapping[str, Output] = {
         SENSOR,
         50,
         "attitude, angular velocity, and what an accelerometer in the body feels, with gravity",
-        "imu",
     ),
     "~/fix": Output(
         "sensor_msgs/NavSatFix",
         SENSOR,
         10,
         "position by GPS; the altitude is by the barometer, no covariance is known",
-        "gps_position",
     ),
     "~/odom": Output(
         "nav_msgs/Odometry",
@@ -70,7 +66,7 @@ OUTPUTS: Mapping[str, Output] = {
         "geometry_msgs/Vector3Stamped", SENSOR, 10, "raw numbers without a unit, in the body"
     ),
     "~/joy": Output(
-        "sensor_msgs/Joy", SENSOR, 20, "the remote: roll, pitch, yaw, throttle; switch, gear", "rc"
+        "sensor_msgs/Joy", SENSOR, 20, "the remote: roll, pitch, yaw, throttle; switch, gear"
     ),
     "~/gimbal": Output(
         "geometry_msgs/QuaternionStamped", SENSOR, 20, "how the camera is turned over ground"

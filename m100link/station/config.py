@@ -98,6 +98,7 @@ class Settings:
         ros2_node: Name of the node; what is private to it stands below: /m100/imu.
         ros2_domain: Domain of the graph; 0 by default.
         ros2_remap: Call something otherwise, from:=to, such as ~/imu:=/imu; may be repeated.
+        ros2_dji_names: Publish by the names and types of DJI's node, too: dji_sdk/imu and so on.
         record: Folder for a flight log of each connection; nothing in it is ever removed. By
             default `serve` and `console` keep them in m100link/flights of the user's state folder
             (~/.local/state).
@@ -149,6 +150,7 @@ class Settings:
     ros2_node: str = ONLY_NAME
     ros2_domain: int = 0
     ros2_remap: tuple[str, ...] = ()
+    ros2_dji_names: bool = False
     record: Path | None = None
     no_record: bool = False
     record_keep: int = RECORD_KEEP

@@ -76,6 +76,7 @@ async def serving_ros2(
                 domain=settings.ros2_domain,
                 number=number,
                 has_clock=settings.sim and not number,
+                has_dji_names=settings.ros2_dji_names,
             )
             for number, (name, agent) in enumerate(agents.items())
         ]

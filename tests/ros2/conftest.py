@@ -146,12 +146,20 @@ class Program:
 class Rig:
     """The whole: aircraft, agent, node."""
 
-    def __init__(self, *, firmware: str = "1.0", names: Names | None = None, **more: Any) -> None:
+    def __init__(
+        self,
+        *,
+        firmware: str = "1.0",
+        names: Names | None = None,
+        has_dji_names: bool = False,
+        **more: Any,
+    ) -> None:
         self.aircraft = VirtualAircraft(seed=5, firmware=firmware)
         self.driver = Driver(self.aircraft)
         self.agent = Agent(by_driver(self.driver), credentials=self.aircraft.credentials, **more)
         self.bus = MemoryBus()
         self.names = names or Names.of("/", "m100")
+        self.has_dji_names = has_dji_names
 
     def utc(self) -> float:
         return UTC + self.client.now
@@ -164,7 +172,14 @@ class Rig:
             ours, its = memory_channels()
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "ROS 2"))
-            self.node = Node(self.client, self.bus, self.names, has_clock=True, utc=self.utc)
+            self.node = Node(
+                self.client,
+                self.bus,
+                self.names,
+                has_clock=True,
+                has_dji_names=self.has_dji_names,
+                utc=self.utc,
+            )
             self.work = self.agent.background.spawn(self.node.run(), "node")
             self.program = Program(self)
             await self.until(lambda: bool(self.outlet("~/odom").sent))
