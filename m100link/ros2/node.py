@@ -177,7 +177,7 @@ class Node:
     def _triggers(self) -> dict[str, Call]:
         helm = self.helm
         return {
-            "~/obtain_control": _trigger(lambda: helm.obtain("ROS 2"), "ROS has control"),
+            "~/obtain_control": _trigger(self._obtain, "ROS has control"),
             "~/release_control": _trigger(helm.release, "control is given back"),
             "~/takeoff": _trigger(lambda: helm.fly(Task.TAKE_OFF), "it takes off"),
             "~/land": _trigger(lambda: self._end(Task.LAND), "it lands"),
@@ -189,6 +189,15 @@ class Node:
             "~/start_video": _trigger(lambda: helm.do(Action.START_VIDEO), "sent"),
             "~/stop_video": _trigger(lambda: helm.do(Action.STOP_VIDEO), "sent"),
         }
+
+    async def _obtain(self) -> None:
+        if self._presence.has_namesake(self.name.full, self.name.session):
+            raise UsageError(
+                f"two nodes are called {self.name.full}",
+                cause="another m100link runs in this domain: what is called reaches both",
+                remedy="end one of them, or give it --namespace or --node",
+            )
+        await self.helm.obtain("ROS 2")
 
     async def _end(self, task: Task) -> None:
         """A way to the ground ends what flies."""

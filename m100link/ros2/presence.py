@@ -50,6 +50,13 @@ class Presence:
         """Whose tokens these are, for people."""
         return ", ".join(sorted({self._seen[key].node_name for key in keys if key in self._seen}))
 
+    def has_namesake(self, name: str, session: str) -> bool:
+        """Whether a node of another session is called so, too: calls reach both."""
+        return any(
+            one.end is End.NODE and one.node_name == name and one.node[0] != session
+            for one in self._seen.values()
+        )
+
     def missing(self, keys: frozenset[str]) -> bool:
         """Whether any of these tokens is gone."""
         return any(key not in self._seen for key in keys)

@@ -9,8 +9,8 @@ import anyio
 import pytest
 
 from m100link.log.cdr import encode
-from m100link.ros2.bus import Received, Request
-from m100link.ros2.graph import End, Names, read_token
+from m100link.ros2.bus import Received, Request, TokenChange
+from m100link.ros2.graph import End, Names, NodeName, read_token
 from m100link.ros2.helm import IDLE_S
 from m100link.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from tests.ros2.conftest import Program, Rig
@@ -74,6 +74,19 @@ async def test_control_of_somebody_else_is_not_taken(rig: Rig, program: Program)
     assert not answer["success"]
     assert "the console" in answer["message"]
     assert "the console" in (await program.call("~/takeoff"))["message"]
+
+
+async def test_of_two_nodes_of_one_name_none_is_flown(rig: Rig, program: Program) -> None:
+    other = NodeName(0, "anotherone", "/", "m100").token
+    rig.bus.changes.waiting.append(TokenChange(rig.node.name.token, True))
+    rig.bus.changes.waiting.append(TokenChange(other, True))
+    await anyio.sleep(0.1)
+    answer = await program.call("~/obtain_control")
+    assert not answer["success"]
+    assert "two nodes are called /m100" in answer["message"]
+    rig.bus.changes.waiting.append(TokenChange(other, False))
+    await anyio.sleep(0.1)
+    assert (await program.call("~/obtain_control"))["success"]
 
 
 async def test_on_the_ground_speeds_move_nothing(rig: Rig, program: Program) -> None:

@@ -73,6 +73,14 @@ def flood(port: int, node: str, seconds: str) -> None:
     print(json.dumps({"sent": sent}), flush=True)
 
 
+def watch(port: int) -> None:
+    """Tokens of nodes, as they come and go, with their times."""
+    session = session_of(port)
+    tokens = session.liveliness().declare_subscriber("@ros2_lv/0/*/*/*/NN/**", history=True)
+    for change in tokens:
+        print(time.time(), change.kind == zenoh.SampleKind.PUT, change.key_expr, flush=True)
+
+
 def record(port: int, seconds: str) -> None:
     """All of domain 0, as lines of key, type and CDR in hex."""
     session = session_of(port)
@@ -88,7 +96,8 @@ def record(port: int, seconds: str) -> None:
 
 
 if __name__ == "__main__":
-    what: Any = {"router": router, "goal": goal, "flood": flood, "record": record}[sys.argv[2]]
+    programs = {"router": router, "goal": goal, "flood": flood, "record": record, "watch": watch}
+    what: Any = programs[sys.argv[2]]
     what(int(sys.argv[1]), *sys.argv[3:])
     sys.stdout.flush()
     os._exit(0)

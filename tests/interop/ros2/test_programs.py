@@ -223,6 +223,18 @@ def test_the_node_is_killed(site: Site) -> None:
     site.until(lambda: "obtain_control True" in site.sdk("call", "obtain_control"))
 
 
+def test_the_token_of_a_killed_node_is_gone_within_a_second(site: Site) -> None:
+    watcher = site.run("plain.py", "watch")
+    _, is_there, key = line_of(watcher).split()
+    assert (is_there, key.rpartition("/")[2]) == ("True", "m100")
+    child = child_of(site.node)
+    began = time.time()
+    os.kill(child, signal.SIGKILL)
+    at, is_there, _ = line_of(watcher).split()
+    assert is_there == "False"
+    assert float(at) - began < 1.0
+
+
 def test_all_of_m100link_is_killed(site: Site) -> None:
     steering(site)
     child = child_of(site.node)
