@@ -173,15 +173,21 @@ class Teller:
         """Now, as builtin_interfaces/Time."""
         return _time(self._stamp(self._agent.now))
 
-    def _taken_at(self, sample: Sample) -> float:
-        """When a package was made: by the clock of the aircraft, never later than it came."""
+    def _tick(self, sample: Sample) -> int | None:
+        """Let the clock know of a package; its tick, None where it has none."""
         time = sample.get(Time)
         if time is None:
-            return sample.received_at
+            return None
         if self.clock is None or self.clock.tick_hz != sample.profile.tick_hz:
             self.clock = DeviceClock(sample.profile.tick_hz)
         self.clock.update(time.tick, sample.received_at)
-        found = self.clock.host_time(time.tick)
+        return time.tick
+
+    def _taken_at(self, sample: Sample, tick: int | None) -> float:
+        """When a package was made: by the clock of the aircraft, never later than it came."""
+        if tick is None or self.clock is None:
+            return sample.received_at
+        found = self.clock.host_time(tick)
         if found is None or not math.isfinite(found.uncertainty_s):
             return sample.received_at
         return min(found.time, sample.received_at)
@@ -191,12 +197,12 @@ class Teller:
     def hear(self, sample: Sample) -> None:
         """A package of telemetry came."""
         now = sample.received_at
-        taken_at = self._taken_at(sample)
+        tick = self._tick(sample)
         stamp: Stamp | None = None
         for source in self._sources:
             if source.topic.is_wanted and now >= source.due_at:
                 if stamp is None:
-                    stamp = self._stamp(taken_at)
+                    stamp = self._stamp(self._taken_at(sample, tick))
                 message = source.make(sample, stamp)
                 if message is not None:
                     source.told(now)
