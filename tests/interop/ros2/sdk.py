@@ -125,8 +125,9 @@ def look(program: Program) -> None:
     for name, kind in SEEN.items():
         program.hear(name, kind, partial(keep, found, name))
     ends = time.monotonic() + 60.0
-    # Of a simulator there is no magnetometer, and of one in another process no clock.
-    waited = SEEN.keys() - {"/clock", "magnetic_field"}
+    # Of a simulator there is no magnetometer, of one in another process no clock, and what was said
+    # before is not asked for.
+    waited = SEEN.keys() - {"/clock", "/rosout", "magnetic_field"}
     while not found.keys() >= waited and time.monotonic() < ends:
         time.sleep(0.1)
     topics = dict(sdk.get_topic_names_and_types(**program.way))
