@@ -130,8 +130,12 @@ def look(program: Program) -> None:
     waited = SEEN.keys() - {"/clock", "/rosout", "magnetic_field"}
     while not found.keys() >= waited and time.monotonic() < ends:
         time.sleep(0.1)
-    topics = dict(sdk.get_topic_names_and_types(**program.way))
-    services = dict(sdk.get_service_names_and_types(**program.way))
+    topics: dict[str, Any] = {}
+    services: dict[str, Any] = {}
+    for _ in range(5):  # it does not wait for all of the graph
+        topics |= dict(sdk.get_topic_names_and_types(**program.way))
+        services |= dict(sdk.get_service_names_and_types(**program.way))
+        time.sleep(1.0)
     print(json.dumps({"topics": topics, "services": services, "messages": found}))
 
 
