@@ -210,6 +210,27 @@ class Guidance:
             )
         require_in_the_air(self._state, name)
 
+    async def prepare(self, name: str) -> None:
+        """As :meth:`admit`, and let what waits in the line be read first.
+
+        A program that stood still has an old position, and a new one on its way: a loop that begins
+        then waits for it, for as long as one is fresh.
+        """
+        self.admit(name)
+        if self._has_fresh_position():
+            return
+        clock = asyncio.get_running_loop().time
+        until = clock() + FRESH_S
+        async for _ in Ticker():
+            if self._has_fresh_position() or clock() >= until:
+                break
+        self.admit(name)
+
+    def _has_fresh_position(self) -> bool:
+        """Whether no newer one is to be awaited: there is one, or there has never been one."""
+        age = self._state.age(Position)
+        return age is None or age <= FRESH_S
+
     async def run(
         self,
         name: str,

@@ -103,7 +103,7 @@ class ClosedLoops:
                 loop is flying.
             NoAuthority: See :meth:`Control.send`.
         """
-        self._guidance.admit("fly_to")
+        await self._guidance.prepare("fly_to")
         here = position_of(self._state)
         place = _place(here, (north, east), frame, (latitude_deg, longitude_deg))
         target = (*place, _target_height(here, up, height))
@@ -185,7 +185,7 @@ class ClosedLoops:
         Raises: as :meth:`fly_to`. A point outside the envelope, or one that cannot be flown to, is
         named, and nothing is sent.
         """
-        self._guidance.admit("fly_path")
+        await self._guidance.prepare("fly_path")
         here = position_of(self._state)
         frame = frame or LocalFrame(here.latitude_deg, here.longitude_deg)
         start = frame.to_local(here.latitude_deg, here.longitude_deg)
@@ -239,7 +239,7 @@ class ClosedLoops:
 
         Raises: as :meth:`fly_to`.
         """
-        self._guidance.admit("climb_to")
+        await self._guidance.prepare("climb_to")
         self._guards.check_target("climb_to", height=check_height(height))
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
@@ -321,7 +321,7 @@ class ClosedLoops:
 
         Raises: as :meth:`fly_to`.
         """
-        self._guidance.admit("orbit")
+        await self._guidance.prepare("orbit")
         here = position_of(self._state)
         if frame is None:
             frame = LocalFrame(here.latitude_deg, here.longitude_deg)

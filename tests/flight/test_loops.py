@@ -164,12 +164,15 @@ async def test_what_does_not_arrive_in_time_says_what_remains_and_hovers() -> No
         await flown.assert_hovers()
 
 
-async def test_a_position_that_is_not_sent_is_told_at_once() -> None:
+async def test_a_position_that_is_not_sent_is_told_after_half_a_second() -> None:
     async with flying() as (flown, control):
         flown.virtual.set_rates(position=0)
         await asyncio.sleep(1.0)
+        before = len(flown.moves)
         with pytest.raises(TelemetryStalled, match="the position is needed"):
-            await control.fly_to(north=5, east=0, up=0)
+            async with asyncio.timeout(0.6):
+                await control.fly_to(north=5, east=0, up=0)
+        assert len(flown.moves) == before
 
 
 async def test_a_position_that_stops_on_the_way_stops_the_aircraft() -> None:
@@ -540,3 +543,5 @@ async def test_a_program_that_stood_still_reads_what_arrived_before_it_calls_it_
             loop.call_later(after, stand_still)
             arrival = await control.fly_to(north=3.0, east=0.0, up=0.0)
             assert arrival.distance_m < 1.0
+        stand_still()  # between two of them
+        assert (await control.fly_to(north=3.0, east=0.0, up=0.0)).distance_m < 1.0
