@@ -11,6 +11,7 @@ from m100link.aircraft.events import AuthorityEvent
 from m100link.aircraft.replaying import open_replay, parse_replay
 from m100link.errors import M100Error, OnlyRecorded, UsageError
 from m100link.log.player import FASTEST, SLOWEST, Player
+from m100link.log.replayed_link import ReplayedLink
 from m100link.protocol.firmware import profile
 
 __all__ = ["Replays"]
@@ -50,7 +51,8 @@ class Replays:
             UsageError: The file cannot be played.
         """
         aircraft = await open_replay(self._url, firmware=self._firmware, holds=True)
-        self._player = aircraft.link.player  # type: ignore[attr-defined] # of a replay it has one
+        assert isinstance(aircraft.link, ReplayedLink)  # of a replay it is one
+        self._player = aircraft.link.player
         return aircraft
 
     async def watch(self, aircraft: Aircraft) -> None:

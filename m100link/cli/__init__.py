@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import sys
@@ -18,8 +19,8 @@ def main() -> None:
     if is_ours:  # and not ignored, as in the background of a script
         signal.signal(signal.SIGINT, end_at_once)
     try:
-        import cyclopts  # noqa: F401 - only whether it is there
-        import rich  # noqa: F401 - only whether it is there
+        for package in ("cyclopts", "rich"):
+            importlib.import_module(package)
     except ModuleNotFoundError as error:
         sys.stderr.write(
             f"m100link's command line needs {error.name}, which is not installed.\n"

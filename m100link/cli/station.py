@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 import logging
 import os
 import queue
@@ -275,10 +276,8 @@ def run_station(
 
 def _require_packages() -> None:
     try:
-        import cbor2  # noqa: F401 - only whether it is there
-        import starlette  # noqa: F401 - only whether it is there
-        import uvicorn  # noqa: F401 - only whether it is there
-        import websockets  # noqa: F401 - only whether it is there
+        for package in ("cbor2", "starlette", "uvicorn", "websockets"):
+            importlib.import_module(package)
     except ModuleNotFoundError as error:
         raise UsageError(
             f"the ground station needs {error.name}, which is not installed",

@@ -100,7 +100,7 @@ class Machine:
         Raises:
             OSError: There is no such device.
         """
-        state = os.stat(path)  # noqa: PTH116 - a device, whatever its name
+        state = Path(path).stat()
         group = _group_name(state.st_gid)
         return Permission(
             mode=stat.filemode(state.st_mode),
@@ -112,7 +112,7 @@ class Machine:
 
     def is_terminal_device(self, path: str) -> bool:
         """Whether it is a device of characters, as every serial port is."""
-        return stat.S_ISCHR(os.stat(path).st_mode)  # noqa: PTH116 - as above
+        return stat.S_ISCHR(Path(path).stat().st_mode)
 
     @property
     def is_container(self) -> bool:
@@ -163,7 +163,7 @@ class Machine:
     def is_left_alone(self, path: str) -> bool:
         """Whether a rule keeps ModemManager away from the device."""
         try:
-            state = os.stat(path)  # noqa: PTH116 - as above
+            state = Path(path).stat()
             numbers = f"c{os.major(state.st_rdev)}:{os.minor(state.st_rdev)}"
             told = (self._root / "run/udev/data" / numbers).read_text(encoding="utf-8")
         except OSError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, cast
 
 from m100link.doctor.findings import Finding, Stage, Verdict
 from m100link.doctor.machine import Machine
@@ -203,7 +203,7 @@ class Ear(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """The line is open."""
-        self.transport = transport  # type: ignore[assignment] # it is a stream, whatever its class
+        self.transport = cast(asyncio.Transport, transport)  # it is a stream, whatever its class
         self._made.set()
 
     def data_received(self, data: bytes) -> None:
