@@ -258,6 +258,9 @@ ENVIRONMENT = {
 }
 """Environment variable of a setting."""
 
+_IF = {"ros2_domain": "ros2"}
+"""Settings with a variable that is not ours alone, and what has to be on for it to be looked at."""
+
 _KINDS = {one.name: one.type for one in fields(Settings) if one.name not in ("origins", "unused")}
 
 
@@ -289,7 +292,7 @@ def resolve(
             {
                 name: environment[variable]
                 for name, variable in ENVIRONMENT.items()
-                if environment.get(variable)
+                if environment.get(variable) and name not in _IF
             },
         ),
     ]
@@ -315,6 +318,11 @@ def resolve(
             if "url" in given:
                 values.pop("url", None)
             take(source, given)
+    for name, needed in _IF.items():
+        value = environment.get(ENVIRONMENT[name])
+        if value and values.get(needed) and origins.get(name) != "command line":
+            values.pop(name, None)
+            take("environment", {name: value})
     settings = Settings(**values, origins=origins, unused=tuple(unused))
     if settings.url is not None and settings.sim:
         # A virtual aircraft is asked for louder than an address in a file is.

@@ -218,3 +218,15 @@ def test_a_name_of_the_station_is_announced_where_it_listens_everywhere() -> Non
     settings = Settings(host="0.0.0.0", allow_host=("field-laptop.local",))
     assert settings.authority(80) == "field-laptop.local:80"
     assert settings.host_names() == {"field-laptop.local"}
+
+
+def test_the_domain_of_ros_is_looked_at_by_who_speaks_ros(tmp_path: Path) -> None:
+    wrong, right = {"ROS_DOMAIN_ID": "base"}, {"ROS_DOMAIN_ID": "7"}
+    assert resolve({}, wrong).ros2_domain == 0
+    with pytest.raises(UsageError, match="ROS_DOMAIN_ID cannot be 'base'"):
+        resolve({"ros2": True}, wrong)
+    path = write(tmp_path / "station.toml", "ros2 = true\nros2_domain = 3\n")
+    assert resolve({}, {}, config=path).ros2_domain == 3
+    found = resolve({}, right, config=path)
+    assert (found.ros2_domain, found.origins["ros2_domain"]) == (7, "environment")
+    assert resolve({"ros2_domain": 5}, right, config=path).ros2_domain == 5
