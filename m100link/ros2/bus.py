@@ -46,7 +46,7 @@ _SESSION = {
     "scouting/multicast/enabled": "false",
     "timestamping/enabled": '{"router": true, "peer": true, "client": true}',
     # A cable that is cut without a word: gone after this, as the aircraft must not wait for it.
-    "transport/link/tx/lease": "2000",
+    "transport/link/tx/lease": "1500",
 }
 """rmw_zenoh's session, where it differs from zenoh's default."""
 
