@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from m100link.agent.client import AgentClient
 from m100link.errors import M100Error, UsageError
-from m100link.mavlink.codec import Message, Signer, read_datagram, write_frame
+from m100link.mavlink.codec import Message, Reading, Signer, write_frame
 from m100link.mavlink.crew import Crew
 from m100link.mavlink.numbers import AUTOPILOT_PX4
 from m100link.mavlink.peers import Address, Peer, Peers
@@ -36,8 +36,13 @@ _LARGEST = 1400
 """Bytes of a datagram that no network cuts up."""
 
 _READ_PER_STEP = 32768
-"""Bytes that are read and answered in one step, shared out evenly among the addresses of peers,
-and one share for all strangers: a flood is dropped, and holds up neither setpoints nor others."""
+"""Bytes of frames that are read and answered in one step, shared out evenly among the addresses of
+peers, and one share for all strangers: a flood is dropped, and holds up neither setpoints nor
+others. What does not look like a frame hardly counts: to read it costs little more than to drop
+it, and of who sends commands between much noise none is dropped."""
+
+_SKIPPED = 32
+"""Bytes of a datagram that take as long to be skipped as one of a frame to be read."""
 
 _MESSAGE_COST = 60
 """What each message counts on top: the shortest ones take as long to read as others."""
@@ -132,10 +137,12 @@ class Bridge:
         if len(data) > self._shares[sender]:
             self.dropped += 1
             return
-        self._shares[sender] -= len(data)
-        for message in read_datagram(data, signer=self._signer, now=signature_time()):
+        most = self._shares[sender]
+        reading = Reading(data, signer=self._signer, now=signature_time(), most=most)
+        for message in reading:
             self._shares[sender] -= _MESSAGE_COST
             self._take(message, Peer(address, message.system, message.component), now)
+        self._shares[sender] -= reading.checked + len(data) // _SKIPPED
         self._flush(now)
         self._hurry()
 

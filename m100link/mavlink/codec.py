@@ -14,7 +14,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from struct import Struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import crcmod
 
@@ -26,6 +26,7 @@ __all__ = [
     "NEW_WITHIN",
     "Layout",
     "Message",
+    "Reading",
     "Sender",
     "Signer",
     "read_datagram",
@@ -36,6 +37,7 @@ _crc = crcmod.mkCrcFun(0x11021, initCrc=0xFFFF, rev=True, xorOut=0)
 
 _V1, _V2 = 0xFE, 0xFD
 _HEADER_V1, _HEADER_V2 = Struct("<BBBBBB"), Struct("<BBBBBBBHB")
+_START = re.compile(rb"[\xfd\xfe]")
 _CHECKSUM = Struct("<H")
 _SIGNED = 0x01
 _SIGNATURE = 13
@@ -266,65 +268,112 @@ def write_frame(
     return frame if signer is None else frame + signer.sign(frame, now)
 
 
-def read_datagram(data: bytes, *, signer: Signer | None = None, now: int = 0) -> Iterator[Message]:
+class Reading:
     """The valid messages of a datagram, each searched from the end of the one before.
 
     With a signer only HEARTBEAT is taken without a signature: it moves nothing.
+
+    Args:
+        data: The datagram.
+        signer: Refuses what is not signed.
+        now: Time of signatures, 10 microseconds since 2015.
+        most: What :attr:`checked` may become before the rest is left unread: a datagram can be made
+            to look like many overlapping frames, each of which is checked to its end.
+
+    Attributes:
+        checked: Bytes that looked like a frame, so far, counted again where such frames overlap:
+            what reading cost. Bytes between frames are skipped and cost next to nothing.
     """
-    at, end = 0, len(data)
-    while at < end:
-        if data[at] == _V2:
-            found = _frame_v2(data, at, signer, now)
-        elif data[at] == _V1:
-            found = _frame_v1(data, at, is_signed=signer is not None)
-        else:
-            found = None
-        if found is None:
-            at += 1  # what looked like a start was none: the next byte may be
-            continue
-        message, at = found
-        if message is not None:
-            yield message
+
+    def __init__(
+        self, data: bytes, *, signer: Signer | None = None, now: int = 0, most: int | None = None
+    ) -> None:
+        self.checked = 0
+        self._data = data
+        self._signer = signer
+        self._now = now
+        self._most = most
+
+    def __iter__(self) -> Iterator[Message]:
+        data, signer = self._data, self._signer
+        start = _START.search(data)
+        while start is not None:
+            at = start.start()
+            if data[at] == _V2:
+                found = _frame_v2(data, at, signer, self._now)
+            else:
+                found = _frame_v1(data, at, is_signed=signer is not None)
+            self.checked += found.checked
+            if found.message is not None:
+                yield found.message
+            if self._most is not None and self.checked > self._most:
+                return
+            # What looked like a start and was none: the next byte may be one.
+            start = _START.search(data, found.end or at + 1)
 
 
-def _frame_v2(
-    data: bytes, at: int, signer: Signer | None, now: int
-) -> tuple[Message | None, int] | None:
-    if at + _HEADER_V2.size + 2 > len(data):
-        return None
+def read_datagram(data: bytes, *, signer: Signer | None = None, now: int = 0) -> Iterator[Message]:
+    """The valid messages of a datagram, see :class:`Reading`."""
+    return iter(Reading(data, signer=signer, now=now))
+
+
+class _Found(NamedTuple):
+    """What stands behind a start byte.
+
+    Attributes:
+        message: The message, if it is one for us.
+        end: Where the frame ends; 0 if there is none.
+        checked: Bytes that were looked at.
+    """
+
+    message: Message | None
+    end: int
+    checked: int
+
+
+_NO_FRAME = _Found(None, 0, _HEADER_V2.size)
+
+
+def _frame_v2(data: bytes, at: int, signer: Signer | None, now: int) -> _Found:
+    begin = at + _HEADER_V2.size
+    if begin + 2 > len(data):
+        return _NO_FRAME
     _, size, incompatible, _, _, system, component, low, high = _HEADER_V2.unpack_from(data, at)
     layout = _BY_NUMBER.get(low | high << 16)
-    begin = at + _HEADER_V2.size
     end = begin + size + 2
     is_signed = bool(incompatible & _SIGNED)
     whole = end + (_SIGNATURE if is_signed else 0)
     if incompatible & ~_SIGNED or whole > len(data) or layout is None:
-        return None
+        return _NO_FRAME
     if not _is_whole(data, at, end, layout):
-        return None
+        return _Found(None, 0, end - at)
     is_owed = signer is not None and (is_signed or layout.name != "HEARTBEAT")
     if signer is not None and is_owed:
         sender = system, component
         if not (is_signed and signer.takes(data[at:whole], sender, now)):
             signer.refused += 1
-            return None, whole
+            return _Found(None, whole, whole - at)
     payload = data[begin : begin + size]
     is_right = signer is not None and is_signed
-    return _message(layout, payload, system, component, is_signed=is_right), whole
+    message = _message(layout, payload, system, component, is_signed=is_right)
+    return _Found(message, whole, whole - at)
 
 
-def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> tuple[Message | None, int] | None:
-    if at + _HEADER_V1.size + 2 > len(data):
-        return None
+def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> _Found:
+    begin = at + _HEADER_V1.size
+    if begin + 2 > len(data):
+        return _NO_FRAME
     _, size, _, system, component, number = _HEADER_V1.unpack_from(data, at)
     layout = _BY_NUMBER.get(number)
-    begin = at + _HEADER_V1.size
     end = begin + size + 2
-    if layout is None or end > len(data) or not _is_whole(data, at, end, layout):
-        return None
+    if layout is None or end > len(data):
+        return _NO_FRAME
+    if not _is_whole(data, at, end, layout):
+        return _Found(None, 0, end - at)
     if is_signed and layout.name != "HEARTBEAT":
-        return None, end
-    return _message(layout, data[begin : begin + size], system, component), end
+        return _Found(None, end, end - at)
+    message = _message(layout, data[begin : begin + size], system, component)
+    return _Found(message, end, end - at)
 
 
 def _is_whole(data: bytes, at: int, end: int, layout: Layout) -> bool:

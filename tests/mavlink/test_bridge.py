@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 from random import Random
 
 import anyio
@@ -437,12 +438,26 @@ async def test_a_flood_from_one_address_does_not_keep_others_out(
     flood.is_silent = not is_known
     flood.beat()
     await anyio.sleep(0.1)
+    looks_like_frames = b"\xfe\xf0\0\0\0\0" * 230  # each of them is checked, and none is right
     for _ in range(300):
-        rig.bridge.received(bytes(1400), flood.address)
+        rig.bridge.received(looks_like_frames, flood.address)
     ground.command(Command.NAV_LAND)
     assert ground.last("COMMAND_ACK")["command"] == Command.NAV_LAND
     assert ground.last("COMMAND_ACK")["result"] == Result.ACCEPTED
     assert rig.bridge.dropped > 200
+
+
+async def test_noise_between_the_commands_of_a_peer_costs_it_none(rig: Rig, ground: Ground) -> None:
+    ground.beat()
+    await anyio.sleep(0.1)
+    chance = random.Random(20261122)
+    for _ in range(20):
+        for _ in range(100):
+            rig.bridge.received(chance.randbytes(chance.randrange(1, 60)), ground.address)
+        ground.heard.clear()
+        ground.command(Command.GET_HOME_POSITION)
+        assert ground.last("COMMAND_ACK")["command"] == Command.GET_HOME_POSITION
+    assert rig.bridge.dropped == 0
 
 
 async def test_what_is_answered_counts_as_what_is_read(rig: Rig, ground: Ground) -> None:

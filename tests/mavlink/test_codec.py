@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from m100link.mavlink.codec import LAYOUTS, Message, Signer, read_datagram, write_frame
+from m100link.mavlink.codec import LAYOUTS, Message, Reading, Signer, read_datagram, write_frame
 
 KEY = bytes(range(32))
 
@@ -73,6 +73,25 @@ def test_junk_is_nothing() -> None:
     for _ in range(3000):
         data = random.randbytes(random.randrange(300))
         assert list(read_datagram(data)) == []
+
+
+def test_reading_tells_what_it_cost() -> None:
+    """Bytes that were checked as a frame: those of a frame once, of overlapping ones many times."""
+    valid = frame("COMMAND_LONG", command=400, param1=1.0)
+    reading = Reading(bytes(500) + valid + bytes(500))
+    assert [message.name for message in reading] == ["COMMAND_LONG"]
+    assert reading.checked == len(valid)
+    overlapping = Reading(b"\xfe\xf0\0\0\0\0" * 230)
+    assert list(overlapping) == []
+    assert overlapping.checked > 30 * 1380
+
+
+def test_a_datagram_is_left_when_it_cost_too_much() -> None:
+    valid = frame("COMMAND_LONG", command=400, param1=1.0)
+    hostile = b"\xfe\xf0\0\0\0\0" * 10_000
+    reading = Reading(valid + hostile, most=16_384)
+    assert len(list(reading)) == 1, "what stands before it is read"
+    assert reading.checked < 17_000
 
 
 # -- signatures -----------------------------------------------------------------------------------
