@@ -14,6 +14,8 @@ from enum import IntEnum
 from typing import Any
 
 from m100link.agent.client import AgentClient
+from m100link.agent.messages import Event
+from m100link.agent.messages import Topic as EventTopic
 from m100link.errors import M100Error
 from m100link.ros2.ends import Ends, Topic
 from m100link.ros2.flights import FLIGHTS, Flight
@@ -128,6 +130,7 @@ class Actions:
         self._goals: OrderedDict[bytes, _Goal] = OrderedDict()
         self._current: _Goal | None = None
         self._feedback_at = agent.now
+        agent.on_event.append(self._hear)
         self._actions: list[_Action] = []
         for name, (kind, make, _) in FLIGHTS.items():
             inner = f"{names.full(name)}/_action"
@@ -209,11 +212,12 @@ class Actions:
         self._agent.background.spawn(self._fly(goal), goal.action.name)
 
     async def _fly(self, goal: _Goal) -> None:
-        goal.status = GoalStatus.EXECUTING
-        self._tell_status(goal.action)
         outcome, message = GoalStatus.ABORTED, "the node ends"
         try:
-            await goal.flight.run()
+            if goal.status is GoalStatus.ACCEPTED:  # else it was cancelled before it began
+                goal.status = GoalStatus.EXECUTING
+                self._tell_status(goal.action)
+                await goal.flight.run()
             outcome, message = GoalStatus.SUCCEEDED, "done"
         except M100Error as error:
             message = str(error)
@@ -239,6 +243,11 @@ class Actions:
         ]
         action.status.say({"status_list": told})
 
+    def _hear(self, event: Event) -> None:
+        """Somebody, at whatever front, stopped what flies, or had it hover: more legs may come."""
+        if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
+            self.end(event.text)
+
     def end(self, why: str) -> None:
         """Cancel what flies."""
         if self._current is not None:
@@ -251,6 +260,9 @@ class Actions:
             return
         if self._presence.missing(goal.clients):
             self._cancel(goal, "whoever asked has gone")
+        if not goal.flight.is_ours:
+            # Between two of its legs nothing of it flies that the agent could have ended.
+            self._cancel(goal, "control was lost, or given back")
         if now - self._feedback_at >= FEEDBACK_S:
             self._feedback_at = now
             told = {"goal_id": {"uuid": list(goal.id)}, "feedback": goal.flight.feedback()}

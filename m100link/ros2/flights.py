@@ -37,16 +37,21 @@ class Flight(Protocol):
     def end(self, why: str) -> None:
         """End it with a hover; the autopilot's take-off is waited for."""
 
+    @property
+    def is_ours(self) -> bool:
+        """Whether control is still that under which it was asked for."""
+        ...
+
     def feedback(self) -> Mapping[str, Any]:
         """How far it is."""
         ...
 
 
 class _Guided:
-    """Orders to the agent, which end by a hover."""
+    """Orders to the agent under the lease of their beginning, which end by a hover."""
 
     def __init__(self, agent: AgentClient, helm: Helm) -> None:
-        self._agent, self._helm = agent, helm
+        self._agent, self._lease = agent, helm.held()
         self.is_ended = False
         self._hovering = asyncio.Event()
 
@@ -54,12 +59,18 @@ class _Guided:
         """End what flies; nothing more is ordered."""
         self.is_ended = True
         self._hovering.set()
-        self._agent.halt(why, self._helm.lease)
+        if self.is_ours:  # what somebody else flies by now goes on
+            self._agent.halt(why, self._lease)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether the lease of its beginning is in force."""
+        return self._agent.holds(self._lease)
 
     async def guide(self, order: GuidedOrder) -> None:
         """Fly one order, unless it was ended."""
         if not self.is_ended:
-            await self._agent.guide(self._helm.held(), order)
+            await self._agent.guide(self._lease, order)
 
     async def wait(self, seconds: float) -> None:
         """Hover for a while."""
@@ -85,7 +96,7 @@ class _TakeOff(_Guided):
             raise UsageError("a height below the take-off point")
 
     async def run(self) -> None:
-        await self._agent.fly(self._helm.held(), Task.TAKE_OFF)
+        await self._agent.fly(self._lease, Task.TAKE_OFF)
         if self._height and abs(self._now() - self._height) >= _CLOSE_M:
             await self.guide(ChangeHeight(self._height))
 
