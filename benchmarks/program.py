@@ -9,6 +9,7 @@ import os
 import random
 import subprocess
 import sys
+import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
@@ -90,10 +91,21 @@ class Here:
 
 
 class There:
-    """Our sides in a process of their own, with the package of one tree."""
+    """Our sides in a process of their own, with the package of one tree.
 
-    def __init__(self, program: str, setting: Setting, tree: Path, stack: ExitStack) -> None:
-        self._tree = tree.name
+    Args:
+        program: Whose sides.
+        setting: What was asked for.
+        tree: The checkout.
+        stack: Ends the process.
+        is_judged: Whether a side that fails ends the program; in a tree of another age it is a
+            side that is missing.
+    """
+
+    def __init__(
+        self, program: str, setting: Setting, tree: Path, stack: ExitStack, *, is_judged: bool
+    ) -> None:
+        self._tree, self._is_judged = tree.name, is_judged
         environment = {**os.environ, "PYTHONPATH": str(tree)}
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         options = json.dumps(asdict(setting))
@@ -107,8 +119,7 @@ class There:
                 env=environment,
             )
         )
-        assert self._process.stdin is not None
-        stack.callback(self._process.stdin.close)  # at which it ends
+        stack.callback(self._close)
         self.names: list[str] = []
         self.absent: dict[str, str] = {}
         self.untimed: list[str] = []
@@ -123,8 +134,17 @@ class There:
         found = self._read()
         if "missing" in found:
             raise NotMeasured(found["missing"])
+        if "failed" in found:
+            why = f"in {self._tree}: {found['failed']}"
+            raise RuntimeError(why) if self._is_judged else NotMeasured(why)
         costs: dict[str, float] = found["costs"]
         return costs
+
+    def _close(self) -> None:
+        """The end of its input, at which it ends, unless it has ended before it read everything."""
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
 
     def _read(self) -> dict[str, Any]:
         assert self._process.stdout is not None
@@ -149,6 +169,9 @@ def serve(name: str, options: str) -> None:
                 answer: dict[str, Any] = {"costs": place.run(json.loads(line))}
             except NotMeasured as reason:
                 answer = {"missing": str(reason)}
+            except (AttributeError, ImportError, TypeError) as error:  # what another age has not
+                traceback.print_exc()
+                answer = {"failed": f"{type(error).__name__}: {error}"}
             print(json.dumps(answer), file=answers, flush=True)
 
 
@@ -270,9 +293,10 @@ def measure(
         if beside is None:
             places["ours"] = Here(program.ours(setting, stack))
         else:
-            places["ours"] = There(program.name, setting, ROOT, stack)
+            places["ours"] = There(program.name, setting, ROOT, stack, is_judged=True)
             with suppress(NotMeasured):  # a tree of another age; its process has said why
-                places["before"] = There(program.name, setting, beside.resolve(), stack)
+                tree = beside.resolve()
+                places["before"] = There(program.name, setting, tree, stack, is_judged=False)
         places["others"] = Here(program.others(setting, stack))
         found = Rounds(places, count, wanted)
     lines = []

@@ -202,3 +202,40 @@ def test_a_tree_that_cannot_be_measured_leaves_the_column_empty(
     [found] = json.loads(capsys.readouterr().out)["rows"]
     assert found["now"]
     assert found["before"] is None
+
+
+def tree_without_setpoints(folder: Path) -> Path:
+    """A checkout whose package has no :class:`Setpoint` any more, and all else of this one."""
+    package = folder / "m100link"
+    package.mkdir()
+    (package / "__init__.py").write_text(
+        f"__path__ = [{str(ROOT / 'm100link')!r}]\n"
+        "from m100link.protocol import Setpoint\n"
+        "del Setpoint.velocity\n"
+    )
+    return folder
+
+
+def test_a_side_that_another_tree_does_not_have_leaves_its_other_sides_measured(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One of the rows asked for has no setpoint in the older tree, which costs that row alone."""
+    rows = ["movement command, pymavlink ÷ ours", "AES ÷ plain, decoding"]
+    beside = tree_without_setpoints(tmp_path)
+    frame.main(load("frames"), [*rows, "--quick", "--json", "--beside", str(beside)])
+    output = capfd.readouterr()
+    costs = {cost["name"]: cost for cost in json.loads(output.out)["costs"]}
+    assert costs["movement command"]["now"]
+    assert costs["movement command"]["before"] is None
+    assert costs["decode, one frame per feed"]["before"]
+    assert costs["decode AES, one frame per feed"]["before"]
+    assert "AttributeError" in output.err
+
+
+def test_a_side_that_fails_in_the_tree_that_is_judged_ends_the_program(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        tree = tree_without_setpoints(tmp_path)
+        place = frame.There("frames", Setting(is_quick=True), tree, stack, is_judged=True)
+        with pytest.raises(RuntimeError, match=r"AttributeError.*velocity"):
+            place.run("movement command")
+        assert place.run("encode 118 bytes")["encode 118 bytes"] > 0
