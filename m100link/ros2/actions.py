@@ -31,6 +31,9 @@ FEEDBACK_S = 0.5
 _KEPT = 32
 """Goals whose outcome is remembered."""
 
+_MOST_WAITING = 32
+"""Who can wait for the results of an action."""
+
 _STATUS = Qos(is_latched=True, depth=1)
 _NOBODY = bytes(16)
 _NO_TIME = {"sec": 0, "nanosec": 0}
@@ -139,7 +142,8 @@ class Actions:
             action = _Action(name, names.full(name), make, feedback, status)
             self._actions.append(action)
             ends.serve(f"{inner}/send_goal", f"{kind}_SendGoal", self._sending(action))
-            ends.serve(f"{inner}/get_result", f"{kind}_GetResult", self._result)
+            result = f"{kind}_GetResult"
+            ends.serve(f"{inner}/get_result", result, self._result, at_once=_MOST_WAITING)
             ends.serve(
                 f"{inner}/cancel_goal", "action_msgs/srv/CancelGoal", self._canceling(action)
             )

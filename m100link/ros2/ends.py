@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Awaitable, Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from m100link.agent.background import BackgroundTasks
+from m100link.errors import M100Error
 from m100link.log.cdr import decode, encode
 from m100link.ros2.bus import Bus, Inbox, Outlet, Received, Request
 from m100link.ros2.graph import (
@@ -28,10 +30,15 @@ __all__ = ["Call", "Ends", "Input", "Topic"]
 _DEPTH = 8
 """Messages of a topic, and requests to a service, that wait for a step."""
 
-_MOST_CALLS = 32
+_AT_ONCE = 8
+"""Requests to one service that are carried out at once: nobody is kept from landing by those who
+wait for something else."""
+
+_MOST_BYTES = 32768
+"""Of a payload that is read: a mission of 500 places has 20,000."""
 
 Call = Callable[[dict[str, Any]], Awaitable[Mapping[str, Any]]]
-"""Answers a request."""
+"""Answers a request; one of which it raises an M100Error has no answer."""
 
 
 class Topic:
@@ -85,11 +92,32 @@ class Input:
         """What has come since, oldest first."""
         for one in self._inbox.take():
             try:
-                found = read_attachment(one.attachment), decode(self._kind, one.payload)
+                found = read_attachment(one.attachment), _read(self._kind, one.payload)
             except ValueError:
                 self.refused += 1
                 continue
             yield found
+
+
+@dataclass(slots=True)
+class _Service:
+    """A service that is offered.
+
+    Attributes:
+        topic: Its full name.
+        kind: Its type.
+        requests: What was asked.
+        call: Answers.
+        at_once: How many requests are carried out at once.
+        calls: How many are.
+    """
+
+    topic: str
+    kind: str
+    requests: Inbox[Request]
+    call: Call
+    at_once: int
+    calls: int = 0
 
 
 class Ends:
@@ -114,8 +142,7 @@ class Ends:
         self._count = name.number * 1000  # an end has a number of its own in the session
         self.topics: dict[str, Topic] = {}
         self.inputs: dict[str, Input] = {}
-        self._services: list[tuple[str, str, Inbox[Request], Call]] = []
-        self._calls = 0
+        self._services: list[_Service] = []
         self.refused = 0
         bus.declare(name.token)
 
@@ -145,10 +172,17 @@ class Ends:
         self._show(End.SUBSCRIBER, topic, kind, Qos())
         return made
 
-    def serve(self, topic: str, kind: str, call: Call) -> None:
-        """Offer a service."""
+    def serve(self, topic: str, kind: str, call: Call, *, at_once: int = _AT_ONCE) -> None:
+        """Offer a service.
+
+        Args:
+            topic: Its full name.
+            kind: Its type.
+            call: Answers a request.
+            at_once: How many requests are carried out at once; what is more is not answered.
+        """
         requests = self._bus.serve(data_key(self._name.domain, topic, kind), _DEPTH)
-        self._services.append((topic, kind, requests, call))
+        self._services.append(_Service(topic, kind, requests, call, at_once))
         self._show(End.SERVER, topic, kind, Qos())
 
     @property
@@ -167,39 +201,49 @@ class Ends:
         Args:
             is_deaf: What comes now is old, and is not answered.
         """
-        for topic, kind, requests, call in self._services:
-            for request in requests.take():
-                self._take(topic, kind, request, call, is_deaf)
+        for service in self._services:
+            for request in service.requests.take():
+                self._take(service, request, is_deaf)
 
-    def _take(self, topic: str, kind: str, request: Request, call: Call, is_deaf: bool) -> None:
+    def _take(self, service: _Service, request: Request, is_deaf: bool) -> None:
         try:
             attachment = read_attachment(request.attachment)
-            message = decode(f"{kind}_Request", request.payload)
-            if is_deaf or self._calls >= _MOST_CALLS:
+            message = _read(f"{service.kind}_Request", request.payload)
+            if is_deaf or service.calls >= service.at_once:
                 raise ValueError("too late, or too many")
         except ValueError:
             self.refused += 1
             request.drop()
             return
-        self._calls += 1
-        work = self._answer(kind, message, attachment, request, call)
-        self._background.spawn(work, f"ROS {topic}")
+        service.calls += 1
+        work = self._answer(service, message, attachment, request)
+        self._background.spawn(work, f"ROS {service.topic}")
 
     async def _answer(
         self,
-        kind: str,
+        service: _Service,
         message: dict[str, Any],
         attachment: Attachment,
         request: Request,
-        call: Call,
     ) -> None:
         try:
-            answer = encode(f"{kind}_Response", await call(message))
+            answer = encode(f"{service.kind}_Response", await service.call(message))
+        except M100Error:
+            self.refused += 1
+            request.drop()
+            return
         except BaseException:
             request.drop()
             raise
         finally:
-            self._calls -= 1
+            service.calls -= 1
         at_ns = round(self._utc() * 1e9)
         ours = Attachment(attachment.sequence, at_ns, attachment.gid)
         request.answer(answer, bytes(ours))
+
+
+def _read(kind: str, payload: bytes) -> dict[str, Any]:
+    """A message, unless it is so long that reading it would keep the node from its next step."""
+    if len(payload) > _MOST_BYTES:
+        raise ValueError(f"{len(payload)} bytes")
+    return decode(kind, payload)

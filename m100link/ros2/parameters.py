@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.agent.client import AgentClient
+from m100link.errors import UsageError
 from m100link.ros2.ends import Ends
 from m100link.ros2.graph import Names
 from m100link.ros2.telling import Teller
@@ -17,6 +18,9 @@ __all__ = ["MOST_HZ", "Parameters"]
 
 MOST_HZ = 100.0
 """Of a topic; the aircraft says nothing more often."""
+
+_MOST_NAMES = 64
+"""Of one request, which has to be answered within a step."""
 
 # Types of rcl_interfaces/msg/ParameterType.
 _NOT_SET, _BOOL, _DOUBLE = 0, 1, 3
@@ -167,6 +171,9 @@ def _at_once(
     answer: Callable[[dict[str, Any]], Mapping[str, Any]],
 ) -> Callable[[dict[str, Any]], Any]:
     async def call(asked: dict[str, Any]) -> Mapping[str, Any]:
+        for what in asked.values():
+            if isinstance(what, list) and len(what) > _MOST_NAMES:
+                raise UsageError(f"{len(what)} parameters", remedy=f"ask for {_MOST_NAMES} at most")
         return answer(asked)
 
     return call

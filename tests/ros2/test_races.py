@@ -102,3 +102,38 @@ async def test_a_mission_that_waits_is_ended_for_good(
         assert (await client.call("~/obtain_control"))["success"]
     await anyio.sleep(80.0)
     assert north(rig) < 5.0
+
+
+# -- those who ask for much -----------------------------------------------------------------------
+
+
+async def test_who_waits_for_results_keeps_nobody_from_stopping_and_landing(
+    rig: Rig, client: Client
+) -> None:
+    await client.up()
+    place = client.place(60.0, 0.0)
+    goal = await client.send("~/fly_to", **place, height=4.0, speed=2.0)
+    assert goal is not None
+    asked = {"goal_id": {"uuid": list(goal)}}
+    waiting = []
+    for number in range(80):
+        asking = Program(rig, 100 + number).call(
+            client.inner("~/fly_to", "get_result"), "m100_msgs/action/FlyTo_GetResult", **asked
+        )
+        waiting.append(asyncio.ensure_future(asking))
+        if number % 8 == 7:
+            await anyio.sleep(0.1)
+    assert (await client.cancel("~/fly_to", goal)) == (0, 1)
+    assert (await client.call("~/stop"))["success"]
+    assert (await client.call("~/land"))["success"]
+    answers = await asyncio.gather(*waiting)
+    assert {one.get("status") for one in answers} == {GoalStatus.CANCELED, None}
+
+
+async def test_who_asks_for_very_many_parameters_has_no_answer(rig: Rig, program: Program) -> None:
+    for name in ("get_parameters", "describe_parameters", "get_parameter_types"):
+        kind = "rcl_interfaces/srv/" + "".join(one.capitalize() for one in name.split("_"))
+        for many in (65, 4000, 60000):
+            assert await program.call(f"~/{name}", kind, names=["x"] * many) == {"success": None}
+        assert len(await program.call(f"~/{name}", kind, names=["x"] * 64)) == 1
+    assert rig.node.ends.junk == 9
