@@ -73,9 +73,10 @@ def logging_as_asked(arguments: Iterable[Any]) -> Iterator[None]:
 
     Args:
         arguments: What the verb is called with. The options are one of them, or the attribute
-            ``log`` of one.
+            ``log`` of one, or of how a station is run.
     """
-    found = (getattr(argument, "log", argument) for argument in arguments)
+    runs = (getattr(argument, "run", argument) for argument in arguments)
+    found = (getattr(run, "log", run) for run in runs)
     asked = next((one for one in found if isinstance(one, LogOptions)), AS_IT_IS)
     if asked == AS_IT_IS:
         yield

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from m100link.cli.common import places
-from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import offered, options_of
-from m100link.cli.station import aircraft_of, run_station
+from m100link.cli.serving import AS_USUAL, RunOptions, run_station
+from m100link.cli.station import aircraft_of
 from m100link.station.config import ENVIRONMENT, Settings
 
 __all__ = ["mavlink"]
@@ -38,22 +37,10 @@ class MavlinkOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
     """Where the aircraft is, who may fly it and how far.
 
     Attributes:
-        config: TOML file with settings.
-        json_output: Print one line of JSON when it runs.
-        show_config: Print the settings and where each came from, and end.
-        single_process: Let one process fly and talk to programs: to look into it, not to fly.
-        log: What is logged.
+        run: How the station is run and told of.
     """
 
-    config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
-    json_output: Annotated[bool, Parameter(name="--json")] = False
-    show_config: bool = False
-    single_process: bool = False
-    log: LogOptions = AS_IT_IS
-
-    @property
-    def launch(self) -> None:
-        """A launch file of ROS says nothing of MAVLink."""
+    run: RunOptions = AS_USUAL
 
 
 def mavlink(
@@ -73,4 +60,4 @@ def mavlink(
     first = next(iter(aircraft.values()))
     if not first.mavlink and not first.mavlink_to:
         aircraft = aircraft_of(options, url, mavlink_to=USUAL)
-    return run_station(aircraft, options, with_rosbridge=False)
+    return run_station(aircraft, options.run, with_rosbridge=False)

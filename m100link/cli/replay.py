@@ -16,8 +16,9 @@ from cyclopts import Parameter
 
 from m100link.agent.messages import Action
 from m100link.cli.common import err
+from m100link.cli.serving import run_station
 from m100link.cli.sim_live import read_keys
-from m100link.cli.station import StationOptions, aircraft_of, run_station
+from m100link.cli.station import StationOptions, aircraft_of
 from m100link.errors import M100Error, UsageError
 from m100link.station.config import namespace_of
 
@@ -74,8 +75,9 @@ def replay(
         names = _names(file)
         words = [f"{name}={url}" for name, url in zip(names, urls, strict=True)]
     more: dict[str, Any] = {"console_port": console_port, "tiles": tiles, "no_record": True}
-    aircraft = aircraft_of(options, words, **more)
-    return run_station(aircraft, options, with_console=True, open_browser=open_browser, keys=_keys)
+    aircraft = aircraft_of(options, words, launch=options.launch, **more)
+    how = options.run
+    return run_station(aircraft, how, with_console=True, open_browser=open_browser, keys=_keys)
 
 
 def _names(files: tuple[Path, ...]) -> list[str]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from m100link.cli.common import places
-from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import offered, options_of
-from m100link.cli.station import aircraft_of, run_station
+from m100link.cli.serving import AS_USUAL, RunOptions, run_station
+from m100link.cli.station import aircraft_of
 from m100link.station.config import ENVIRONMENT, Settings
 
 __all__ = ["ros2"]
@@ -42,22 +41,10 @@ class Ros2Options(_FromSettings):  # type: ignore[misc] # a class that is made h
     """Where the aircraft is, what it is called in the graph, and how far it may fly.
 
     Attributes:
-        config: TOML file with settings.
-        json_output: Print one line of JSON when it runs.
-        show_config: Print the settings and where each came from, and end.
-        single_process: Let one process fly and talk to programs: to look into it, not to fly.
-        log: What is logged.
+        run: How the station is run and told of.
     """
 
-    config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
-    json_output: Annotated[bool, Parameter(name="--json")] = False
-    show_config: bool = False
-    single_process: bool = False
-    log: LogOptions = AS_IT_IS
-
-    @property
-    def launch(self) -> None:
-        """A launch file of ROS 1 says nothing of ROS 2."""
+    run: RunOptions = AS_USUAL
 
 
 def ros2(*url: Annotated[str, offered(places)], options: Ros2Options = Ros2Options()) -> int:
@@ -71,4 +58,4 @@ def ros2(*url: Annotated[str, offered(places)], options: Ros2Options = Ros2Optio
         url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
         options: See below.
     """
-    return run_station(aircraft_of(options, url, ros2=True), options, with_rosbridge=False)
+    return run_station(aircraft_of(options, url, ros2=True), options.run, with_rosbridge=False)

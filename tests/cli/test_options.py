@@ -55,7 +55,7 @@ def test_every_setting_is_declared_once() -> None:
     names = {one.name for one in fields(Settings)}
     assert set(attribute_texts(Settings)) == names
     assert set(ENVIRONMENT) <= names
-    own = {"config", "launch", "json_output", "log", "show_config", "single_process"}
+    own = {"launch", "run"}
     offered = {one.name for one in fields(StationOptions)} - own
     assert offered == names - {
         *("url", "key", "token", "console_port", "tiles", "origins"),

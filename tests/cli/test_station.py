@@ -10,9 +10,7 @@ import signal
 import ssl
 import subprocess
 import sys
-import threading
 import urllib.request
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +27,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from websockets.asyncio.client import connect
 
-from m100link.cli.station import _MOST_UNTOLD, StationOptions, _Teller, aircraft_of
+from m100link.cli.station import StationOptions, aircraft_of
 from m100link.errors import M100Error
 from tests.station.test_apart import Pilot
 
@@ -267,30 +265,6 @@ async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
     process.send_signal(signal.SIGTERM)
     async with asyncio.timeout(30):
         assert await process.wait() == 0
-
-
-def test_what_is_not_read_holds_up_nobody() -> None:
-    told: list[int] = []
-    stopped = threading.Event()
-    with _Teller() as teller:
-        teller.do(lambda: told.append(1))
-        teller.do(partial(stopped.wait, 60))  # Ctrl-S
-        for number in range(10 * _MOST_UNTOLD):
-            teller.do(partial(told.append, number))
-        stopped.set()
-    assert told[:2] == [1, 0]
-    assert len(told) <= 1 + _MOST_UNTOLD
-
-
-def test_a_closed_pipe_ends_the_talk_and_nothing_else() -> None:
-    def broken() -> None:
-        raise BrokenPipeError
-
-    told: list[int] = []
-    with _Teller() as teller:
-        teller.do(broken)
-        teller.do(lambda: told.append(1))
-    assert told == []
 
 
 @pytest.mark.parametrize("host", ["::1", "127.0.0.2", "localhost"])
