@@ -13,6 +13,7 @@ import select
 import subprocess
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from html import escape
 from itertools import pairwise
 
@@ -34,13 +35,18 @@ Frame = tuple[float, list[str]]
 """When it appeared, s, and its lines, with the escape sequences of their colours."""
 
 
-def record(command: Sequence[str], *, columns: int, lines: int) -> list[Frame]:
-    """Run a command on a terminal of that size until it ends."""
+def record(
+    command: Sequence[str], *, columns: int, lines: int, folder: Path | None = None
+) -> list[Frame]:
+    """Run a command on a terminal of that size, and in that folder, until it ends."""
     master, slave = pty.openpty()
     size = {"COLUMNS": str(columns), "LINES": str(lines), "TERM": "xterm-256color"}
     frames: list[Frame] = []
     text = b""
-    with subprocess.Popen(command, stdout=slave, stderr=slave, env=os.environ | size) as running:
+    environment = os.environ | size
+    with subprocess.Popen(
+        command, stdout=slave, stderr=slave, env=environment, cwd=folder
+    ) as running:
         os.close(slave)
         began_at = time.monotonic()
         is_open = True
