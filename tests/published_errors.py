@@ -14,6 +14,7 @@ PUBLISHED = {
     "M100-BAD-KEY": "BadKey",
     "M100-BAD-PLAN": "BadPlan",
     "M100-BAD-SETPOINT": "BadSetpoint",
+    "M100-BAD-SHOW": "BadShow",
     "M100-BAD-URL": "BadURL",
     "M100-BAD-VALUE": "BadValue",
     "M100-COMMAND-REFUSED": "CommandRefused",

@@ -36,6 +36,7 @@ from struct import calcsize
 from typing import Any
 
 import endings
+from cyclopts import App
 from docutils import nodes
 from docutils.statemachine import StringList
 from rich.console import Console
@@ -350,14 +351,14 @@ class CliHelp(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """One section per verb and subcommand, in alphabetical order."""
         verbs = [verb for verb in sorted(cli) if not verb.startswith("-")]
-        return [self._section(*words) for verb in verbs for words in self._with_subcommands(verb)]
+        return [self._section(*words) for verb in verbs for words in self._below(cli[verb], verb)]
 
-    @staticmethod
-    def _with_subcommands(verb: str) -> Iterable[tuple[str, ...]]:
-        yield (verb,)
-        for name in sorted(cli[verb]):
+    def _below(self, app: App, *words: str) -> Iterable[tuple[str, ...]]:
+        """A command, and all that stand below it."""
+        yield words
+        for name in sorted(app):
             if not name.startswith("-"):
-                yield verb, name
+                yield from self._below(app[name], *words, name)
 
     @staticmethod
     def _section(*words: str) -> nodes.section:

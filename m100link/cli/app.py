@@ -132,6 +132,10 @@ VERBS = {
         "ros2:ros2",
         "Be a node of ROS 2, without a ROS installation, until Ctrl-C.",
     ),
+    "fleet": (
+        "fleet:app",
+        "Many aircraft: formations that they fly.",
+    ),
     "console": (
         "station:console",
         "Serve the console for browsers, beside everything that `serve` serves, and open it.",

@@ -65,6 +65,7 @@ def track_plot(
     rows: int = 16,
     names: Sequence[str] = (),
     marks: Sequence[tuple[Point, str]] = (),
+    dots: Sequence[Point] = (),
 ) -> list[str]:
     """A track seen from above, equal scales, north up.
 
@@ -74,9 +75,10 @@ def track_plot(
         rows: Height in characters.
         names: Of the points, in their order; those for which there is no room are left out.
         marks: Places beside the track, and the word that stands there; likewise.
+        dots: Places that no line joins.
     """
     canvas = _Canvas(columns, rows)
-    everything = [*points, *(place for place, _ in marks)]
+    everything = [*points, *(place for place, _ in marks), *dots]
     if not everything:
         return canvas.lines()
     south, north = _span((p[0] for p in everything), 1.0)
@@ -88,10 +90,12 @@ def track_plot(
     def dot(place: Point) -> Point:
         return left + (place[1] - west) * scale, bottom + (place[0] - south) * scale
 
-    dots = [dot(place) for place in points]
-    for (x0, y0), (x1, y1) in pairwise(dots):
+    corners = [dot(place) for place in points]
+    for (x0, y0), (x1, y1) in pairwise(corners):
         canvas.line(x0, y0, x1, y1)
-    named = [*zip(dots, names, strict=False), *((dot(place), word) for place, word in marks)]
+    for x, y in map(dot, dots):
+        canvas.dot(round(x), round(y))
+    named = [*zip(corners, names, strict=False), *((dot(place), word) for place, word in marks)]
     for (x, y), name in named:
         canvas.write(x, y, name)
     pictured = canvas.lines()

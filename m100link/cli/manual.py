@@ -189,7 +189,11 @@ def _show(page: _Page) -> None:
 
 def error_classes() -> list[type[M100Error]]:
     """Every class of errors of the package, each before those that derive from it."""
-    for elsewhere in ("m100link.agent.fault", "m100link.sim.orders.ctl"):
+    for elsewhere in (
+        "m100link.agent.fault",
+        "m100link.fleet.show.track",
+        "m100link.sim.orders.ctl",
+    ):
         importlib.import_module(elsewhere)
     return list(_derived(M100Error))
 

@@ -1,0 +1,1 @@
+"""A fleet: many aircraft, many machines."""
