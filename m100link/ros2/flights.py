@@ -60,7 +60,7 @@ class _Guided:
         self.is_ended = True
         self._hovering.set()
         if self.is_ours:  # what somebody else flies by now goes on
-            self._agent.halt(why, self._lease)
+            self._agent.halt(why)  # not under the lease, by which setpoints would fly after STOP
 
     @property
     def is_ours(self) -> bool:

@@ -11,7 +11,7 @@ import asyncio
 
 from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease
-from m100link.agent.messages import Action
+from m100link.agent.messages import Action, Event, Topic
 from m100link.errors import GuardRefused, M100Error, NoAuthority, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightStatus
@@ -51,6 +51,7 @@ class Helm:
         self._renewed_at = self._ordered_at = agent.now
         agent.on_authority_taken.append(lambda _: self._lost())
         agent.on_steer_refused.append(self._steer_refused)
+        agent.on_event.append(self._hear)
 
     # -- where it stands -------------------------------------------------------------------------
 
@@ -143,7 +144,7 @@ class Helm:
         if task is Task.TAKE_OFF:
             self.require_free("take-off")
         else:
-            self._agent.halt(f"{task.name.lower()} was asked for", lease)
+            self._agent.halt(f"{task.name.lower()} was asked for")
         self._ordered_at = self._agent.now
         begun = asyncio.Event()
         flying = self._agent.background.spawn(self._flown(lease, task, begun), task.name)
@@ -208,6 +209,11 @@ class Helm:
         """Fly this until the next one, for :data:`LIFETIME` at most."""
         self._ordered_at = self._agent.now
         self._agent.steer(self.held(), setpoint, LIFETIME)
+
+    def _hear(self, event: Event) -> None:
+        """STOP, by whomever, is for those who send setpoints, too."""
+        if event.topic is Topic.STOPPED:
+            self.stick.end()
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
         lease = self._lease

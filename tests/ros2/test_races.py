@@ -137,3 +137,35 @@ async def test_who_asks_for_very_many_parameters_has_no_answer(rig: Rig, program
             assert await program.call(f"~/{name}", kind, names=["x"] * many) == {"success": None}
         assert len(await program.call(f"~/{name}", kind, names=["x"] * 64)) == 1
     assert rig.node.ends.junk == 9
+
+
+# -- stop -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stop", [_stop, _stop_at_the_console])
+async def test_who_sends_speeds_during_a_goal_does_not_fly_after_stop(
+    rig: Rig, client: Client, stop: Callable[[Rig], Awaitable[None]]
+) -> None:
+    await client.up()
+    assert await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=3.0)
+    program = Program(rig, 9)
+    await program.fly(3.0, 2.0)
+    await stop(rig)
+    await program.fly(2.0, 2.0)  # brakes
+    for _ in range(100):
+        await program.fly(0.05, 2.0)
+        assert rig.speed < 0.3
+
+
+async def test_a_cancel_after_stop_lets_nobody_fly_on(rig: Rig, client: Client) -> None:
+    await client.up()
+    assert await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=3.0)
+    program = Program(rig, 9)
+    await program.fly(3.0, 2.0)
+    stopped = asyncio.ensure_future(rig.agent.stop())
+    await client.cancel("~/fly_to")
+    await stopped
+    await program.fly(2.0, 2.0)  # brakes
+    for _ in range(100):
+        await program.fly(0.05, 2.0)
+        assert rig.speed < 0.3
