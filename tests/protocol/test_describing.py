@@ -6,7 +6,7 @@ import pytest
 
 from m100link.protocol.commands.activation import GetVersion
 from m100link.protocol.describing import Describer
-from m100link.protocol.firmware import FIRMWARE_1_0
+from m100link.protocol.firmware import FIRMWARE_1_0, profile
 from m100link.wire import Cipher, encode_frame
 
 CIPHER = Cipher(bytes(range(32)))
@@ -34,3 +34,20 @@ def test_an_ack_of_one_direction_answers_what_the_other_asked() -> None:
     [answer] = received.feed(encode_frame(b"\x02\x00", session=2, sequence=8, is_ack=True))
     assert answer["command"] == "request_authority"
     assert answer["ack"]["name"] == "OBTAINED"
+
+
+def test_an_ack_of_a_code_alone_says_that_the_rest_did_not_come() -> None:
+    """A refusal may be one byte where five are due; no radius of 0 m is read into it."""
+    asked = encode_frame(b"\x03\x20" + bytes(51), session=2, sequence=9)
+    ack = {size: bytes.fromhex("e700000080")[:size] for size in (1, 5)}
+    found = {}
+    for size, payload in ack.items():
+        describer = Describer(profile("3.1"))
+        describer.feed(asked)
+        answer = encode_frame(payload, session=2, sequence=9, is_ack=True)
+        [found[size]] = describer.feed(answer)
+    assert found[1]["command"] == found[5]["command"] == "hotpoint_start"
+    assert found[1]["ack"] == found[5]["ack"]
+    assert found[1]["note"] == "its code alone: the rest did not come"
+    assert list(found[1]["raw"]) == ["code"]
+    assert "max_radius" in found[5]["raw"]

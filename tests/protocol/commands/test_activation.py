@@ -231,6 +231,14 @@ def test_a_message_has_1_to_100_bytes(kind: type[SendToMobile | FromMobile]) -> 
         kind(b"").value(FIRMWARE)
 
 
+def test_a_message_that_comes_is_1_to_100_bytes_that_mean_nothing() -> None:
+    for size in (1, 100):
+        assert FromMobile.parse(bytes(size), FIRMWARE) == FromMobile(bytes(size))
+    for size in (0, 101):
+        with pytest.raises(ValueError, match=rf"1 to 100 bytes, not {size}$"):
+            FromMobile.parse(bytes(size), FIRMWARE)
+
+
 def test_the_data_of_a_message_are_shown_under_a_name_of_their_own() -> None:
     assert SendToMobile(b"\x01\xff").fields() == {"mobile_data": "01ff"}
     assert FromMobile(b"\x01\xff").fields() == {"mobile_data": "01ff"}
