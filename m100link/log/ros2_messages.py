@@ -74,9 +74,17 @@ class Messages:
     def __init__(self, ground: str, body: str) -> None:
         self.ground, self.body = ground, body
         self._imus: dict[tuple[bool, ...], Template] = {}
+        self._attitude: Attitude | None = None
+        self._rotation = _LEVEL
 
     def _header(self, frame: str) -> Mapping[str, Any]:
         return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
+
+    def _turned(self, attitude: Attitude) -> tuple[float, float, float, float]:
+        """The attitude for ROS; four messages of a package have the same one."""
+        if attitude is not self._attitude:
+            self._attitude, self._rotation = attitude, attitude.enu_flu_xyzw
+        return self._rotation
 
     # -- position and motion ---------------------------------------------------------------------
 
@@ -146,7 +154,7 @@ class Messages:
             velocity: Over ground.
             rates: About the body axes.
         """
-        turned = attitude.enu_flu_xyzw
+        turned = self._turned(attitude)
         motion = (*in_body(turned, velocity.enu), *_flu(rates))
         return self._odometry.fill(stamp, place, turned, motion)
 
@@ -163,7 +171,7 @@ class Messages:
 
     def pose(self, stamp: Stamp, place: Vector, attitude: Attitude) -> bytes:
         """geometry_msgs/PoseStamped over ground; the place as in :meth:`odometry`."""
-        return self._pose.fill(stamp, place, attitude.enu_flu_xyzw)
+        return self._pose.fill(stamp, place, self._turned(attitude))
 
     @cached_property
     def _transform(self) -> Template:
@@ -180,7 +188,7 @@ class Messages:
 
     def transform(self, stamp: Stamp, place: Vector, attitude: Attitude) -> bytes:
         """tf2_msgs/TFMessage from the ground to the body; the place as in :meth:`odometry`."""
-        return self._transform.fill(stamp, place, attitude.enu_flu_xyzw)
+        return self._transform.fill(stamp, place, self._turned(attitude))
 
     # -- sensors ---------------------------------------------------------------------------------
 
@@ -207,7 +215,7 @@ class Messages:
         acceleration: Acceleration | None,
     ) -> bytes:
         """sensor_msgs/Imu; the acceleration is what a sensor in the body feels, with gravity."""
-        turned = None if attitude is None else attitude.enu_flu_xyzw
+        turned = None if attitude is None else self._turned(attitude)
         felt = None
         if turned is not None and acceleration is not None:
             east, north, up = acceleration.enu

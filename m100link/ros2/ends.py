@@ -23,6 +23,7 @@ from m100link.ros2.graph import (
     Qos,
     data_key,
     read_attachment,
+    write_attachment,
 )
 
 __all__ = ["Call", "Ends", "Input", "Topic"]
@@ -65,7 +66,7 @@ class Topic:
         """Send a message that is CDR already."""
         self._sequence += 1
         at_ns = round(self._utc() * 1e9)
-        self._outlet.put(payload, bytes(Attachment(self._sequence, at_ns, self._gid)))
+        self._outlet.put(payload, write_attachment(self._sequence, at_ns, self._gid))
 
     def say(self, message: Mapping[str, Any]) -> None:
         """Send a message."""

@@ -27,6 +27,7 @@ __all__ = [
     "dds_name",
     "read_attachment",
     "read_token",
+    "write_attachment",
 ]
 
 ADMIN = "@ros2_lv"
@@ -188,7 +189,12 @@ class Attachment:
     gid: bytes
 
     def __bytes__(self) -> bytes:
-        return _HEAD.pack(self.sequence, self.at_ns, len(self.gid)) + self.gid
+        return write_attachment(self.sequence, self.at_ns, self.gid)
+
+
+def write_attachment(sequence: int, at_ns: int, gid: bytes) -> bytes:
+    """The attachment of these values, see :class:`Attachment`; for each message that is sent."""
+    return _HEAD.pack(sequence, at_ns, GID_SIZE) + gid
 
 
 def read_attachment(data: bytes) -> Attachment:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -94,6 +95,29 @@ async def test_nobody_pays_for_what_nobody_hears(rig: Rig) -> None:
     await anyio.sleep(1.0)
     _, sent = await told(rig, 1.0)
     assert all(sent[name] for name in AT_EACH_PACKAGE)
+
+
+async def test_what_is_made_of_a_package_goes_out_together(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    def remembered(what: str, doing: Callable[..., Any]) -> Callable[..., Any]:
+        def do(*values: Any) -> Any:
+            done.append(what)
+            return doing(*values)
+
+        return do
+
+    for source in rig.node.teller._sources:
+        monkeypatch.setattr(source, "make", remembered("made", source.make))
+    for outlet in rig.bus.outlets.values():
+        monkeypatch.setattr(outlet, "put", remembered("sent", outlet.put))
+    await anyio.sleep(1.0)
+    turns = [before for before, after in pairwise(done) if before != after]
+    packages = done.count("made") / len(AT_EACH_PACKAGE)
+    # A package, not each message of it, has one turn from making to sending.
+    assert 40 < turns.count("made") <= packages
 
 
 async def test_the_status_is_told_at_each_change(rig: Rig, program: Program) -> None:
