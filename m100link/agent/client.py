@@ -85,6 +85,7 @@ class AgentClient:
         plan: What somebody uploaded and may start, or flies; None for none.
         plan_by: Who uploaded it, for people.
         on_event: Called with each event.
+        on_sample: Called with each telemetry package; :meth:`samples` wakes a task for each.
         on_activating: Called with each answer of the aircraft to an activation.
         on_authority_taken: Called when somebody else took control authority.
         on_steer_refused: Called with the fence and the reason when a setpoint was not flown.
@@ -108,6 +109,7 @@ class AgentClient:
         self.plan: WaypointPlan | None = None
         self.plan_by = ""
         self.on_event: list[Callable[[Event], None]] = []
+        self.on_sample: list[Callable[[Sample], None]] = []
         self.on_activating: list[Callable[[ActivationCode], None]] = []
         self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
         self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
@@ -234,16 +236,16 @@ class AgentClient:
         self.link = message
 
     def _on_telemetry(self, message: Telemetry) -> None:
-        profile = PROFILES.get(message.profile)
-        if profile is None or self.telemetry is None:
-            self.unread += 1
-            return
         try:
-            sample = Sample(message.value, profile, message.received_at)
-        except LayoutMismatch:
+            sample = Sample(message.value, PROFILES[message.profile], message.received_at)
+        except (KeyError, LayoutMismatch):
+            sample = None
+        if sample is None or self.telemetry is None:
             self.unread += 1
             return
         self.telemetry.update(sample)
+        for callback in self.on_sample:
+            callback(sample)
         self._samples.publish(sample, self.now)
 
     def _on_from_mobile(self, message: FromMobile) -> None:
@@ -403,10 +405,7 @@ class AgentClient:
     # -- flying ----------------------------------------------------------------------------------
 
     def steer(self, lease: Lease, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
-        """Fly this setpoint until it is renewed or its lifetime ends.
-
-        Renews the lease. A refusal comes to ``on_steer_refused``.
-        """
+        """Fly this for its lifetime; renews the lease. A refusal comes to ``on_steer_refused``."""
         self._channel.send(Steer(lease.number, self.now, lifetime, setpoint))
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:

@@ -24,12 +24,17 @@ from m100link.ros2.presence import Presence
 from m100link.ros2.setpoints import Frames, speed, toward
 from m100link.ros2.telling import ALL_OUTPUTS, Teller
 from m100link.ros2.topics import INPUTS, SERVICES
-from m100link.telemetry.subscription import Newest
+from m100link.telemetry.sample import Sample
 
 __all__ = ["STEP_S", "Node"]
 
 STEP_S = 0.02
-"""Seconds between two looks at what has come."""
+"""Seconds between two looks at what has come, with telemetry: it has the process awake anyway."""
+
+_STEP_WITHOUT_S = 0.025
+"""The same without telemetry, and while that is late."""
+
+_STEP_SOONEST_S = 0.015
 
 _STOOD_STILL_S = 1.0
 """Seconds without a step after which what waits is old."""
@@ -90,6 +95,7 @@ class Node:
         self._presence = Presence(lambda: bus.watch(f"{ADMIN}/{domain}/**"))
         self._looked_at = self._ran_at = self._deaf_until = agent.now
         self._told: dict[str, float] = {}
+        self._waiting: asyncio.Future[None] | None = None
         # Services are many, and looked at in every second step.
         self._is_even = False
         # Plain names are understood in a namespace, too: nothing else can be meant.
@@ -231,18 +237,33 @@ class Node:
         """Step for ever, until cancelled; then control is given back."""
         self._ran_at = self._agent.now
         self.teller.begin()
-        self._agent.background.spawn(self._listen(), "ROS topics")
+        self._agent.on_sample.append(self._hear_sample)
         try:
             while True:
                 self.step()
-                await asyncio.sleep(STEP_S)
+                await self._next_step()
         finally:
+            self._agent.on_sample.remove(self._hear_sample)
             await self.helm.release()
 
-    async def _listen(self) -> None:
-        async with self._agent.samples(Newest(20)) as samples:
-            async for sample in samples:
-                self.teller.hear(sample)
+    async def _next_step(self) -> None:
+        """Wait for the next package of telemetry, but not for long."""
+        loop = asyncio.get_running_loop()
+        self._waiting = loop.create_future()
+        timer = loop.call_later(_STEP_WITHOUT_S, self._wake)
+        try:
+            await self._waiting
+        finally:
+            timer.cancel()
+
+    def _wake(self) -> None:
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(None)
+
+    def _hear_sample(self, sample: Sample) -> None:
+        self.teller.hear(sample)
+        if self._agent.now - self._ran_at >= _STEP_SOONEST_S:
+            self._wake()
 
 
 def _trigger(doing: Callable[[], Awaitable[None]], done: str) -> Call:

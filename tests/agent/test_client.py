@@ -25,6 +25,7 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Attitude
 from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest, Subscription
 from tests.agent.conftest import Rig
 from tests.aircraft.test_other_loop import assert_told, elsewhere, entered, plainly
@@ -49,8 +50,11 @@ async def clients(rig: Rig) -> AsyncIterator[list[AgentClient]]:
 
 async def test_telemetry_has_ages_and_subscriptions(rig: Rig, clients: list[AgentClient]) -> None:
     client = clients[0]
+    heard: list[Sample] = []
+    client.on_sample.append(heard.append)
     async with client.samples(Newest(5)) as samples:
         sample = await anext(samples)
+    assert heard[0] is sample
     assert client.telemetry is not None
     assert sample.received_at <= rig.agent.now
     await anyio.sleep(0.5)

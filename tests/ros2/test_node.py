@@ -257,6 +257,14 @@ async def test_what_came_while_it_stood_still_is_not_done(rig: Rig, program: Pro
     assert rig.height > 1.0
 
 
+async def test_without_telemetry_it_answers_all_the_same(rig: Rig, program: Program) -> None:
+    rig.aircraft.stall_line()
+    await anyio.sleep(0.5)
+    began = rig.client.now
+    assert not (await program.call("~/takeoff"))["success"]
+    assert rig.client.now - began < 0.1
+
+
 async def test_the_end_of_the_node_gives_control_back(rig: Rig, program: Program) -> None:
     await program.up()
     rig.work.cancel()
