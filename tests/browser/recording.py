@@ -13,9 +13,9 @@ import select
 import subprocess
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from html import escape
 from itertools import pairwise
+from pathlib import Path
 
 from rich.text import Text
 
