@@ -49,7 +49,7 @@ _MOST_TOLD = 16
 
 _REFUSED = {
     "other": "another publisher has the stick; be silent for a moment, and begin anew",
-    "late": "too long on its way",
+    "late": "too long on its way, by the stamps in its attachments",
 }
 
 Make = Callable[[dict[str, Any]], Setpoint]

@@ -47,13 +47,16 @@ class Stick:
         self.holder: bytes | None = None
         self.is_open = False
         self.refused = {"late": 0, "other": 0, "closed": 0}
-        self._senders: dict[bytes, _Sender] = {}
+        self._senders: dict[bytes, _Sender] = {}  # who was heard last stands last
+        # More of them send than are known: until then nobody counts as beginning.
+        self._crowded_until = -math.inf
 
     def begin(self, now: float) -> None:
         """Control was obtained: who sends alone has the stick."""
         self.is_open = True
         sending = [one for one, sender in self._senders.items() if self._sends(sender, now)]
-        self.holder = sending[0] if len(sending) == 1 else None
+        is_alone = len(sending) == 1 and now >= self._crowded_until
+        self.holder = sending[0] if is_alone else None
 
     def end(self) -> None:
         """Control has ended, or somebody pressed STOP."""
@@ -67,11 +70,14 @@ class Stick:
             sent_at: When it was sent, s, by the clock of its sender.
             now: s.
         """
-        known = self._senders.pop(sender, None) or _Sender()
-        while len(self._senders) >= _MOST_SENDERS:
-            del self._senders[next(iter(self._senders))]
-        self._senders[sender] = known  # the newest at the end
-        begins = not self._sends(known, now)
+        known = self._senders.pop(sender, None)
+        if known is None:
+            if not self._has_room(now):
+                self._crowded_until = now + SILENCE_S
+                return self._refuse("other" if self.is_open else "closed")
+            known = _Sender()
+        self._senders[sender] = known
+        begins = not self._sends(known, now) and now >= self._crowded_until
         known.heard_at = now
         late = known.way.late(sent_at, now)
         self.look(now)
@@ -82,6 +88,15 @@ class Stick:
         if self.holder != sender:
             return self._refuse("other")
         return self._refuse("late") if late > MAX_LATE else ""
+
+    def _has_room(self, now: float) -> bool:
+        """Whether one more can be known, once those who fell silent are forgotten."""
+        while len(self._senders) >= _MOST_SENDERS:
+            oldest, sender = next(iter(self._senders.items()))
+            if self._sends(sender, now):
+                return False
+            del self._senders[oldest]
+        return True
 
     def look(self, now: float) -> None:
         """Let time pass: who is silent lets go."""

@@ -69,4 +69,30 @@ def test_a_thousand_senders_are_not_kept(stick: Stick) -> None:
     for number in range(1000):
         stick.hear(number.to_bytes(16, "little"), 0.0, 0.01)
     assert len(stick._senders) <= 32
-    assert stick.hear(ONE, 0.1, 0.1) != ""  # pushed out: it lets go, which is a hover
+    assert stick.hear(ONE, 0.1, 0.1) == ""  # nor do they push anybody out
+
+
+def test_very_many_who_send_push_nobody_off_the_stick() -> None:
+    stick = Stick()
+    stick.begin(0.0)
+    for step in range(100):
+        now = 0.05 * step
+        assert stick.hear(b"first", now, now) == ""
+        for number in range(20):
+            assert stick.hear(b"%d of step %d" % (number, step), now, now) == "other"
+    assert stick.holder == b"first"
+    # It dies, and they go on: nobody of them had been silent.
+    for step in range(100, 200):
+        now = 0.05 * step
+        for number in range(20):
+            assert stick.hear(b"%d of step %d" % (number, step), now, now) == "other"
+        assert stick.holder == (b"first" if now < 4.95 + SILENCE_S else None)
+    assert stick.hear(b"one who begins", 20.0, 20.0) == ""
+
+
+def test_of_very_many_who_send_when_control_is_obtained_nobody_has_the_stick() -> None:
+    stick = Stick()
+    for number in range(40):
+        stick.hear(b"%d" % number, 0.0, 0.01 * number)
+    stick.begin(0.5)
+    assert stick.holder is None
