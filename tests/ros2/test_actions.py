@@ -39,6 +39,7 @@ class Client(Program):
         for token in self.tokens:
             rig.bus.changes.waiting.append(TokenChange(token, True))
         self.count = 0
+        self.last = b""
 
     def leave(self) -> None:
         """As after kill -9."""
@@ -50,15 +51,19 @@ class Client(Program):
 
     async def send(self, name: str, **goal: Any) -> bytes | None:
         """Send a goal; its id when it was accepted."""
+        answer = await self.ask_goal(name, **goal)
+        return self.last if answer["accepted"] else None
+
+    async def ask_goal(self, name: str, **goal: Any) -> dict[str, Any]:
+        """Send a goal, and be content without an answer."""
         self.count += 1
-        identity = bytes([self.gid[0], self.count]) + bytes(14)
-        answer = await self.call(
+        self.last = bytes([self.gid[0], self.count]) + bytes(14)
+        return await self.call(
             self.inner(name, "send_goal"),
             f"{FLIGHTS[name][0]}_SendGoal",
-            goal_id={"uuid": list(identity)},
+            goal_id={"uuid": list(self.last)},
             goal=goal,
         )
-        return identity if answer["accepted"] else None
 
     async def result(self, name: str, identity: bytes) -> tuple[GoalStatus, str]:
         answer = await self.call(
@@ -72,10 +77,16 @@ class Client(Program):
 
     async def cancel(self, name: str, identity: bytes = bytes(16), sec: int = 0) -> tuple[int, int]:
         """Return code, and how many goals are cancelled."""
+        answer = await self.ask_cancel(name, identity, sec)
+        return answer["return_code"], len(answer["goals_canceling"])
+
+    async def ask_cancel(
+        self, name: str, identity: bytes = bytes(16), sec: int = 0
+    ) -> dict[str, Any]:
+        """Cancel, and be content without an answer."""
         info = {"goal_id": {"uuid": list(identity)}, "stamp": {"sec": sec, "nanosec": 0}}
         kind = "action_msgs/srv/CancelGoal"
-        answer = await self.call(self.inner(name, "cancel_goal"), kind, goal_info=info)
-        return answer["return_code"], len(answer["goals_canceling"])
+        return await self.call(self.inner(name, "cancel_goal"), kind, goal_info=info)
 
     def heard(self, name: str, part: str, kind: str) -> list[dict[str, Any]]:
         outlet = self.rig.bus.outlets[data_key(0, self.inner(name, part), kind)]
