@@ -36,8 +36,8 @@ _LARGEST = 1400
 """Bytes of a datagram that no network cuts up."""
 
 _READ_PER_STEP = 32768
-"""Bytes of frames that are read and answered in one step, shared out evenly among the addresses of
-peers, and one share for all strangers: a flood is dropped, and holds up neither setpoints nor
+"""Bytes of frames that are read and answered in :data:`STEP_S`, shared out evenly among the addresses
+of peers, and one share for all strangers: a flood is dropped, and holds up neither setpoints nor
 others. What does not look like a frame hardly counts: to read it costs little more than to drop
 it, and of who sends commands between much noise none is dropped."""
 
@@ -114,7 +114,10 @@ class Bridge:
         self._clock = asyncio.get_running_loop().time
         self.peers = Peers(to)
         self._crafts = [_Craft(agent, system, autopilot) for system, agent in agents.items()]
+        # What may still be read of whom, and when that was shared out: not by each step, whose rest
+        # is longer while nothing waits.
         self._shares: dict[Address | None, int] = {None: _READ_PER_STEP}
+        self._shared_at = -STEP_S
         self.dropped = 0
         self.unsent = 0
         self._ran_at = self._clock()
@@ -133,6 +136,7 @@ class Bridge:
         now = self._clock()
         if self._stood_still(now):
             return
+        self._share_out(now)
         sender = address if address in self._shares else None
         if len(data) > self._shares[sender]:
             self.dropped += 1
@@ -156,6 +160,12 @@ class Bridge:
             for vehicle in self.vehicles:
                 vehicle.receive(message, peer, now)
 
+    def _share_out(self, now: float) -> None:
+        if now - self._shared_at >= STEP_S:
+            self._shared_at = now
+            senders = {None, *self.peers.audience(now)}
+            self._shares = dict.fromkeys(senders, _READ_PER_STEP // len(senders))
+
     def _stood_still(self, now: float) -> bool:
         """Forget what was sent while this process was stopped: nobody waits for it any more."""
         still, self._ran_at = now - self._ran_at, now
@@ -171,8 +181,6 @@ class Bridge:
         now = self._clock()
         self._stood_still(now)
         audience = self.peers.audience(now)
-        senders = {None, *audience}
-        self._shares = dict.fromkeys(senders, _READ_PER_STEP // len(senders))
         for craft in self._crafts:
             craft.sequences = {one: craft.sequences.get(one, 0) for one in audience}
             craft.vehicle.advance(now, audience, lambda peer: self.peers.is_lost(peer, now))
@@ -245,7 +253,7 @@ class Bridge:
             self._rest = None
 
     def _hurry(self) -> None:
-        """Rest for a short time if something waits or flies; not for less: shares are by step."""
+        """Rest for a short time if something waits or flies."""
         if self._rest is None or self._is_short:
             return
         if any(vehicle.is_busy for vehicle in self.vehicles):
