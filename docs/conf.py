@@ -52,7 +52,10 @@ python_maximum_signature_line_length = 88
 nitpicky = True
 nitpick_ignore_regex = [
     # The standard library and the packages that m100link stands on.
-    (r"py:.*", r"(asyncio|collections|contextlib|dataclasses|enum|pathlib|struct|typing)(\..*)?"),
+    (
+        r"py:.*",
+        r"(asyncio|collections|contextlib|dataclasses|datetime|enum|pathlib|struct|typing)(\..*)?",
+    ),
     (r"py:class", r"os\.PathLike"),
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
     (r"py:class", r"(Path|Random)"),

@@ -11,6 +11,7 @@ PUBLISHED = {
     "M100-AUTHORITY-LOST": "AuthorityLost",
     "M100-AUTHORITY-REFUSED": "AuthorityRefused",
     "M100-BAD-ACK": "BadAck",
+    "M100-BAD-AUTHORITY": "BadAuthority",
     "M100-BAD-KEY": "BadKey",
     "M100-BAD-PLAN": "BadPlan",
     "M100-BAD-RIGHTS": "BadRights",

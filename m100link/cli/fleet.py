@@ -12,3 +12,5 @@ app = cyclopts.App(
     version_flags=(),
 )
 app.command("m100link.cli.fleet_show:app", name="show")
+app.command("m100link.cli.fleet_pki:acl", name="acl")
+app.command("m100link.cli.fleet_pki:pki", name="pki")

@@ -191,7 +191,7 @@ def error_classes() -> list[type[M100Error]]:
     """Every class of errors of the package, each before those that derive from it."""
     for elsewhere in (
         "m100link.agent.fault",
-        "m100link.fleet.identity",
+        "m100link.fleet.pki",
         "m100link.fleet.show.follower",
         "m100link.sim.orders.ctl",
     ):

@@ -1,0 +1,88 @@
+"""Certificates and rights at the shell."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from m100link.cli.outcome import ExitCode
+from tests.cli.conftest import CommandLine
+
+
+@pytest.fixture
+def folder(cli: CommandLine, tmp_path: Path) -> str:
+    place = tmp_path / "pki"
+    assert cli("fleet", "pki", "init", str(place)).status == ExitCode.OK
+    return str(place)
+
+
+def test_an_authority_issues_for_everybody(cli: CommandLine, folder: str) -> None:
+    router = cli("fleet", "pki", "issue", "router", "base", "--folder", folder, "--host", "base")
+    agent = cli("fleet", "pki", "issue", "agent", "a1", "--folder", folder)
+    pilot = cli("fleet", "pki", "issue", "pilot", "anna", "--folder", folder)
+    for outcome in (router, agent, pilot):
+        assert outcome.status == ExitCode.OK
+        assert Path(outcome.objects[0]["certificate"]).exists()
+    assert len(pilot.objects[0]["public_key"]) == 64
+    words = cli("fleet", "pki", "issue", "pilot", "bert", "--folder", folder, "--table").out
+    assert [line.split(":")[0] for line in words.splitlines()] == [
+        *("certificate", "key", "ends", "signing key", "public key"),
+    ]
+
+
+def test_what_is_there_stays(cli: CommandLine, folder: str) -> None:
+    before = (Path(folder) / "ca.key").read_bytes()
+    outcome = cli("fleet", "pki", "init", folder)
+    assert outcome.status == ExitCode.USAGE
+    assert "M100-BAD-AUTHORITY" in outcome.err
+    assert (Path(folder) / "ca.key").read_bytes() == before
+    assert cli("fleet", "pki", "init", folder, "--force").status == ExitCode.OK
+    assert (Path(folder) / "ca.key").read_bytes() != before
+
+
+@pytest.fixture
+def rights(tmp_path: Path) -> str:
+    path = tmp_path / "rights.toml"
+    key = f'public_key = "{"0a" * 32}"'
+    path.write_text(
+        f'[aircraft.a1]\n[aircraft.a2]\n[identity.anna]\n{key}\nfly = ["a1"]\n'
+        '[identity.wall]\nwatch = ["*"]\n'
+    )
+    return str(path)
+
+
+def test_what_somebody_may_do(cli: CommandLine, rights: str) -> None:
+    outcome = cli("fleet", "acl", "check", rights, "--who", "anna")
+    assert outcome.objects == [
+        {"who": "anna", "certificate": "anna", "signs": True, "may": {"a1": "fly", "a2": None}}
+    ]
+    assert [one["who"] for one in cli("fleet", "acl", "check", rights).objects] == ["anna", "wall"]
+    assert cli("fleet", "acl", "check", rights, "--table").out.splitlines() == [
+        "anna (certificate anna, signs orders)",
+        "  a1: watch, stop, fly",
+        "  a2: nothing",
+        "wall (certificate wall, signs nothing: agents obey no order)",
+        "  a1: watch",
+        "  a2: watch",
+        "  *: watch",
+    ]
+
+
+def test_nobody_of_that_name(cli: CommandLine, rights: str) -> None:
+    outcome = cli("fleet", "acl", "check", rights, "--who", "eve")
+    assert outcome.status == ExitCode.USAGE
+    assert "nobody in" in outcome.err
+    assert "one of anna, wall" in outcome.err
+
+
+def test_rules_of_a_router_are_written(cli: CommandLine, rights: str, tmp_path: Path) -> None:
+    printed = cli("fleet", "acl", "zenoh", rights, "-")
+    found = json.loads(printed.out)["access_control"]
+    assert found["default_permission"] == "deny"
+    target = tmp_path / "acl.json"
+    assert cli("fleet", "acl", "zenoh", rights, str(target)).status == ExitCode.OK
+    assert json.loads(target.read_text()) == {"access_control": found}
+    assert cli("fleet", "acl", "zenoh", rights, str(target)).status == ExitCode.USAGE
+    assert cli("fleet", "acl", "zenoh", rights, "/dev/full", "--force").status == ExitCode.USAGE
