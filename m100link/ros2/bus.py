@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import zenoh
 
 __all__ = [
+    "MOST_BYTES",
     "MOST_TOKENS",
     "Bus",
     "Inbox",
@@ -38,6 +39,9 @@ T = TypeVar("T")
 MOST_TOKENS = 1024
 """Changes of the graph that wait at most."""
 
+MOST_BYTES = 32768
+"""Of a payload that is read: a mission of 500 places has 20,000."""
+
 _SESSION = {
     "mode": '"peer"',
     "connect/endpoints": '["tcp/localhost:7447"]',
@@ -47,6 +51,8 @@ _SESSION = {
     "timestamping/enabled": '{"router": true, "peer": true, "client": true}',
     # A cable that is cut without a word: gone after this, as the aircraft must not wait for it.
     "transport/link/tx/lease": "1500",
+    # Nothing that a node hears is longer, and zenoh would put a gigabyte together.
+    "transport/link/rx/max_message_size": "1048576",
 }
 """rmw_zenoh's session, where it differs from zenoh's default."""
 
@@ -58,7 +64,7 @@ class Received:
     """A sample.
 
     Attributes:
-        payload: CDR.
+        payload: CDR; empty when it is longer than :data:`MOST_BYTES`.
         attachment: See :func:`m100link.ros2.graph.read_attachment`.
     """
 
@@ -71,7 +77,7 @@ class Request:
     """A request to a service.
 
     Attributes:
-        payload: CDR.
+        payload: As in :class:`Received`.
         attachment: As in :class:`Received`.
         answer: Takes payload and attachment of the answer, once.
         drop: Ends it without an answer.
@@ -190,18 +196,19 @@ class _Latched:
 
 
 class _Ring(Inbox[T]):
-    """A ring of zenoh's, and what is made of each thing in it."""
+    """A ring of zenoh's with room for ``depth``, and what is made of each thing in it."""
 
-    def __init__(self, declared: Any, make: Callable[[Any], T]) -> None:
+    def __init__(self, declared: Any, make: Callable[[Any], T], depth: int) -> None:
         import zenoh
 
-        self._declared, self._make = declared, make
+        self._declared, self._make, self._depth = declared, make, depth
         self._ended = zenoh.ZError
 
     def take(self) -> list[T]:
-        found = []
+        found: list[T] = []
         try:
-            while (one := self._declared.try_recv()) is not None:
+            # A flood fills it as fast as it is emptied: what comes meanwhile waits.
+            while len(found) < self._depth and (one := self._declared.try_recv()) is not None:
                 found.append(self._make(one))
         except self._ended:
             pass  # the session is closed: nothing comes any more
@@ -209,7 +216,7 @@ class _Ring(Inbox[T]):
 
 
 def _bytes(data: zenoh.ZBytes | None) -> bytes:
-    return b"" if data is None else data.to_bytes()
+    return b"" if data is None or len(data) > MOST_BYTES else data.to_bytes()
 
 
 def _received(sample: zenoh.Sample) -> Received:
@@ -270,14 +277,15 @@ class ZenohBus:
         import zenoh
 
         ring: Any = zenoh.handlers.RingChannel(depth)
-        return _Ring(self._session.declare_subscriber(key, ring), _received)
+        return _Ring(self._session.declare_subscriber(key, ring), _received, depth)
 
     def serve(self, key: str, depth: int) -> Inbox[Request]:
         """Offer a service."""
         import zenoh
 
         ring: Any = zenoh.handlers.RingChannel(depth)
-        return _Ring(self._session.declare_queryable(key, ring, complete=True), _request)
+        declared = self._session.declare_queryable(key, ring, complete=True)
+        return _Ring(declared, _request, depth)
 
     def declare(self, token: str) -> None:
         """Show a token."""
@@ -290,7 +298,11 @@ class ZenohBus:
         ring: Any = zenoh.handlers.RingChannel(MOST_TOKENS)
         declared = self._session.liveliness().declare_subscriber(pattern, ring, history=True)
         put = zenoh.SampleKind.PUT
-        return _Ring(declared, lambda one: TokenChange(str(one.key_expr), one.kind == put))
+
+        def change(one: zenoh.Sample) -> TokenChange:
+            return TokenChange(str(one.key_expr), one.kind == put)
+
+        return _Ring(declared, change, MOST_TOKENS)
 
 
 def _config(environment: Mapping[str, str]) -> zenoh.Config:

@@ -35,9 +35,6 @@ _AT_ONCE = 8
 """Requests to one service that are carried out at once: nobody is kept from landing by those who
 wait for something else."""
 
-_MOST_BYTES = 32768
-"""Of a payload that is read: a mission of 500 places has 20,000."""
-
 Call = Callable[[dict[str, Any]], Awaitable[Mapping[str, Any]]]
 """Answers a request; one of which it raises an M100Error has no answer."""
 
@@ -93,7 +90,7 @@ class Input:
         """What has come since, oldest first."""
         for one in self._inbox.take():
             try:
-                found = read_attachment(one.attachment), _read(self._kind, one.payload)
+                found = read_attachment(one.attachment), decode(self._kind, one.payload)
             except ValueError:
                 self.refused += 1
                 continue
@@ -209,7 +206,7 @@ class Ends:
     def _take(self, service: _Service, request: Request, is_deaf: bool) -> None:
         try:
             attachment = read_attachment(request.attachment)
-            message = _read(f"{service.kind}_Request", request.payload)
+            message = decode(f"{service.kind}_Request", request.payload)
             if is_deaf or service.calls >= service.at_once:
                 raise ValueError("too late, or too many")
         except ValueError:
@@ -241,10 +238,3 @@ class Ends:
         at_ns = round(self._utc() * 1e9)
         ours = Attachment(attachment.sequence, at_ns, attachment.gid)
         request.answer(answer, bytes(ours))
-
-
-def _read(kind: str, payload: bytes) -> dict[str, Any]:
-    """A message, unless it is so long that reading it would keep the node from its next step."""
-    if len(payload) > _MOST_BYTES:
-        raise ValueError(f"{len(payload)} bytes")
-    return decode(kind, payload)

@@ -7,13 +7,14 @@ import socket
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import anyio
 import pytest
 
 from m100link.errors import UsageError
-from m100link.ros2.bus import Inbox, ZenohBus, open_bus
+from m100link.ros2.bus import MOST_BYTES, Inbox, ZenohBus, open_bus
 from tests.waiting import PATIENCE
 
 zenoh: Any = pytest.importorskip("zenoh", reason="the extra ros2 is not installed")
@@ -79,6 +80,42 @@ async def test_what_goes_out_comes_in() -> None:
             return found[-1:] == [b"last"]
 
         await until(has_last)
+
+
+async def test_what_is_too_long_is_not_read() -> None:
+    async with AsyncExitStack() as stack:
+        one, other = await two(stack)
+        outlet, inbox = one.publish("0/a"), other.subscribe("0/a", 8)
+        await until(outlet.is_wanted)
+        for size in (MOST_BYTES, MOST_BYTES + 1, 4 << 20, 1):
+            outlet.put(bytes(size), b"")
+        found: list[int] = []
+
+        def has_last() -> bool:
+            found.extend(len(one.payload) for one in inbox.take())
+            return found[-1:] == [1]
+
+        await until(has_last)
+        assert found == [MOST_BYTES, 0, 1]  # zenoh itself does not put the third one together
+
+
+async def test_a_ring_that_is_filled_meanwhile_has_an_end() -> None:
+    async with AsyncExitStack() as stack:
+        one, other = await two(stack)
+        outlet, inbox = one.publish("0/a"), other.subscribe("0/a", 8)
+        await until(outlet.is_wanted)
+        ends_at = anyio.current_time() + 2.0
+
+        def flood() -> None:
+            while monotonic() < ends_at:
+                for _ in range(100):
+                    outlet.put(b"x", b"")
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(anyio.to_thread.run_sync, flood)
+            while monotonic() < ends_at:
+                assert len(inbox.take()) <= 8
+                await anyio.sleep(0.001)
 
 
 async def test_who_comes_late_gets_what_was_latched() -> None:
