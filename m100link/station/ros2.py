@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from importlib.util import find_spec
 
 from m100link.agent.client import AgentClient
 from m100link.errors import UsageError
 from m100link.ros2.bus import open_bus
+from m100link.ros2.flights import FLIGHTS
 from m100link.ros2.graph import Names
 from m100link.ros2.node import Node
+from m100link.ros2.topics import INPUTS, SERVICES
 from m100link.station.config import Settings, namespace_of
 
 __all__ = ["MOST_DOMAIN", "check_ros2", "nodes_of", "serving_ros2"]
@@ -24,18 +26,33 @@ def nodes_of(settings: Settings, aircraft: list[str]) -> dict[str, Names]:
     """The node of each aircraft: of several, each is in a namespace of its own.
 
     Raises:
-        UsageError: A name cannot be.
+        UsageError: A name cannot be, or two things that move an aircraft would have one.
     """
     found = {}
+    owners: dict[str, str] = {}
     for name in aircraft:
         inner = f"/{namespace_of(name)}" if len(aircraft) > 1 else ""
         namespace = settings.ros2_namespace.rstrip("/") + inner
-        found[name] = Names.of(namespace, settings.ros2_node, settings.ros2_remap)
+        names = found[name] = Names.of(namespace, settings.ros2_node, settings.ros2_remap)
+        for own in (*INPUTS, *SERVICES, *FLIGHTS):
+            full = names.full(own)
+            owner = f"{own} of {name}" if len(aircraft) > 1 else own
+            if full in owners:
+                raise UsageError(
+                    f"{owners[full]} and {owner} would both be {full}",
+                    cause="whoever calls one would move by the other, too",
+                    remedy="give them names of their own by --remap",
+                )
+            owners[full] = owner
     return found
 
 
-def check_ros2(settings: Settings) -> None:
-    """Look whether a node can be served, before anything is opened.
+def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
+    """Look whether nodes can be served, before anything is opened.
+
+    Args:
+        settings: What they are called.
+        aircraft: The names of the aircraft.
 
     Raises:
         UsageError: It cannot.
@@ -50,7 +67,7 @@ def check_ros2(settings: Settings) -> None:
         raise UsageError(
             f"there is no domain {settings.ros2_domain}", remedy=f"choose 0 to {MOST_DOMAIN}"
         )
-    nodes_of(settings, [""])
+    nodes_of(settings, list(aircraft))
 
 
 @asynccontextmanager

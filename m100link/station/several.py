@@ -23,6 +23,7 @@ from m100link.station.apart import as_json, front_process, front_settings, kept
 from m100link.station.child import Child
 from m100link.station.config import MOST_AIRCRAFT, Settings
 from m100link.station.fronts import Sockets, keep_reached, open_sockets
+from m100link.station.ros2 import check_ros2
 
 __all__ = ["END_TIMEOUT", "RunningSeveral", "running_several"]
 
@@ -122,7 +123,8 @@ async def running_several(
         )
     settings = next(iter(aircraft.values()))
     front_settings(settings)
-    settings.niceness()  # both before anything is bound
+    settings.niceness()
+    check_ros2(settings, list(aircraft))  # all before anything is bound
     async with AsyncExitStack() as stack:
         sockets = open_sockets(
             stack, settings, with_console=with_console, with_rosbridge=with_rosbridge

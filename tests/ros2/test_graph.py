@@ -18,6 +18,8 @@ from m100link.ros2.graph import (
     read_attachment,
     read_token,
 )
+from m100link.station.config import Settings
+from m100link.station.ros2 import check_ros2
 
 IMU = "RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"
 TRIGGER = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
@@ -102,3 +104,27 @@ def test_names_are_private_relative_or_full() -> None:
 def test_names_that_cannot_be(namespace: str, node: str, remap: tuple[str, ...]) -> None:
     with pytest.raises(UsageError):
         Names.of(namespace, node, remap)
+
+
+# -- the names of whole stations ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rules", "aircraft", "seen"),
+    [
+        (("~/takeoff:=/x", "~/land:=/x"), [""], "~/takeoff and ~/land would both be /x"),
+        (("~/take_off:=/m100/land",), [""], "~/land and ~/take_off would both be /m100/land"),
+        (("~/cmd_vel:=/v",), ["a", "b"], "~/cmd_vel of a and ~/cmd_vel of b would both be /v"),
+    ],
+)
+def test_nothing_that_moves_an_aircraft_has_the_name_of_something_else(
+    rules: tuple[str, ...], aircraft: list[str], seen: str
+) -> None:
+    settings = Settings(ros2=True, ros2_remap=rules)
+    with pytest.raises(UsageError) as refusal:
+        check_ros2(settings, aircraft)
+    assert refusal.value.seen == seen
+
+
+def test_topics_may_come_together() -> None:
+    check_ros2(Settings(ros2=True, ros2_remap=("~/imu:=/imu", "~/odom:=/imu")), ["a", "b"])
