@@ -15,7 +15,7 @@ _GAIN = 0.8
 """Metres per second for each metre that is missing."""
 
 _FASTEST, _CLIMB = 5.0, 2.0
-_NO_ROTATION = 1e-6
+_NO_ROTATION, _NOT_UNIT = 1e-6, 0.01
 
 
 class Frames:
@@ -75,7 +75,7 @@ def toward(
         fastest: Horizontal speed that the guards allow, m/s.
 
     Raises:
-        BadSetpoint: A number that is not finite.
+        BadSetpoint: A number that is not finite, or an orientation that is none.
     """
     place, turned = pose["position"], pose["orientation"]
     east, north, up = (_GAIN * (place[axis] - at) for axis, at in zip("xyz", here, strict=True))
@@ -84,10 +84,13 @@ def toward(
     x, y, z, w = (turned[axis] for axis in "xyzw")
     climb = max(-_CLIMB, min(_CLIMB, up)) if math.isfinite(up) else up
     motion = {"north": north / scale, "east": east / scale, "up": climb}
-    size = abs(x) + abs(y) + abs(z) + abs(w)
-    if not math.isfinite(size):
-        raise BadSetpoint("an orientation that is not finite")
+    size = math.hypot(x, y, z, w)
     if size < _NO_ROTATION:
         return Setpoint.velocity(**motion, yaw_rate_deg_s=0.0)
+    if not abs(size - 1.0) < _NOT_UNIT:
+        raise BadSetpoint(
+            f"an orientation that is no rotation: a quaternion of length {size:g}",
+            remedy="give one of length 1, or zeros to keep the heading",
+        )
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return Setpoint.velocity(**motion, yaw_deg=math.remainder(90.0 - math.degrees(yaw), 360.0))

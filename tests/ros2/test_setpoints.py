@@ -68,3 +68,13 @@ def test_places_that_are_nowhere(bad: float, place: int) -> None:
     numbers[place] = bad
     with pytest.raises(BadSetpoint):
         toward(pose(*numbers), (0.0, 0.0, 0.0), fastest=5.0)
+
+
+@pytest.mark.parametrize(
+    "turned", [(0.0, 0.0, 1.0, 1.0), (1e200, 1e200, 1e200, 1e200), (0.0, 0.0, 0.0, 0.5)]
+)
+def test_what_is_no_rotation_is_no_heading(turned: tuple[float, ...]) -> None:
+    with pytest.raises(BadSetpoint, match="no rotation"):
+        toward(pose(0.0, 0.0, 1.0, *turned), (0.0, 0.0, 0.0), fastest=5.0)
+    # As float32 has it.
+    toward(pose(0.0, 0.0, 1.0, 0.0, 0.0, 0.70710677, 0.70710677), (0.0, 0.0, 0.0), fastest=5.0)
