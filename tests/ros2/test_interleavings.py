@@ -55,7 +55,7 @@ class World:
 
     # -- what happens ----------------------------------------------------------------------------
 
-    def call(self, name: str, after: Callable[[bool], None] = bool) -> None:
+    def call(self, name: str, after: Callable[[bool], None] = lambda _: None) -> None:
         """Begin to call a service; others happen meanwhile."""
 
         async def run() -> None:
@@ -81,7 +81,7 @@ class World:
         name = self.random.choice(["~/take_off", "~/fly_to", "~/fly_mission"])
         place = self.client.place(self.random.uniform(-30, 30), self.random.uniform(-30, 30))
         leg = {**place, "height": self.random.uniform(1.0, 8.0)}
-        given: dict[str, Any] = {
+        goals: dict[str, dict[str, Any]] = {
             "~/take_off": {"height": leg["height"]},
             "~/fly_to": {**leg, "speed": self.random.uniform(1.0, 4.0)},
             "~/fly_mission": {
@@ -91,11 +91,11 @@ class World:
                     {**leg, "latitude": place["latitude"] + 1e-4, "wait": 1.0},
                 ],
             },
-        }[name]
+        }
 
         async def run() -> None:
             self.anew()
-            answer = await self.client.ask_goal(name, **given)
+            answer = await self.client.ask_goal(name, **goals[name])
             self.told(f"{name} -> {answer}")
 
         self.told(f"goal {name}")
@@ -238,6 +238,10 @@ class World:
             self.check()
 
 
+def is_down(rig: Rig) -> bool:
+    return not rig.motors_on
+
+
 async def fly(rig: Rig, seed: int) -> None:
     random = Random(seed)
     ours, its = memory_channels()
@@ -267,7 +271,7 @@ async def end(world: World) -> None:
     world.call("~/stop", world.stopped)
     await world.pass_by(6.0)
     assert rig.speed < AT_REST
-    if not rig.motors_on:
+    if is_down(rig):
         return
     for _ in range(600):
         if world.rig.client.state.task != "land":
@@ -277,7 +281,7 @@ async def end(world: World) -> None:
             world.goal()
             world.call("~/land")
         await world.pass_by(0.5)
-        if not rig.motors_on:
+        if is_down(rig):
             return
     raise AssertionError("it did not land")
 
