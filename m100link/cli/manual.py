@@ -192,7 +192,7 @@ def error_classes() -> list[type[M100Error]]:
     for elsewhere in (
         "m100link.agent.fault",
         "m100link.fleet.pki",
-        "m100link.fleet.show.follower",
+        "m100link.fleet.show.steering",
         "m100link.sim.orders.ctl",
     ):
         importlib.import_module(elsewhere)
