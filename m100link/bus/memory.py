@@ -1,0 +1,265 @@
+"""A network inside one event loop, with the weather of real ones: for tests on virtual time.
+
+What a :class:`Weather` does to a message is drawn from a seeded source, so a test that failed can
+be run again. Sessions are cut off from each other by :meth:`MemoryNetwork.cut`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from m100link.bus.network import DEPTH, Answer, Held, Outlet, Question, fits
+
+__all__ = ["MemoryBus", "MemoryNetwork", "Weather"]
+
+_TICK_S = 1e-9
+
+
+@dataclass(slots=True)
+class Weather:
+    """What happens to messages on their way.
+
+    Attributes:
+        loss: Share that is lost, 0 to 1.
+        repeat: Share that arrives twice.
+        delay_s: Least time on the way, s.
+        jitter_s: Up to so much more for each, s: later ones overtake.
+        presence_s: Seconds after which a session that was cut off counts as gone.
+    """
+
+    loss: float = 0.0
+    repeat: float = 0.0
+    delay_s: float = 0.0
+    jitter_s: float = 0.0
+    presence_s: float = 1.5
+
+
+class _Declared:
+    """One thing that a session declares."""
+
+    def __init__(self, session: MemoryBus, key: str, take: Callable[..., None] | None) -> None:
+        self.session, self.key, self.take = session, key, take
+        self.is_open = True
+
+    def close(self) -> None:
+        if self.is_open:
+            self.is_open = False
+            self.session.network.forget(self)
+
+
+class _Outlet(Outlet):
+    def __init__(self, session: MemoryBus, key: str) -> None:
+        self._session, self._key = session, key
+
+    def put(self, payload: bytes) -> None:
+        network, sender = self._session.network, self._session
+        for one in network.takers("subscribe", self._key):
+            network.carry(sender, one.session, partial(one.session.hand, one, self._key, payload))
+
+    def is_wanted(self) -> bool:
+        return any(
+            not self._session.network.is_cut(self._session, one.session)
+            for one in self._session.network.takers("subscribe", self._key)
+        )
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class MemoryNetwork:
+    """The network.
+
+    Args:
+        seed: Of what happens to messages.
+        weather: What happens; may be changed at any time.
+    """
+
+    def __init__(self, seed: int = 0, weather: Weather | None = None) -> None:
+        self.weather = weather or Weather()
+        self._random = random.Random(seed)
+        self._declared: dict[str, list[_Declared]] = {
+            kind: [] for kind in ("subscribe", "serve", "token", "watch")
+        }
+        self._count = 0
+        self._cut: set[MemoryBus] = set()
+        # Who is known to be gone by those who are not: after a while, as by a real network.
+        self._missed: set[MemoryBus] = set()
+
+    def session(self) -> MemoryBus:
+        """Another session."""
+        return MemoryBus(self)
+
+    def seed(self, seed: int) -> None:
+        """Begin the weather of a seed."""
+        self._random.seed(seed)
+
+    # -- who is cut off --------------------------------------------------------------------------
+
+    def cut(self, *sessions: MemoryBus) -> None:
+        """Cut sessions off from all others, without a word."""
+        self._cut.update(sessions)
+        for one in sessions:
+            asyncio.get_running_loop().call_later(self.weather.presence_s, self._miss, one)
+
+    def join(self, *sessions: MemoryBus) -> None:
+        """The cable is whole again."""
+        for one in sessions:
+            self._cut.discard(one)
+            if one in self._missed:
+                self._missed.discard(one)
+                self._tell_tokens_of(one, is_there=True)
+
+    def _miss(self, session: MemoryBus) -> None:
+        if session in self._cut and session not in self._missed:
+            self._missed.add(session)
+            self._tell_tokens_of(session, is_there=False)
+
+    def is_cut(self, one: MemoryBus, other: MemoryBus) -> bool:
+        """Whether nothing goes from one to the other."""
+        return one is not other and (one in self._cut or other in self._cut)
+
+    # -- what is declared ------------------------------------------------------------------------
+
+    def add(
+        self, kind: str, session: MemoryBus, key: str, take: Callable[..., None] | None = None
+    ) -> _Declared:
+        """Declare something."""
+        one = _Declared(session, key, take)
+        self._declared[kind].append(one)
+        if kind == "token":
+            self._tell(one, is_there=True)
+        return one
+
+    def forget(self, gone: _Declared) -> None:
+        """It is declared no more."""
+        for kind, ones in self._declared.items():
+            if gone in ones:
+                ones.remove(gone)
+                if kind == "token":
+                    self._tell(gone, is_there=False)
+
+    def takers(self, kind: str, pattern: str) -> list[_Declared]:
+        """Who declared what fits, whichever of both is the pattern."""
+        return [
+            one for one in self._declared[kind] if fits(one.key, pattern) or fits(pattern, one.key)
+        ]
+
+    def _tell(self, token: _Declared, *, is_there: bool) -> None:
+        for one in self.takers("watch", token.key):
+            if not self.is_cut(token.session, one.session) and one.take is not None:
+                asyncio.get_running_loop().call_soon(one.take, token.key, is_there)
+
+    def _tell_tokens_of(self, session: MemoryBus, *, is_there: bool) -> None:
+        """Those on both sides of a cut see each other go, and come."""
+        for token in self._declared["token"]:
+            for one in self.takers("watch", token.key):
+                crosses = (token.session is session) != (one.session is session)
+                if crosses and one.take is not None:
+                    one.take(token.key, is_there)
+
+    # -- what goes over it -----------------------------------------------------------------------
+
+    def carry(self, sender: MemoryBus, taker: MemoryBus, deliver: Callable[[], None]) -> None:
+        """Bring something to another session, or lose it, or bring it twice."""
+        weather, chance = self.weather, self._random
+        if self.is_cut(sender, taker) or chance.random() < weather.loss:
+            return
+        for _ in range(2 if chance.random() < weather.repeat else 1):
+            delay = weather.delay_s + weather.jitter_s * chance.random()
+            self._later(delay, lambda: None if self.is_cut(sender, taker) else deliver())
+
+    def _later(self, delay: float, deliver: Callable[[], None]) -> None:
+        """In the order in which it was sent, where weather does not say otherwise."""
+        loop = asyncio.get_running_loop()
+        if delay > 0.0:
+            self._count += 1  # timers of one time come in any order
+            loop.call_later(delay + _TICK_S * self._count, deliver)
+        else:
+            loop.call_soon(deliver)
+
+
+class MemoryBus:
+    """A session; see :class:`m100link.bus.network.Bus`.
+
+    Args:
+        network: Of which network.
+    """
+
+    def __init__(self, network: MemoryNetwork) -> None:
+        self.network = network
+
+    def hand(self, taker: _Declared, *what: Any) -> None:
+        """Hand something over, unless its taker has gone."""
+        if taker.is_open and taker.take is not None:
+            taker.take(*what)
+
+    def publish(self, key: str) -> Outlet:
+        """Offer messages under a key."""
+        return _Outlet(self, key)
+
+    def subscribe(
+        self, pattern: str, take: Callable[[str, bytes], None], *, depth: int = DEPTH
+    ) -> Held:
+        """Hear messages."""
+        return self.network.add("subscribe", self, pattern, take)
+
+    def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
+        """Hear questions."""
+        return self.network.add("serve", self, key, take)
+
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+        """Ask everybody who serves it."""
+        network = self.network
+        asked = [
+            one for one in network.takers("serve", key) if not network.is_cut(self, one.session)
+        ]
+        answers: dict[str, Answer] = {}
+        ended: set[_Declared] = set()
+        done = asyncio.Event()
+
+        def end(one: _Declared) -> None:
+            ended.add(one)
+            if len(ended) == len(asked):
+                done.set()
+
+        for one in asked:
+
+            def answer(its_key: str, its: bytes, one: _Declared = one) -> None:
+                def arrive() -> None:
+                    answers[its_key] = Answer(its_key, its)
+                    end(one)
+
+                network.carry(one.session, self, arrive)
+
+            question = Question(key, payload, answer, partial(end, one))
+            network.carry(self, one.session, partial(one.session.hand, one, question))
+        if asked:
+            try:
+                async with asyncio.timeout(timeout):
+                    await done.wait()
+            except TimeoutError:
+                pass  # those who have not answered are not in the list
+        return list(answers.values())
+
+    def declare(self, token: str) -> Held:
+        """Show a token."""
+        return self.network.add("token", self, token)
+
+    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
+        """See tokens come and go."""
+        for token in self._tokens(pattern):
+            asyncio.get_running_loop().call_soon(take, token, True)
+        return self.network.add("watch", self, pattern, take)
+
+    async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
+        """The tokens that are there."""
+        return self._tokens(pattern)
+
+    def _tokens(self, pattern: str) -> list[str]:
+        found = self.network.takers("token", pattern)
+        return [one.key for one in found if not self.network.is_cut(self, one.session)]

@@ -1,0 +1,179 @@
+"""zenoh itself, over loopback: a router, and two sessions that meet there."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack
+
+import anyio
+import pytest
+
+from m100link.bus.network import Question
+from m100link.bus.session import FleetSession, open_session, session_config
+from m100link.errors import UsageError
+from tests.waiting import PATIENCE
+
+pytest.importorskip("zenoh", reason="the extra fleet is not installed")
+
+pytestmark = [pytest.mark.anyio, pytest.mark.pty]
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+def free_place() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+async def until(predicate: Callable[[], object]) -> None:
+    with anyio.fail_after(PATIENCE):
+        while not predicate():  # noqa: ASYNC110 - other threads bring it
+            await anyio.sleep(0.01)
+
+
+@pytest.fixture
+async def sessions() -> AsyncIterator[tuple[FleetSession, FleetSession]]:
+    place = free_place()
+    async with AsyncExitStack() as stack:
+        await stack.enter_async_context(open_session(session_config("router", listen=(place,))))
+        yield (
+            await stack.enter_async_context(
+                open_session(session_config("client", connect=(place,)))
+            ),
+            await stack.enter_async_context(
+                open_session(session_config("client", connect=(place,)))
+            ),
+        )
+
+
+async def test_messages_arrive_in_the_event_loop(
+    sessions: tuple[FleetSession, FleetSession],
+) -> None:
+    one, other = sessions
+    found: list[tuple[str, bytes]] = []
+    here, threads = threading.get_ident(), set()
+
+    def take(key: str, payload: bytes) -> None:
+        threads.add(threading.get_ident())
+        found.append((key, payload))
+
+    other.subscribe("m/*/a", take)
+    outlet = one.publish("m/x/a")
+    await until(outlet.is_wanted)
+    for number in range(600):  # more than is taken in one turn
+        outlet.put(b"%d" % number)
+    await until(lambda: len(found) == 600)
+    assert found[:2] == [("m/x/a", b"0"), ("m/x/a", b"1")]
+    assert threads == {here}
+    outlet.close()
+    outlet.put(b"nothing happens")
+    assert not outlet.is_wanted()
+
+
+async def test_each_answers_under_its_own_key(
+    sessions: tuple[FleetSession, FleetSession],
+) -> None:
+    one, other = sessions
+
+    def served(name: str) -> Callable[[Question], None]:
+        return lambda asked: asked.answer(f"m/{name}/cmd", asked.payload + name.encode())
+
+    held = [one.serve(f"m/{name}/cmd", served(name)) for name in ("a1", "a2")]
+    found: dict[str, bytes] = {}
+
+    async def asked() -> dict[str, bytes]:
+        return {one.key: one.payload for one in await other.ask("m/*/cmd", b"to ", timeout=2.0)}
+
+    with anyio.fail_after(PATIENCE):
+        while len(found) < 2:
+            found = await asked()
+    assert found == {"m/a1/cmd": b"to a1", "m/a2/cmd": b"to a2"}
+    for one_held in held:
+        one_held.close()
+    assert await other.ask("m/nobody/cmd", timeout=2.0) == []
+
+
+async def test_a_question_that_is_held_is_answered_later(
+    sessions: tuple[FleetSession, FleetSession],
+) -> None:
+    one, other = sessions
+    waiting: list[Question] = []
+    one.serve("m/a1/cmd", waiting.append)
+    answers: list[bytes] = []
+
+    async def ask() -> None:
+        while not answers:
+            answers.extend(a.payload for a in await other.ask("m/a1/cmd", timeout=PATIENCE))
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(ask)
+        await until(lambda: waiting)
+        await anyio.sleep(0.1)
+        for question in waiting:
+            question.answer("m/a1/cmd", b"late")
+    assert answers == [b"late"]
+
+
+async def test_tokens_come_and_go(sessions: tuple[FleetSession, FleetSession]) -> None:
+    one, other = sessions
+    token = one.declare("m/a1/live")
+    found: list[str] = []
+    with anyio.fail_after(PATIENCE):
+        while not found:
+            found = await other.tokens("m/*/live", timeout=2.0)
+    assert found == ["m/a1/live"]
+    seen: list[tuple[str, bool]] = []
+    other.watch("m/*/live", lambda key, is_there: seen.append((key, is_there)))
+    await until(lambda: ("m/a1/live", True) in seen)
+    token.close()
+    await until(lambda: seen[-1] == ("m/a1/live", False))
+
+
+async def test_no_router_is_told_with_what_to_do() -> None:
+    with pytest.raises(UsageError, match="no router answered") as caught:
+        async with open_session(session_config("client", connect=(free_place(),))):
+            pass
+    assert "fleet router" in caught.value.remedy
+
+
+async def test_a_port_that_is_taken_and_an_option_that_cannot_be() -> None:
+    place = free_place()
+    async with open_session(session_config("router", listen=(place,))):
+        with pytest.raises(UsageError, match="no router can be here"):
+            async with open_session(session_config("router", listen=(place,))):
+                pass
+    with pytest.raises(UsageError, match="cannot be in a session"):
+        async with open_session({"mode": '"captain"'}):
+            pass
+
+
+async def test_who_is_patient_waits_for_the_router() -> None:
+    place = free_place()
+    async with AsyncExitStack() as stack:
+
+        async def late() -> None:
+            async with open_session(
+                session_config("client", connect=(place,)), is_patient=True
+            ) as session:
+                session.declare("m/late/live")
+                await until(done.is_set)
+
+        done = anyio.Event()
+        async with anyio.create_task_group() as group:
+            group.start_soon(late)
+            await anyio.sleep(0.2)
+            config = session_config("router", listen=(place,))
+            await stack.enter_async_context(open_session(config))
+            watcher = await stack.enter_async_context(
+                open_session(session_config("client", connect=(place,)))
+            )
+            seen: list[str] = []
+            watcher.watch("m/*/live", lambda key, _: seen.append(key))
+            await until(lambda: seen)
+            done.set()
