@@ -45,6 +45,11 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   │   └── MissionRunning     or while a mission flies: the aircraft would ignore it
     │   └── AuthorityLost          the pilot, the app or the link took it away
     ├── GuardRefused               a safety guard said no; it names itself and the measured value
+    ├── FleetError                 an order to an aircraft of a fleet
+    │   ├── Unreachable            no agent of that name is there; nothing was sent
+    │   ├── OutcomeUnknown         sent, and nobody knows what became of it
+    │   ├── StaleLease             it came under a lease that is not in force
+    │   └── NotAllowed             the agent refused who asked
     └── TelemetryError
         ├── TelemetryOverflow      a lossless consumer fell behind
         ├── TelemetryStalled       the stream went silent
@@ -81,6 +86,13 @@ from m100link.errors.aircraft import (
     TelemetryStalled,
 )
 from m100link.errors.base import M100Error
+from m100link.errors.fleet import (
+    FleetError,
+    NotAllowed,
+    OutcomeUnknown,
+    StaleLease,
+    Unreachable,
+)
 from m100link.errors.line import (
     AnotherAircraft,
     LineBlocked,
@@ -123,6 +135,7 @@ __all__ = [
     "BadValue",
     "CommandNotSupported",
     "CommandRefused",
+    "FleetError",
     "GuardRefused",
     "KeyRejected",
     "LayoutMismatch",
@@ -141,8 +154,10 @@ __all__ = [
     "NoAuthority",
     "NoValidFrame",
     "NotActivated",
+    "NotAllowed",
     "NotObserved",
     "OnlyRecorded",
+    "OutcomeUnknown",
     "PayloadTooLarge",
     "PortBusy",
     "PortFailed",
@@ -150,12 +165,14 @@ __all__ = [
     "PortPermissionDenied",
     "ReplayEnded",
     "SilentLine",
+    "StaleLease",
     "TaskError",
     "TaskFailed",
     "TaskRefused",
     "TelemetryError",
     "TelemetryOverflow",
     "TelemetryStalled",
+    "Unreachable",
     "UsageError",
 ]
 
