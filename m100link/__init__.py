@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from m100link import aircraft as aircraft
     from m100link import doctor as doctor
     from m100link import errors as errors
+    from m100link import fleet as fleet
     from m100link import flight as flight
     from m100link import geodesy as geodesy
     from m100link import link as link
@@ -414,7 +415,7 @@ _OF_PLANS = frozenset(
 )
 
 # Rooms for users, not looked into for public names: those of the first are the same again.
-_OTHER_ROOMS = ("doctor", "log", "missions", "sync", "sim", "patterns")
+_OTHER_ROOMS = ("doctor", "fleet", "log", "missions", "sync", "sim", "patterns")
 
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name

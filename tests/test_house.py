@@ -212,6 +212,7 @@ TESTED_ELSEWHERE = {
     "errors/line.py": ("test_errors.py", "names and attributes, nothing to run"),
     "errors/usage.py": ("test_errors.py", "names and attributes, nothing to run"),
     "errors/fleet.py": ("test_errors.py", "names and attributes, nothing to run"),
+    "fleet/orders.py": ("fleet/test_agent.py", "each is asked for over the network"),
     "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),
     "log/dissector.py": ("interop/test_wireshark.py", "what it makes runs inside tshark"),
     "log/replayed_link.py": ("aircraft/test_replaying.py", "the line of its aircraft"),

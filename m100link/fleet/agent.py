@@ -1,0 +1,342 @@
+"""The agent of a fleet, on board: one aircraft under keys of its own.
+
+It is a front like any other: what it knows comes from an
+:class:`~m100link.agent.client.AgentClient`, what is asked of it goes there. Control, guards, lease
+and log are the agent's, so that a network that is lost costs a hover.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+
+import m100link
+from m100link.agent.client import AgentClient
+from m100link.agent.fault import MessageError, fault_of
+from m100link.agent.lease import Lease
+from m100link.agent.message_bytes import decode
+from m100link.agent.messages import Event, Message, Telemetry
+from m100link.bus.network import Bus, Held, Question
+from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
+from m100link.fleet.book import OrderBook
+from m100link.fleet.keys import Keys
+from m100link.fleet.ledger import Ledger
+from m100link.fleet.lost import Lost, LostPlan
+from m100link.fleet.orders import Done, Orders, is_kept
+from m100link.fleet.outcome import outcome_of
+from m100link.fleet.payloads import (
+    Card,
+    Order,
+    Progress,
+    Reply,
+    pack,
+    unpack,
+    unpack_steer,
+)
+from m100link.fleet.thinning import Thinner
+from m100link.protocol.records import Battery, Position
+from m100link.telemetry.subscription import Newest
+
+__all__ = ["HOLD_S", "MAX_SETPOINT_AGE_S", "FleetAgent", "Verify"]
+
+HOLD_S = 0.5
+"""Seconds that a question waits for what becomes of its order; then it hears that it runs."""
+
+MAX_SETPOINT_AGE_S = 0.2
+"""Seconds that a setpoint may have been on its way, by the agent's own clock."""
+
+_CARD_S = 1.0
+_FRESH_S = 5.0
+_SAMPLES = 100
+_NAMESAKE_S = 2.0
+
+Verify = Callable[[Order], None]
+"""Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
+
+
+class FleetAgent:
+    """One aircraft of a fleet.
+
+    Args:
+        client: What knows its agent.
+        bus: The network.
+        keys: Its keys.
+        ledger: What outlives it.
+        lost: What happens when whoever flies is lost.
+        verify: Looks at each order; without it the router alone decides who may ask.
+        utc: POSIX time, s.
+
+    Attributes:
+        client: As given.
+        boot: Which run of this agent it is.
+        dropped: Setpoints that were not flown, by reason: ``stale`` (lease), ``late``,
+            ``repeated`` (or overtaken), ``damaged``.
+    """
+
+    def __init__(
+        self,
+        client: AgentClient,
+        bus: Bus,
+        keys: Keys,
+        ledger: Ledger,
+        *,
+        lost: LostPlan | None = None,
+        verify: Verify | None = None,
+        utc: Callable[[], float] = time.time,
+    ) -> None:
+        self.client = client
+        self._bus = bus
+        self._keys = keys
+        self._ledger = ledger
+        self._lost_plan = lost or LostPlan()
+        self._verify = verify
+        self._utc = utc
+        self.boot = uuid.uuid4().hex[:8]
+        self.dropped: Counter[str] = Counter()
+        self._book = OrderBook(ledger.begun)
+        self._orders = Orders(client, ledger)
+        self._lost = Lost(client, self._lost_plan, self._orders.descend)
+        self._ended: dict[str, asyncio.Event] = {}
+        self._newest_setpoint = (0, -math.inf)
+        client.on_steer_refused.append(self._steer_refused)
+
+    async def run(self) -> None:
+        """Be there, until this is cancelled."""
+        keys, bus = self._keys, self._bus
+        with ExitStack() as stack:
+
+            def hold(held: Held) -> None:
+                stack.callback(held.close)
+
+            self._event = bus.publish(keys.event)
+            self._state = bus.publish(keys.state)
+            for outlet in (self._event, self._state):
+                hold(outlet)
+            for key in (keys.command, keys.lease):
+                hold(bus.serve(key, self._on_order))
+            hold(bus.serve(keys.status(), self._on_status))
+            hold(bus.serve(keys.state, self._on_state))
+            hold(bus.subscribe(keys.setpoint, self._on_setpoint))
+            self.client.on_event.append(self._on_event)
+            hold(bus.declare(keys.live))
+            try:
+                async with asyncio.TaskGroup() as group:
+                    group.create_task(self._tell_telemetry())
+                    group.create_task(self._tell_state())
+            finally:
+                self.client.on_event.remove(self._on_event)
+
+    async def require_alone(self) -> None:
+        """Look whether the name is free; one whose agent was killed is seen for a while yet.
+
+        Raises:
+            UsageError: Another agent has it, and both would obey.
+        """
+        deadline = self.client.now + _NAMESAKE_S
+        while self._keys.live in await self._bus.tokens(self._keys.live, timeout=1.0):
+            if self.client.now >= deadline:
+                raise UsageError(
+                    f"an agent named {self._keys.name} is there already",
+                    remedy="give this aircraft another --name, or end the other agent",
+                )
+            await asyncio.sleep(0.2)
+
+    # -- what is told ----------------------------------------------------------------------------
+
+    def _on_event(self, event: Event) -> None:
+        self._event.put(pack(event))
+
+    async def _tell_telemetry(self) -> None:
+        full, wall = self._bus.publish(self._keys.telemetry), self._bus.publish(self._keys.thinned)
+        thinner = Thinner()
+        try:
+            async with self.client.samples(Newest(_SAMPLES)) as samples:
+                async for sample in samples:
+                    is_for_wall = thinner.goes_on(sample.flags, sample.received_at)
+                    is_watched = full.is_wanted()
+                    if not (is_for_wall or is_watched):
+                        continue
+                    payload = pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
+                    if is_for_wall:
+                        wall.put(payload)
+                    if is_watched:
+                        full.put(payload)
+        finally:
+            full.close()
+            wall.close()
+
+    async def _tell_state(self) -> None:
+        while True:
+            self._state.put(pack(self.card()))
+            await asyncio.sleep(_CARD_S)
+
+    def card(self) -> Card:
+        """Where the agent stands."""
+        client, state = self.client, self.client.state
+        position = battery = None
+        if client.telemetry is not None:
+            position = client.telemetry.fresh(Position, within=_FRESH_S)
+            battery = client.telemetry.fresh(Battery, within=_FRESH_S)
+        is_place = position is not None and position.is_possible
+        phase = self._orders.phase
+        return Card(
+            name=self._keys.name,
+            boot=self.boot,
+            at=self._utc(),
+            connection=state.connection if not client.is_silent else "lost",
+            fault=state.connection_fault,
+            firmware=state.firmware,
+            holder=client.holder.name,
+            fence=client.holder.number,
+            has_authority=client.has_authority,
+            task=state.task or state.pattern or (state.guided.what if state.guided else ""),
+            phase="" if phase is None else phase.name.lower().replace("_", " "),
+            height_m=position.height_m if position is not None and is_place else None,
+            latitude_deg=position.latitude_deg if position is not None and is_place else None,
+            longitude_deg=position.longitude_deg if position is not None and is_place else None,
+            battery_percent=None if battery is None else battery.percent,
+            lost=self._lost_plan.action,
+            lost_after=self._lost_plan.after_s,
+            version=m100link.__version__,
+        )
+
+    def _on_state(self, question: Question) -> None:
+        question.answer(self._keys.state, pack(self.card()))
+
+    # -- orders ----------------------------------------------------------------------------------
+
+    def _on_order(self, question: Question) -> None:
+        self.client.background.spawn(self._answer_order(question), "order of the fleet")
+
+    async def _answer_order(self, question: Question) -> None:
+        # The key of this aircraft, whatever pattern was asked: of several answers under one key
+        # the network hands over one, and hides the other's failure.
+        is_lease = question.key.endswith("/lease")
+        key = self._keys.lease if is_lease else self._keys.command
+        try:
+            order: Order = unpack(Order, question.payload)
+            is_repeated = self._book.is_known(order.id)
+            if not is_repeated:
+                self._begin(order)
+        except M100Error as error:
+            question.answer(key, pack(self._reply("", error)))
+            return
+        await self._wait(order.id)
+        question.answer(key, pack(self._told(order.id, is_repeated=is_repeated)))
+
+    def _begin(self, order: Order) -> None:
+        """Hear an order for the first time.
+
+        Raises:
+            NotAllowed: Not for this aircraft, or not by this identity.
+            MessageError: It says nothing that can be done.
+        """
+        if order.aircraft != self._keys.name:
+            raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
+        if self._verify is not None:
+            self._verify(order)
+        message = decode(order.message)
+        self._book.begin(order.id, self.client.now)
+        self._ended[order.id] = asyncio.Event()
+        self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
+
+    async def _carry_out(self, order: Order, message: Message) -> None:
+        reply = self._reply(order.id, MessageError("the agent failed", remedy="see its log"))
+        try:
+            if self._book.was_begun_before(order.id):
+                reply = self._reply(order.id, _begun_before())
+                return
+            if is_kept(message):
+                await self._ledger.begin(order.id, self._utc())
+            reply = self._reply(order.id, None, await self._orders.carry_out(order, message))
+        except M100Error as error:
+            reply = self._reply(order.id, error)
+        finally:
+            self._book.end(reply)
+            self._ended.pop(order.id).set()
+
+    def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> Reply:
+        done = done or Done()
+        return Reply(
+            id=identity,
+            name=self._keys.name,
+            boot=self.boot,
+            progress=Progress.DONE,
+            outcome=outcome_of(error),
+            fault=fault_of(error) or done.fault,
+            text=done.text,
+            number=done.number,
+            token=done.token,
+        )
+
+    async def _wait(self, identity: str) -> None:
+        ended = self._ended.get(identity)
+        if ended is not None:
+            try:
+                async with asyncio.timeout(HOLD_S):
+                    await ended.wait()
+            except TimeoutError:
+                pass  # it runs, and that is what is told
+
+    def _told(self, identity: str, *, is_repeated: bool) -> Reply:
+        """What is known of an order now."""
+        reply = self._book.reply(identity)
+        if reply is None:
+            if self._book.is_known(identity):
+                progress = Progress.RUNNING
+            elif self._book.was_begun_before(identity):
+                return replace(self._reply(identity, _begun_before()), clock=self.client.now)
+            else:
+                progress = Progress.NEVER
+            reply = Reply(identity, self._keys.name, self.boot, progress)
+        return replace(reply, clock=self.client.now, is_repeated=is_repeated)
+
+    def _on_status(self, question: Question) -> None:
+        self.client.background.spawn(self._answer_status(question), "status of an order")
+
+    async def _answer_status(self, question: Question) -> None:
+        identity = question.key.rpartition("/")[2]
+        if not identity.isalnum():  # a pattern asks for no order
+            question.drop()
+            return
+        await self._wait(identity)
+        question.answer(self._keys.status(identity), pack(self._told(identity, is_repeated=True)))
+
+    # -- setpoints -------------------------------------------------------------------------------
+
+    def _on_setpoint(self, key: str, payload: bytes) -> None:
+        try:
+            steer = unpack_steer(payload, self._orders.tokens)
+        except MessageError:
+            self.dropped["damaged"] += 1
+            return
+        if steer is None or steer.fence != self.client.holder.number:
+            self.dropped["stale"] += 1
+            return
+        if abs(self.client.now - steer.sent_at) > MAX_SETPOINT_AGE_S:
+            self.dropped["late"] += 1
+            return
+        if (steer.fence, steer.sent_at) <= self._newest_setpoint:
+            self.dropped["repeated"] += 1
+            return
+        self._newest_setpoint = (steer.fence, steer.sent_at)
+        lease = Lease(self.client.holder.name, self._orders.tokens[steer.fence], steer.fence)
+        self.client.steer(lease, steer.setpoint, steer.lifetime)
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        """Whoever steers hears of it as its lease is renewed, twice a second."""
+        self._orders.refused = error
+
+
+def _begun_before() -> OutcomeUnknown:
+    return OutcomeUnknown(
+        "the agent was started anew after it had begun this",
+        cause="it was killed, or its computer was",
+        remedy="look at the aircraft: it may or may not have been done",
+    )

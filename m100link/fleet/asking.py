@@ -1,0 +1,205 @@
+"""Asks one aircraft of a fleet for something, and finds out what became of it.
+
+An answer that does not come says nothing. Then it is asked what became of the order, by its id: an
+agent that never heard it is given the same order again, one that did says how it ended. A new id is
+never given to what may have been done.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import uuid
+from collections.abc import Callable
+
+from m100link.agent.fault import MessageError
+from m100link.agent.message_bytes import encode
+from m100link.agent.messages import LeaseAsk, Message
+from m100link.bus.network import Bus
+from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
+from m100link.fleet.keys import Keys
+from m100link.fleet.outcome import Outcome
+from m100link.fleet.payloads import Order, Progress, Reply, pack, unpack
+
+__all__ = ["PATIENCE_S", "Asker", "Sign"]
+
+PATIENCE_S = 5.0
+"""Seconds without any answer after which the outcome counts as unknown."""
+
+_ANSWER_S = 1.5
+_AGAIN_S = 0.1
+
+Sign = Callable[[Order], Order]
+"""Signs an order."""
+
+
+def _unsigned(order: Order) -> Order:
+    """Without an identity the router alone decides who may ask."""
+    return order
+
+
+class Asker:
+    """Asks one aircraft.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        name: Who asks, for people.
+        sign: Signs orders.
+        patience: Seconds without any answer after which the outcome is unknown.
+        is_known: Whether the aircraft was seen to be there, without asking anybody.
+        utc: POSIX time, s.
+
+    Attributes:
+        heard_at: When it answered last, on the event loop's clock; None: never.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        name: str,
+        *,
+        sign: Sign = _unsigned,
+        patience: float = PATIENCE_S,
+        is_known: Callable[[], bool] = lambda: False,
+        utc: Callable[[], float] = time.time,
+    ) -> None:
+        self._is_known = is_known
+        self._bus = bus
+        self._keys = keys
+        self._name = name
+        self._sign = sign
+        self._patience = patience
+        self._utc = utc
+        self._clock = asyncio.get_running_loop().time
+        self.heard_at: float | None = None
+
+    async def is_there(self) -> bool:
+        """Whether its agent shows itself."""
+        live = self._keys.live
+        return self._is_known() or live in await self._bus.tokens(live, timeout=_ANSWER_S)
+
+    async def ask(
+        self,
+        message: Message,
+        *,
+        fence: int = 0,
+        token: str = "",
+        identity: str = "",
+        patience: float | None = None,
+    ) -> Reply:
+        """Ask for something, and wait for what becomes of it.
+
+        Args:
+            message: What: a question of the agent's messages.
+            fence: Number of the lease it is asked under; 0 for none.
+            token: Proof of that lease.
+            identity: Of the order; a new one by default.
+            patience: Seconds without any answer after which the outcome is unknown.
+
+        Raises:
+            Unreachable: No agent of that name is there; nothing was sent.
+            OutcomeUnknown: Nobody knows what became of it.
+            StaleLease: The lease is not in force.
+            NotAllowed: The agent refused who asked.
+            M100Error: What the agent tells.
+        """
+        if not await self.is_there():
+            raise Unreachable(f"no agent named {self._keys.name} is there; nothing was sent")
+        order = self._order(message, fence, token, identity)
+        key = self._key(message)
+        return _raised(await self._answered(key, order, patience or self._patience))
+
+    async def try_once(self, message: Message, *, within: float) -> Reply | None:
+        """Ask for what may be asked again, such as the renewal of a lease.
+
+        Args:
+            message: What.
+            within: Seconds.
+
+        Returns:
+            The answer; None when none came in time, which says nothing.
+
+        Raises:
+            M100Error: As :meth:`ask`.
+        """
+        order = self._order(message, 0, "", "")
+        reply = await self._one(self._key(message), pack(order), order.id, within)
+        return None if reply is None or reply.progress is not Progress.DONE else _raised(reply)
+
+    def _key(self, message: Message) -> str:
+        return self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command
+
+    def _order(self, message: Message, fence: int, token: str, identity: str) -> Order:
+        order = Order(
+            identity or uuid.uuid4().hex,
+            self._keys.name,
+            self._name,
+            fence,
+            self._utc(),
+            encode(message),
+        )
+        order = self._sign(order)
+        return order.under(token) if token else order
+
+    async def _answered(self, key: str, order: Order, patience: float) -> Reply:
+        payload = pack(order)
+        silent_since = self._clock()
+        is_sent = False
+        while self._clock() - silent_since < patience:
+            # Only what never arrived is sent, and sent again.
+            asked, what = (self._keys.status(order.id), b"") if is_sent else (key, payload)
+            reply = await self._one(asked, what, order.id)
+            is_sent = True
+            if reply is None:
+                await asyncio.sleep(_AGAIN_S)
+                continue
+            silent_since = self._clock()
+            if reply.progress is Progress.DONE:
+                return reply
+            if reply.progress is Progress.NEVER:
+                is_sent = False
+                await asyncio.sleep(_AGAIN_S)
+        raise OutcomeUnknown(
+            f"{self._keys.name} gave no answer for {patience:g} s",
+            cause="the way there or back is cut, its agent hangs, or the router lets no answer "
+            "pass to this identity",
+        )
+
+    async def _one(
+        self, key: str, payload: bytes, identity: str, within: float = _ANSWER_S
+    ) -> Reply | None:
+        """One answer; None for none, for one that cannot be read, and for two."""
+        answers = await self._bus.ask(key, payload, timeout=within)
+        replies: list[Reply] = [unpack(Reply, one.payload) for one in answers]
+        ours = [one for one in replies if one.id in (identity, "") and one.name == self._keys.name]
+        if len({one.boot for one in ours}) > 1:
+            raise OutcomeUnknown(
+                f"two agents are named {self._keys.name}, and both answered",
+                remedy="end one of them, and look at both aircraft",
+            )
+        if not ours:
+            return None
+        self.heard_at = self._clock()
+        return ours[0]
+
+
+def _raised(reply: Reply) -> Reply:
+    """The reply, if it is good; else raised as what it means."""
+    if reply.outcome is Outcome.OK:
+        return reply
+    error = (
+        reply.fault.error()
+        if reply.fault is not None
+        else MessageError(f"{reply.name} gave no reason")
+    )
+    kinds = {
+        Outcome.STALE_LEASE: StaleLease,
+        Outcome.NOT_ALLOWED: NotAllowed,
+        Outcome.UNKNOWN: OutcomeUnknown,
+    }
+    kind = kinds.get(reply.outcome)
+    if kind is not None and not isinstance(error, kind):
+        raise kind(error.seen, cause=error.cause, remedy=error.remedy) from error
+    raise error

@@ -1,0 +1,46 @@
+"""The clock of an agent, as a pilot knows it: from questions and answers, as NTP does."""
+
+from __future__ import annotations
+
+from collections import deque
+
+__all__ = ["AgentClock"]
+
+_KEPT = 8
+
+
+class AgentClock:
+    """What the clock of an agent shows (pure logic, times are arguments).
+
+    Of the last exchanges the one that took the shortest time is believed: it cannot be wrong by
+    more than half of that time.
+    """
+
+    def __init__(self) -> None:
+        self._exchanges: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+
+    def heard(self, asked_at: float, its: float, answered_at: float) -> None:
+        """An exchange.
+
+        Args:
+            asked_at: Own time as it was asked, s.
+            its: The agent's time in its answer, s.
+            answered_at: Own time as the answer came, s.
+        """
+        way = answered_at - asked_at
+        self._exchanges.append((way / 2, its - (asked_at + answered_at) / 2))
+
+    @property
+    def bound_s(self) -> float | None:
+        """By how much it is wrong at most; None before the first exchange."""
+        return min(self._exchanges)[0] if self._exchanges else None
+
+    def its(self, own: float) -> float:
+        """The agent's time at an own time, s.
+
+        Raises:
+            ValueError: Nothing was heard yet.
+        """
+        if not self._exchanges:
+            raise ValueError("nothing was heard of that clock")
+        return own + min(self._exchanges)[1]

@@ -1,0 +1,332 @@
+"""Control of one aircraft of a fleet: the shape of :class:`m100link.Control`, over the network.
+
+What flies, flies at the agent on board: tasks, closed loops and missions go on there as long as the
+lease is renewed. Setpoints go over the network, stamped by the agent's clock.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from types import TracebackType
+from typing import Literal, Self
+
+from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.guided import FlyTo
+from m100link.agent.lease import LeaseHeld
+from m100link.agent.messages import Ask, LeaseAsk, Message, Steer
+from m100link.agent.steering import SETPOINT_LIFETIME
+from m100link.bus.network import Bus
+from m100link.errors import (
+    FleetError,
+    M100Error,
+    OutcomeUnknown,
+    StaleLease,
+    UsageError,
+)
+from m100link.fleet.asking import Asker
+from m100link.fleet.clock import AgentClock
+from m100link.fleet.keys import Keys
+from m100link.fleet.payloads import Reply, pack_steer
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = ["MOST_CLOCK_BOUND_S", "FleetControl", "FleetHold"]
+
+_logger = logging.getLogger(__name__)
+
+MOST_CLOCK_BOUND_S = 0.1
+"""Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
+
+_RENEWAL_S = 0.5
+_LEASE_S = 3.0
+
+
+class FleetControl:
+    """Obtains the lease and control authority; to be used as ``async with``.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        asker: Asks it.
+        name: Who flies, for people.
+        stop: What is left behind: ``hover``, or ``land``.
+        take_over: Take the lease from whoever has it.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        asker: Asker,
+        name: str,
+        *,
+        stop: Literal["hover", "land"] = "hover",
+        take_over: bool = False,
+    ) -> None:
+        if stop not in ("hover", "land"):
+            raise UsageError(f"there is no stop action {stop!r}", remedy="use 'hover' or 'land'")
+        self._asker = asker
+        self._name = name
+        self._stop = stop
+        self._is_take_over = take_over
+        self._bus, self._keys = bus, keys
+        self._clock = asyncio.get_running_loop().time
+        self._agent_clock = AgentClock()
+        self._lease: Reply | None = None
+        self._renewed_at = 0.0
+        self._renewing: asyncio.Task[None] | None = None
+        self._owner: asyncio.Task[object] | None = None
+        self._lost: M100Error | None = None
+        self._refused: M100Error | None = None
+
+    # -- the block -------------------------------------------------------------------------------
+
+    @property
+    def fence(self) -> int:
+        """Number of the lease; 0 without one."""
+        return 0 if self._lease is None else self._lease.number
+
+    @property
+    def clock_bound_s(self) -> float | None:
+        """By how much the agent's clock is known, s."""
+        return self._agent_clock.bound_s
+
+    async def __aenter__(self) -> Self:
+        lease = await self._ask_lease(LeaseAction.ACQUIRE)
+        self._lease, self._renewed_at = lease, self._clock()
+        self._setpoints = self._bus.publish(self._keys.setpoint)
+        self._owner = asyncio.current_task()
+        self._renewing = asyncio.create_task(self._renew(), name="m100link: lease of a fleet")
+        try:
+            await self._do(Action.ACTIVATE)
+            await self._do(Action.OBTAIN)
+        except BaseException:
+            await self._leave()
+            raise
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        lost = self._lost
+        was_cancelled_here = lost is not None and exc_type is asyncio.CancelledError
+        try:
+            if lost is None and self._stop == "land":
+                await self.land()
+        finally:
+            await self._leave()
+        if was_cancelled_here and lost is not None and self._owner is not None:
+            self._owner.uncancel()
+            raise lost from exc
+
+    async def _leave(self) -> None:
+        if self._renewing is not None:
+            self._renewing.cancel()
+            await asyncio.gather(self._renewing, return_exceptions=True)
+        self._setpoints.close()
+        lease, self._lease = self._lease, None
+        if lease is None or self._lost is not None:
+            return
+        await self._try(LeaseAsk(0, LeaseAction.RELEASE, token=lease.token))
+
+    async def _try(self, message: Message) -> None:
+        """Ask for what happens by itself as well, only later: expiry ends setpoint and lease."""
+        try:
+            await self._asker.ask(message, patience=_LEASE_S)
+        except FleetError as error:
+            _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
+
+    # -- the lease -------------------------------------------------------------------------------
+
+    async def _ask_lease(self, action: LeaseAction, token: str = "") -> Reply:
+        asked_at = self._clock()
+        try:
+            reply = await self._asker.ask(LeaseAsk(0, action, self._name, token))
+        except LeaseHeld:
+            if not self._is_take_over or action is not LeaseAction.ACQUIRE:
+                raise
+            offer = await self._ask_lease(LeaseAction.TAKE_OVER)
+            return await self._ask_lease(LeaseAction.CONFIRM, offer.token)
+        self._agent_clock.heard(asked_at, reply.clock, self._clock())
+        return reply
+
+    async def _renew(self) -> None:
+        """Renew the lease until it is lost; then whoever flies is told."""
+        while self._lost is None and self._lease is not None:
+            await asyncio.sleep(_RENEWAL_S)
+            asked_at = self._clock()
+            try:
+                ask = LeaseAsk(0, LeaseAction.RENEW, token=self._lease.token)
+                reply = await self._asker.try_once(ask, within=_RENEWAL_S)
+            except M100Error as error:
+                self._lose(error)
+                return
+            if reply is not None:
+                self._renewed_at = self._clock()
+                self._agent_clock.heard(asked_at, reply.clock, self._renewed_at)
+                if reply.fault is not None:
+                    self._refused = reply.fault.error()
+            elif self._clock() - self._renewed_at > _LEASE_S:
+                self._lose(
+                    OutcomeUnknown(
+                        f"{self._keys.name} gave no answer for {_LEASE_S:g} s: the lease has ended",
+                        remedy="it hovers, then does what its agent was told by --lost",
+                    )
+                )
+
+    def _lose(self, error: M100Error) -> None:
+        self._lost = error
+        if self._owner is not None:
+            self._owner.cancel()
+
+    def _held(self) -> Reply:
+        """The lease.
+
+        Raises:
+            StaleLease: It has ended.
+        """
+        if self._lease is None or self._lost is not None:
+            raise StaleLease(f"{self._name} has no control of {self._keys.name}") from self._lost
+        return self._lease
+
+    # -- orders ----------------------------------------------------------------------------------
+
+    async def ask(self, message: Message) -> Reply:
+        """Ask for something under this lease; see :meth:`m100link.fleet.asking.Asker.ask`."""
+        lease = self._held()
+        return await self._asker.ask(message, fence=lease.number, token=lease.token)
+
+    async def _do(self, action: Action, *, number: int = 0, data: bytes = b"") -> Reply:
+        return await self.ask(Ask(0, action, self.fence, number, data))
+
+    async def take_off(self) -> None:
+        """Start the motors and climb to about 1.2 m; done when it is seen to be done.
+
+        Raises:
+            M100Error: As :meth:`m100link.Control.take_off`, and :class:`FleetError`.
+        """
+        await self._do(Action.TAKE_OFF)
+
+    async def land(self) -> None:
+        """Land in place and stop the motors. Raises: see :meth:`take_off`."""
+        await self._do(Action.LAND)
+
+    async def go_home(self) -> None:
+        """Fly to the home point and land. Raises: see :meth:`take_off`."""
+        await self._do(Action.GO_HOME)
+
+    async def fly_to(
+        self,
+        *,
+        latitude_deg: float,
+        longitude_deg: float,
+        height: float,
+        speed: float = 5.0,
+        yaw_deg: float | None = None,
+    ) -> None:
+        """Fly straight to a place and hover there; the loop is closed on board.
+
+        Args:
+            latitude_deg: WGS 84.
+            longitude_deg: WGS 84.
+            height: Metres above the take-off point.
+            speed: Horizontally, at most, m/s up to 10.
+            yaw_deg: Heading to fly with, °; None for the present one.
+
+        Raises:
+            M100Error: As :meth:`m100link.Control.fly_to`, and :class:`FleetError`.
+        """
+        place = FlyTo(latitude_deg, longitude_deg, height, speed, yaw_deg)
+        await self.ask(replace(place, fence=self.fence))
+
+    async def stop(self) -> None:
+        """Stop whatever happens; needs no lease."""
+        await self._asker.ask(Ask(0, Action.STOP))
+
+    # -- setpoints -------------------------------------------------------------------------------
+
+    def send(self, setpoint: Setpoint, *, lifetime: float = SETPOINT_LIFETIME) -> None:
+        """Send a setpoint once. It flies until it is renewed or expires; then the aircraft brakes.
+
+        Args:
+            setpoint: What to fly.
+            lifetime: Seconds that it lasts at the agent, at most 1.
+
+        Raises:
+            StaleLease: Control is lost.
+            GuardRefused, NoAuthority, UsageError: The agent did not fly one of those before.
+            UsageError: The agent's clock is not known well enough to say how old a setpoint is.
+        """
+        lease = self._held()
+        refused, self._refused = self._refused, None
+        if refused is not None:
+            raise refused
+        bound = self._agent_clock.bound_s
+        if bound is None or bound > MOST_CLOCK_BOUND_S:
+            raise UsageError(
+                f"the clock of {self._keys.name} is not known to {MOST_CLOCK_BOUND_S:g} s",
+                cause="the way there and back takes too long for setpoints",
+                remedy="fly by tasks and fly_to(), whose loops are closed on board",
+            )
+        steer = Steer(lease.number, self._agent_clock.its(self._clock()), lifetime, setpoint)
+        self._setpoints.put(pack_steer(steer, lease.token))
+
+    @asynccontextmanager
+    async def hold(self, setpoint: Setpoint, *, rate_hz: float = 20.0) -> AsyncIterator[FleetHold]:
+        """A task keeps sending a setpoint while the block runs, and the neutral at its end.
+
+        Args:
+            setpoint: The first one; :meth:`FleetHold.set` gives another one.
+            rate_hz: Times a second, at least 10 so that one may be lost.
+
+        Raises: as :meth:`send`.
+        """
+        hold = FleetHold(setpoint)
+        self.send(setpoint)
+        owner = asyncio.current_task()
+        failed: list[M100Error] = []
+
+        async def keep() -> None:
+            try:
+                while True:
+                    await asyncio.sleep(1 / rate_hz)
+                    self.send(hold.setpoint)
+            except M100Error as error:
+                if self._lost is None and owner is not None:  # else the block is ended already
+                    failed.append(error)
+                    owner.cancel()
+
+        keeping = asyncio.create_task(keep(), name="m100link: setpoints of a fleet")
+        try:
+            yield hold
+        except asyncio.CancelledError:
+            if not failed or owner is None:
+                raise
+            owner.uncancel()
+            raise failed[0] from None
+        finally:
+            keeping.cancel()
+            await asyncio.gather(keeping, return_exceptions=True)
+            if self._lost is None:
+                await self._try(Ask(0, Action.HALT, text=f"{self._name} ended a hold"))
+
+
+class FleetHold:
+    """The setpoint that is held.
+
+    Attributes:
+        setpoint: That one.
+    """
+
+    def __init__(self, setpoint: Setpoint) -> None:
+        self.setpoint = setpoint
+
+    def set(self, setpoint: Setpoint) -> None:
+        """Hold another one from now on."""
+        self.setpoint = setpoint

@@ -1,0 +1,105 @@
+"""The keys of a fleet: ``m100/<site>/<name>/<what>``, written in one place."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from m100link.errors import UsageError
+
+__all__ = ["DEFAULT_SITE", "Keys", "check_name", "name_in"]
+
+DEFAULT_SITE = "site"
+
+_WORD = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
+
+
+def check_name(name: str, what: str = "aircraft") -> str:
+    """The name, if it can be a word of a key.
+
+    Raises:
+        UsageError: It cannot.
+    """
+    if not _WORD.fullmatch(name):
+        raise UsageError(
+            f"{name!r} cannot be the name of a {what}",
+            remedy="use 1 to 32 letters, digits, - and _, and begin with a letter or a digit",
+        )
+    return name
+
+
+def name_in(key: str) -> str:
+    """The name of the aircraft in a key of :class:`Keys`; empty in any other."""
+    words = key.split("/")
+    return words[2] if len(words) > 3 and words[0] == "m100" else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of one aircraft, or with ``*`` for its name those of all.
+
+    Attributes:
+        site: Where it flies.
+        name: Which one.
+    """
+
+    site: str = DEFAULT_SITE
+    name: str = "*"
+
+    def __post_init__(self) -> None:
+        check_name(self.site, "site")
+        if self.name != "*":
+            check_name(self.name)
+
+    def of(self, what: str) -> str:
+        """The key of one thing of it."""
+        return f"m100/{self.site}/{self.name}/{what}"
+
+    @property
+    def live(self) -> str:
+        """Token: there as long as the agent is."""
+        return self.of("live")
+
+    @property
+    def telemetry(self) -> str:
+        """Every package, as it came; sent while somebody listens."""
+        return self.of("tel")
+
+    @property
+    def thinned(self) -> str:
+        """What suffices for each item five times a second."""
+        return self.of("tel/5hz")
+
+    @property
+    def state(self) -> str:
+        """Where the agent stands: told once a second, and answered."""
+        return self.of("state")
+
+    @property
+    def event(self) -> str:
+        """What happens."""
+        return self.of("event")
+
+    @property
+    def command(self) -> str:
+        """Orders are asked here."""
+        return self.of("cmd")
+
+    @property
+    def lease(self) -> str:
+        """Whatever is wanted of the lease is asked here."""
+        return self.of("lease")
+
+    @property
+    def setpoint(self) -> str:
+        """Setpoints are sent here."""
+        return self.of("setpoint")
+
+    @property
+    def log(self) -> str:
+        """Pieces of flight logs are asked here."""
+        return self.of("log")
+
+    def status(self, identity: str = "*") -> str:
+        """What became of an order is asked here."""
+        return self.of(f"status/{identity}")

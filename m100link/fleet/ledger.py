@@ -1,0 +1,171 @@
+"""What an agent must know after it was killed: ids of orders that were begun, and its fence.
+
+One line of JSON for each in a file that only grows while the agent runs, written through to the
+disk before what it says happens, in a thread: a disk that hangs holds up no setpoint.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from m100link.errors import UsageError
+from m100link.fleet.book import KEPT_S
+
+__all__ = ["FENCES_AT_ONCE", "FileLedger", "Ledger", "MemoryLedger"]
+
+FENCES_AT_ONCE = 1000
+"""Numbers of leases that are reserved at once: an agent that begins anew starts above them."""
+
+
+class Ledger(Protocol):
+    """What is kept.
+
+    Attributes:
+        begun: Orders that were begun lately, and when, POSIX time, s.
+        leases_before: The greatest number that a lease may have had.
+    """
+
+    begun: dict[str, float]
+    leases_before: int
+
+    async def begin(self, identity: str, at: float) -> None:
+        """Keep that an order begins; done when it is kept.
+
+        Raises:
+            UsageError: It cannot be kept.
+        """
+
+    async def granted(self, fence: int) -> None:
+        """Keep that a lease has this number; done when no later agent can grant it again.
+
+        Raises:
+            UsageError: It cannot be kept.
+        """
+
+
+class MemoryLedger:
+    """Kept as long as the process lives: for virtual aircraft and tests.
+
+    Args:
+        before: Of the agent before.
+    """
+
+    def __init__(self, before: MemoryLedger | None = None) -> None:
+        self.begun: dict[str, float] = {} if before is None else before.begun
+        self.leases_before: int = 0 if before is None else before.leases_before + FENCES_AT_ONCE
+
+    async def begin(self, identity: str, at: float) -> None:
+        """Keep that an order begins."""
+        self.begun[identity] = at
+
+    async def granted(self, fence: int) -> None:
+        """Whoever takes this over begins above what was reserved."""
+
+
+class FileLedger:
+    """Kept in a file, of which one process at a time is the owner.
+
+    Args:
+        path: The file; its folder is made.
+        utc: POSIX time, s.
+
+    Raises:
+        UsageError: It cannot be read or written, or another agent has it.
+    """
+
+    def __init__(self, path: Path, utc: Callable[[], float]) -> None:
+        self._path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self.begun, self.leases_before = self._read(utc())
+            self._reserved = self.leases_before + FENCES_AT_ONCE
+            self._rewrite()
+            self._file = path.open("a", encoding="ascii")
+        except OSError as error:
+            raise _failed(path, error) from error
+        self._writing = asyncio.Lock()
+
+    def _read(self, now: float) -> tuple[dict[str, float], int]:
+        begun: dict[str, float] = {}
+        fence = 0
+        try:
+            lines = self._path.read_text("ascii", "replace").splitlines()
+        except FileNotFoundError:
+            return begun, fence
+        for line in lines:
+            try:
+                kept = json.loads(line)
+            except ValueError:
+                continue  # cut off by the loss of power as it was written: it had not begun
+            if isinstance(kept, dict) and type(kept.get("fence")) is int:
+                fence = max(fence, kept["fence"])
+            elif isinstance(kept, dict) and isinstance(kept.get("at"), int | float):
+                begun[str(kept.get("id"))] = float(kept["at"])
+        # A clock that was set back must not make them young again; one that jumped forgets none
+        # that a caller still asks for, for callers go by clocks of their own.
+        return {one: at for one, at in begun.items() if now - at < KEPT_S}, fence
+
+    def _rewrite(self) -> None:
+        """What is still needed, and the numbers that this run may give to leases."""
+        lines = [json.dumps({"fence": self._reserved})]
+        lines += [json.dumps({"id": one, "at": at}) for one, at in self.begun.items()]
+        folder = self._path.parent
+        with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="ascii") as new:
+            new.write("".join(f"{line}\n" for line in lines))
+            new.flush()
+            os.fsync(new.fileno())
+        Path(new.name).replace(self._path)
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+    async def begin(self, identity: str, at: float) -> None:
+        """Keep that an order begins; done when the disk has it.
+
+        Raises:
+            UsageError: The disk does not take it.
+        """
+        self.begun[identity] = at
+        await self._write({"id": identity, "at": at})
+
+    async def granted(self, fence: int) -> None:
+        """Keep that a lease has this number; most need no word, for they are reserved.
+
+        Raises:
+            UsageError: The disk does not take it.
+        """
+        if fence >= self._reserved:
+            self._reserved = fence + FENCES_AT_ONCE
+            await self._write({"fence": self._reserved})
+
+    async def _write(self, kept: dict[str, object]) -> None:
+        async with self._writing:
+            try:
+                await asyncio.to_thread(self._append, json.dumps(kept))
+            except OSError as error:
+                raise _failed(self._path, error) from error
+
+    def _append(self, line: str) -> None:
+        self._file.write(f"{line}\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def _failed(path: Path, error: OSError) -> UsageError:
+    return UsageError(
+        f"{path}: {error.strerror or error}",
+        cause="without it an order could be carried out twice after the agent was killed",
+        remedy="let it be written, or name another folder by --ledger",
+    )

@@ -1,0 +1,218 @@
+"""What an agent on board does when somebody of the fleet asks for it.
+
+Stop, hover and landing need no lease and wait for nobody. Everything else that moves the aircraft
+comes under the lease in force, and with the proof of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+
+from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.client import AgentClient
+from m100link.agent.fault import Fault, MessageError, fault_of
+from m100link.agent.guided import GuidedOrder
+from m100link.agent.lease import Lease, LeaseHeld
+from m100link.agent.messages import Ask, LeaseAsk, Message
+from m100link.errors import M100Error, StaleLease
+from m100link.fleet.ledger import Ledger
+from m100link.fleet.payloads import Order
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import FlightPhase, FlightStatus
+
+__all__ = ["Done", "Orders", "is_kept"]
+
+_RENEWAL_S = 0.5
+_STATUS_S = 2.5
+_UNKEPT = (Action.STOP, Action.HALT, Action.LAND, Action.VERSION)
+"""What is begun without a word to the ledger: it must not wait for a disk, or moves nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What an order gave.
+
+    Attributes:
+        text: Where it is a text.
+        number: Where it is a number.
+        token: Proof of a lease.
+        fault: Why the last setpoint was not flown.
+    """
+
+    text: str = ""
+    number: int = 0
+    token: str = field(default="", repr=False)
+    fault: Fault | None = None
+
+
+def is_kept(message: Message) -> bool:
+    """Whether the ledger has to know before it begins: twice would be once too often."""
+    if isinstance(message, Ask):
+        return message.action not in _UNKEPT
+    return isinstance(message, GuidedOrder)
+
+
+class Orders:
+    """Carries orders out.
+
+    Args:
+        client: What knows the agent.
+        ledger: What is kept.
+
+    Attributes:
+        tokens: Secrets of the leases in force that were granted to the fleet, by number.
+        refused: Why the last setpoint was not flown; told when the lease is renewed.
+    """
+
+    def __init__(self, client: AgentClient, ledger: Ledger) -> None:
+        self._client = client
+        self._ledger = ledger
+        self.tokens: dict[int, str] = {}
+        self.refused: M100Error | None = None
+        # A landing that nobody has to hold a lease for, and that all who ask for it wait for.
+        self._descent: asyncio.Task[None] | None = None
+        self._doing: dict[LeaseAction, Callable[[Order, LeaseAsk], Awaitable[Done]]] = {
+            LeaseAction.ACQUIRE: self._acquire,
+            LeaseAction.RENEW: self._renew,
+            LeaseAction.RELEASE: self._release,
+            LeaseAction.TAKE_OVER: self._take_over,
+            LeaseAction.CONFIRM: self._confirm,
+        }
+        client.on_lease.append(lambda _: self._forget())
+
+    def _forget(self) -> None:
+        """Leases that have ended are of no use."""
+        number = self._client.holder.number
+        self.tokens = {one: token for one, token in self.tokens.items() if one >= number > 0}
+
+    async def carry_out(self, order: Order, message: Message) -> Done:
+        """Do what is asked for.
+
+        Raises:
+            StaleLease: It needs the lease, and came without.
+            MessageError: That is nothing to be asked for.
+            M100Error: As the agent tells.
+        """
+        client = self._client
+        if isinstance(message, LeaseAsk):
+            return await self._doing[message.action](order, message)
+        if isinstance(message, GuidedOrder):
+            await client.guide(self._lease_of(order), message)
+            return Done()
+        if not isinstance(message, Ask):
+            raise MessageError(f"{type(message).__name__} is no order")
+        if message.action is Action.STOP:
+            await client.stop()
+            return Done()
+        if message.action is Action.HALT:
+            client.halt(message.text or f"{order.by}: hover", self._lease_if_any(order))
+            return Done()
+        if message.action is Action.LAND and not order.fence:
+            await self.descend(Task.LAND, f"landing for {order.by}")
+            return Done()
+        lease = None if message.action is Action.VERSION else self._lease_of(order)
+        if message.action is Action.ACTIVATE and client.state.is_activated:
+            return Done()
+        outcome = await client.ask(message.action, lease, number=message.number, data=message.data)
+        return Done(outcome.text, outcome.number)
+
+    # -- the lease -------------------------------------------------------------------------------
+
+    def _lease_if_any(self, order: Order) -> Lease | None:
+        token = self.tokens.get(order.fence)
+        is_ours = token is not None and order.fence == self._client.holder.number
+        if token is None or not is_ours or not order.proves(token):
+            return None
+        return Lease(self._client.holder.name, token, order.fence)
+
+    def _lease_of(self, order: Order) -> Lease:
+        lease = self._lease_if_any(order)
+        if lease is None:
+            holder = self._client.holder
+            who = f"; {holder.name} has control" if holder.number else "; nobody has control"
+            raise StaleLease(f"lease {order.fence} is not in force{who}")
+        return lease
+
+    async def _grant(self, lease: Lease) -> Done:
+        self.tokens[lease.number] = lease.token
+        await self._ledger.granted(lease.number)
+        return Done(lease.name, lease.number, lease.token)
+
+    async def _acquire(self, order: Order, ask: LeaseAsk) -> Done:
+        return await self._grant(await self._client.acquire(order.by))
+
+    async def _renew(self, order: Order, ask: LeaseAsk) -> Done:
+        lease = await self._client.renew(ask.token)
+        refused, self.refused = self.refused, None
+        return Done(lease.name, lease.number, fault=fault_of(refused))
+
+    async def _release(self, order: Order, ask: LeaseAsk) -> Done:
+        await self._client.release_lease(ask.token)
+        return Done()
+
+    async def _take_over(self, order: Order, ask: LeaseAsk) -> Done:
+        offer = await self._client.ask_take_over(order.by)
+        return Done(offer.from_name, offer.number, offer.token)
+
+    async def _confirm(self, order: Order, ask: LeaseAsk) -> Done:
+        return await self._grant(await self._client.confirm(ask.token))
+
+    # -- down ------------------------------------------------------------------------------------
+
+    @property
+    def phase(self) -> FlightPhase | None:
+        """What the aircraft says of being on the ground or in the air; None when nobody knows."""
+        telemetry = self._client.telemetry
+        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
+        return None if status is None else status.phase
+
+    async def descend(self, task: Task, who: str) -> None:
+        """Land, here or at home, whoever has the lease: it is taken over for that long.
+
+        Who asks while the aircraft lands already waits for the same landing.
+
+        Raises:
+            M100Error: As :meth:`m100link.agent.client.AgentClient.fly`.
+        """
+        if self.phase is FlightPhase.STANDBY:
+            return  # it is where it is wanted
+        if self._descent is None or self._descent.done():
+            self._descent = self._client.background.spawn(self._descended(task, who), who)
+        await asyncio.shield(self._descent)
+
+    async def _descended(self, task: Task, who: str) -> None:
+        client = self._client
+        lease = await self._seize(who)
+        async with self._kept(lease):
+            if not client.state.is_activated:
+                await client.activate(lease)
+            await client.obtain(lease)
+            await client.fly(lease, task)
+
+    async def _seize(self, who: str) -> Lease:
+        client = self._client
+        try:
+            lease = await client.acquire(who)
+        except LeaseHeld:
+            offer = await client.ask_take_over(who)
+            lease = await client.confirm(offer.token)
+        await self._ledger.granted(lease.number)
+        return lease
+
+    @asynccontextmanager
+    async def _kept(self, lease: Lease) -> AsyncIterator[None]:
+        async def keep() -> None:
+            while True:
+                self._client.keep(lease)
+                await asyncio.sleep(_RENEWAL_S)
+
+        keeping = self._client.background.spawn(keep(), "lease of a landing")
+        try:
+            yield
+        finally:
+            keeping.cancel()
+            if self._client.holds(lease):
+                self._client.let_go(lease)

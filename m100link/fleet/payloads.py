@@ -1,0 +1,256 @@
+"""The bytes of a fleet: a version, and the messages of agent and front as they are.
+
+The first byte of every payload is :data:`VERSION`; who reads another one says so and reads no more.
+Behind it telemetry, events and setpoints are the messages of :mod:`m100link.agent.messages`, by
+:mod:`m100link.agent.message_bytes`. What a fleet adds is in three values: :class:`Order` around a
+message that asks for something, :class:`Reply`, and :class:`Card`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any
+
+from m100link.agent.codec import BadValue, Fields
+from m100link.agent.fault import Fault, MessageError
+from m100link.agent.message_bytes import decode, encode
+from m100link.agent.messages import Message, Steer
+from m100link.fleet.outcome import Outcome
+
+__all__ = [
+    "VERSION",
+    "Card",
+    "Order",
+    "Progress",
+    "Reply",
+    "pack",
+    "pack_steer",
+    "unpack",
+    "unpack_message",
+    "unpack_steer",
+]
+
+VERSION = 1
+"""Of these payloads."""
+
+_PROOF = 16
+_MOST = 64 * 1024
+
+
+class Progress(Enum):
+    """How far an order is, as its agent knows."""
+
+    DONE = "done"  # the outcome stands beside it
+    RUNNING = "running"
+    NEVER = "never"  # this id was not seen by this agent, nor by one of its name before
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """Something is asked of one aircraft.
+
+    Attributes:
+        id: Chosen by who asks, 32 hex digits. An order is carried out once for each id.
+        aircraft: For which one it is meant.
+        by: Who asks, for people; what a signature proves is in :attr:`signer`.
+        fence: Number of the lease that it is asked under; 0 for none.
+        at: When it was made, POSIX time, s.
+        message: The agent's message, by :mod:`m100link.agent.message_bytes`.
+        proof: That whoever asks has the lease; empty without one.
+        signer: Whose signature it is; empty for none.
+        signature: Over :meth:`signed`; empty for none.
+    """
+
+    id: str
+    aircraft: str
+    by: str
+    fence: int
+    at: float
+    message: bytes
+    proof: bytes = b""
+    signer: str = ""
+    signature: bytes = b""
+
+    def signed(self) -> bytes:
+        """What proof and signature are over: everything that must not be changed on the way."""
+        head = json.dumps([self.id, self.aircraft, self.by, self.fence, self.at, self.signer])
+        return head.encode() + b"\n" + self.message
+
+    def under(self, token: str) -> Order:
+        """The order with the proof that whoever asks has the lease."""
+        return replace(self, proof=_proof(token, self.signed()))
+
+    def proves(self, token: str) -> bool:
+        """Whether the proof is one of this lease."""
+        return hmac.compare_digest(self.proof, _proof(token, self.signed()))
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What an agent says of an order.
+
+    Attributes:
+        id: Of the order.
+        name: The aircraft.
+        boot: Which run of its agent this is.
+        progress: How far it is.
+        outcome: What became of it; means something when it is done.
+        fault: Why it is not ``ok``.
+        text: What was asked for, where that is a text.
+        number: What was asked for, where that is a number.
+        token: Proof of a lease, for whoever got it and nobody else.
+        clock: The agent's own clock, s; setpoints are stamped by it.
+        is_repeated: The order had been heard before.
+    """
+
+    id: str
+    name: str
+    boot: str
+    progress: Progress
+    outcome: Outcome = Outcome.UNKNOWN
+    fault: Fault | None = None
+    text: str = ""
+    number: int = 0
+    token: str = field(default="", repr=False)
+    clock: float = 0.0
+    is_repeated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """Where an agent stands, for a list.
+
+    Attributes:
+        name: The aircraft.
+        boot: Which run of its agent this is.
+        at: When, POSIX time, s.
+        connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
+        fault: Why it is not connected.
+        firmware: Firmware profile; empty when not connected.
+        holder: Who has the lease; empty for nobody.
+        fence: Number of the lease; 0 for none.
+        has_authority: Whether the aircraft obeys the agent.
+        task: What it flies by itself, or what flies it; empty for nothing.
+        phase: Whether it is on the ground or in the air, in words; empty when nobody knows.
+        height_m: Above the take-off point; None when nobody knows.
+        latitude_deg: None when nobody knows.
+        longitude_deg: Likewise.
+        battery_percent: Likewise.
+        lost: What happens when whoever flies is lost: ``"hover"``, ``"land"`` or ``"home"``.
+        lost_after: Seconds until then.
+        version: Of its program.
+    """
+
+    name: str
+    boot: str
+    at: float
+    connection: str = "connecting"
+    fault: Fault | None = None
+    firmware: str = ""
+    holder: str = ""
+    fence: int = 0
+    has_authority: bool = False
+    task: str = ""
+    phase: str = ""
+    height_m: float | None = None
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    battery_percent: int | None = None
+    lost: str = "hover"
+    lost_after: float = 10.0
+    version: str = ""
+
+
+Value = Order | Reply | Card
+
+_FIELDS: dict[type[Any], Fields] = {kind: Fields(kind) for kind in (Order, Reply, Card)}
+
+
+def _proof(token: str, data: bytes) -> bytes:
+    return hmac.new(token.encode(), data, hashlib.sha256).digest()[:_PROOF]
+
+
+def pack(value: Value | Message) -> bytes:
+    """The bytes of a value of a fleet, or of a message of the agent.
+
+    Raises:
+        MessageError: It cannot be written.
+    """
+    fields = _FIELDS.get(type(value))
+    if fields is None:
+        return bytes([VERSION]) + encode(value)  # type: ignore[arg-type] # all others are messages
+    try:
+        text = json.dumps(fields.write(value), separators=(",", ":"))
+    except BadValue as error:
+        raise MessageError(f"{type(value).__name__} cannot be sent: {error}") from None
+    return bytes([VERSION]) + text.encode()
+
+
+def _body(payload: bytes) -> bytes:
+    if not payload or len(payload) > _MOST:
+        raise MessageError(f"{len(payload)} bytes are no payload of a fleet")
+    if payload[0] != VERSION:
+        raise MessageError(
+            f"it speaks version {payload[0]} of the fleet's messages, this side {VERSION}",
+            cause="an old agent and a new pilot, or the other way round",
+            remedy="install the same release on both",
+        )
+    return payload[1:]
+
+
+def unpack(kind: type[Any], payload: bytes) -> Any:
+    """The value of these bytes.
+
+    Args:
+        kind: :class:`Order`, :class:`Reply` or :class:`Card`.
+        payload: The bytes.
+
+    Raises:
+        MessageError: They are none of that kind, or of another version.
+    """
+    body = _body(payload)
+    try:
+        return _FIELDS[kind].read(json.loads(body))
+    except BadValue as error:
+        raise MessageError(f"not a {kind.__name__}: {error}") from None
+    except (ValueError, RecursionError):
+        raise MessageError(f"not a {kind.__name__}: this is not JSON") from None
+
+
+def unpack_message(payload: bytes) -> Message:
+    """The agent's message in these bytes.
+
+    Raises:
+        MessageError: There is none, or of another version.
+    """
+    return decode(_body(payload))
+
+
+def pack_steer(steer: Steer, token: str) -> bytes:
+    """The bytes of a setpoint, with the proof that whoever sends it has the lease."""
+    data = encode(steer)
+    return bytes([VERSION]) + _proof(token, data) + data
+
+
+def unpack_steer(payload: bytes, token_of: dict[int, str]) -> Steer | None:
+    """The setpoint in these bytes; None when the lease that it names is not proved.
+
+    Args:
+        payload: The bytes.
+        token_of: Secrets of the leases that were granted, by their numbers.
+
+    Raises:
+        MessageError: They are none.
+    """
+    body = _body(payload)
+    proof, data = body[:_PROOF], body[_PROOF:]
+    steer = decode(data)
+    if not isinstance(steer, Steer):
+        raise MessageError(f"{type(steer).__name__} is no setpoint")
+    token = token_of.get(steer.fence)
+    is_proved = token is not None and hmac.compare_digest(proof, _proof(token, data))
+    return steer if is_proved else None

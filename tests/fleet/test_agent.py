@@ -1,0 +1,279 @@
+"""The agent on board: what it tells, what it does once, and whose setpoints fly."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import replace
+
+import anyio
+import pytest
+
+from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.message_bytes import encode
+from m100link.agent.messages import Ask, Event, LeaseAsk, Message, Steer, Telemetry
+from m100link.errors import NotAllowed, UsageError
+from m100link.fleet.agent import FleetAgent
+from m100link.fleet.keys import Keys
+from m100link.fleet.ledger import MemoryLedger
+from m100link.fleet.outcome import Outcome
+from m100link.fleet.payloads import (
+    Card,
+    Order,
+    Progress,
+    Reply,
+    pack,
+    pack_steer,
+    unpack,
+    unpack_message,
+)
+from m100link.protocol.setpoint import Setpoint
+from tests.fleet.conftest import SITE, OnBoard, Rig, with_camera
+
+pytestmark = pytest.mark.anyio
+
+KEYS = Keys(SITE, "a1")
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+def order(message: Message, fence: int = 0, token: str = "") -> Order:
+    made = Order(uuid.uuid4().hex, "a1", "by hand", fence, 1.8e9, encode(message))
+    return made.under(token) if token else made
+
+
+async def send(rig: Rig, what: Order, key: str = KEYS.command) -> Reply:
+    """One question, and until it is over what became of it."""
+    bus = rig.network.session()
+    [answer] = await bus.ask(key, pack(what), timeout=2.0)
+    reply: Reply = unpack(Reply, answer.payload)
+    while reply.progress is Progress.RUNNING:
+        [answer] = await bus.ask(KEYS.status(what.id), timeout=2.0)
+        reply = unpack(Reply, answer.payload)
+    return reply
+
+
+async def lease(rig: Rig) -> Reply:
+    return await send(rig, order(LeaseAsk(0, LeaseAction.ACQUIRE)), KEYS.lease)
+
+
+async def in_the_air(rig: Rig, one: OnBoard) -> Reply:
+    """The lease, kept as long as it is in force; the aircraft hovers."""
+    got = await lease(rig)
+
+    async def keeping() -> None:
+        while (await keep(rig, got)).outcome is Outcome.OK:  # noqa: ASYNC110 - each is a question
+            await anyio.sleep(0.5)
+
+    one.agent.background.spawn(keeping(), "a pilot")
+    for action in (Action.ACTIVATE, Action.OBTAIN, Action.TAKE_OFF):
+        reply = await send(rig, order(Ask(0, action), got.number, got.token))
+        assert reply.outcome is Outcome.OK
+    return got
+
+
+async def keep(rig: Rig, got: Reply) -> Reply:
+    return await send(rig, order(LeaseAsk(0, LeaseAction.RENEW, token=got.token)), KEYS.lease)
+
+
+async def test_telemetry_is_the_wire_value_thinned_and_whole_for_who_listens(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    seen: dict[str, list[Telemetry]] = {KEYS.thinned: [], KEYS.telemetry: []}
+    sent: list[bytes] = []
+
+    def take(key: str, payload: bytes) -> None:
+        message = unpack_message(payload)
+        assert isinstance(message, Telemetry)
+        seen[key].append(message)
+
+    bus = rig.network.session()
+    bus.subscribe(KEYS.thinned, take)
+    one.agent.connection.on_sample.append(lambda sample: sent.append(sample.value))
+    await anyio.sleep(10.0)
+    assert not seen[KEYS.telemetry], "nobody listens"
+    assert 45 <= len(seen[KEYS.thinned]) <= 110
+    assert {message.value for message in seen[KEYS.thinned]} <= set(sent)
+    held = bus.subscribe(KEYS.telemetry, take)
+    sent.clear()
+    await anyio.sleep(2.0)
+    held.close()
+    assert [message.value for message in seen[KEYS.telemetry]] == sent
+    assert len(sent) > 90
+
+
+async def test_state_is_told_and_answered_and_events_are_told(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    bus, cards, events = rig.network.session(), [], []
+    bus.subscribe(KEYS.state, lambda _, payload: cards.append(unpack(Card, payload)))
+    bus.subscribe(KEYS.event, lambda _, payload: events.append(unpack_message(payload)))
+    await anyio.sleep(5.0)
+    assert 4 <= len(cards) <= 6
+    [answer] = await bus.ask(Keys(SITE).state, timeout=1.0)
+    assert answer.key == KEYS.state
+    card: Card = unpack(Card, answer.payload)
+    assert (card.name, card.connection, card.phase) == ("a1", "connected", "standby")
+    assert card.battery_percent == 100
+    one.agent.journal.note("something happened")
+    await anyio.sleep(0.1)
+    assert isinstance(events[-1], Event)
+    assert events[-1].text == "something happened"
+
+
+async def test_an_order_that_comes_twice_is_carried_out_once(rig: Rig) -> None:
+    one = await rig.aircraft("a1", virtual=with_camera())
+    await one.agent.activate()
+    got = await lease(rig)
+    photo = order(Ask(0, Action.TAKE_PHOTO), got.number, got.token)
+    first = await send(rig, photo)
+    await anyio.sleep(1.0)
+    second = await send(rig, photo)
+    assert first.outcome is Outcome.OK, first
+    assert (first.outcome, second.outcome) == (Outcome.OK, Outcome.OK)
+    assert (first.is_repeated, second.is_repeated) == (False, True)
+    assert one.aircraft.vehicle.camera.photos == 1
+    await send(rig, order(Ask(0, Action.TAKE_PHOTO), got.number, got.token))
+    assert one.aircraft.vehicle.camera.photos == 2
+
+
+async def test_after_a_restart_what_had_begun_is_unknown_and_not_done_again(rig: Rig) -> None:
+    ledger = MemoryLedger()
+    task = order(Ask(0, Action.TAKE_OFF))
+    await ledger.begin(task.id, 1.0)
+    await rig.aircraft("a1", ledger=MemoryLedger(ledger))
+    reply = await send(rig, task)
+    assert reply.outcome is Outcome.UNKNOWN
+    [answer] = await rig.network.session().ask(KEYS.status(task.id), timeout=1.0)
+    assert unpack(Reply, answer.payload).outcome is Outcome.UNKNOWN
+
+
+async def test_what_was_never_heard_is_told_as_that(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    [answer] = await rig.network.session().ask(KEYS.status("ab" * 16), timeout=1.0)
+    assert unpack(Reply, answer.payload).progress is Progress.NEVER
+
+
+async def test_movement_needs_the_lease_and_its_proof(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    assert (await send(rig, order(Ask(0, Action.TAKE_OFF)))).outcome is Outcome.STALE_LEASE
+    got = await lease(rig)
+    for fence, token in ((got.number, "guessed"), (got.number, ""), (got.number + 1, got.token)):
+        reply = await send(rig, order(Ask(0, Action.OBTAIN), fence, token))
+        assert reply.outcome is Outcome.STALE_LEASE
+    changed = replace(
+        order(Ask(0, Action.GO_HOME), got.number, got.token), message=encode(Ask(0, Action.OBTAIN))
+    )
+    assert (await send(rig, changed)).outcome is Outcome.STALE_LEASE
+
+
+async def test_stop_and_landing_need_no_lease_and_a_landing_is_shared(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+    replies: list[Outcome] = []
+
+    async def land() -> None:
+        replies.append((await send(rig, order(Ask(0, Action.LAND)))).outcome)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(land)
+        await anyio.sleep(1.0)
+        group.start_soon(land)
+        assert (await keep(rig, got)).outcome is Outcome.STALE_LEASE
+    assert replies == [Outcome.OK, Outcome.OK]
+    assert one.height < 0.1
+    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK, "it is down"
+
+
+async def test_fences_rise_over_a_restart(rig: Rig) -> None:
+    ledger = MemoryLedger()
+    one = await rig.aircraft("a1", ledger=ledger)
+    before = await lease(rig)
+    one.work.cancel()
+    await anyio.sleep(0.1)
+    await rig.aircraft("a1", ledger=MemoryLedger(ledger))
+    after = await lease(rig)
+    assert after.number > before.number
+
+
+# -- setpoints ------------------------------------------------------------------------------------
+
+
+async def fly(one: OnBoard, got: Reply, seconds: float, *, age: float = 0.0, by: int = 0) -> None:
+    outlet = one.rig.network.session().publish(KEYS.setpoint)
+    for _ in range(round(20 * seconds)):
+        steer = Steer(got.number + by, one.client.now - age, 0.2, NORTH)
+        outlet.put(pack_steer(steer, got.token))
+        await anyio.sleep(0.05)
+
+
+async def test_setpoints_of_the_holder_fly(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    await fly(one, got, 3.0)
+    assert one.speed > 2.5
+    assert not one.fleet_agent.dropped
+
+
+@pytest.mark.parametrize(
+    ("reason", "more"),
+    [
+        ("late", {"age": 0.25}),
+        ("late", {"age": -0.25}),
+        ("stale", {"by": 1}),
+        ("stale", {"by": -1}),
+    ],
+)
+async def test_setpoints_that_are_old_or_of_another_lease_do_not(
+    rig: Rig, reason: str, more: dict[str, float]
+) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    await fly(one, got, 3.0, **more)  # type: ignore[arg-type] # parameters of the test
+    assert one.speed < 0.3
+    assert one.fleet_agent.dropped == {reason: 60}
+
+
+async def test_a_setpoint_flies_once_and_not_after_a_newer_one(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    outlet = rig.network.session().publish(KEYS.setpoint)
+    old = pack_steer(Steer(got.number, one.client.now, 0.2, NORTH), got.token)
+    await anyio.sleep(0.05)
+    new = pack_steer(Steer(got.number, one.client.now, 0.2, NORTH), got.token)
+    for payload in (new, old, new, b"\x01junk"):
+        outlet.put(payload)
+    await anyio.sleep(0.1)
+    assert one.fleet_agent.dropped == {"repeated": 2, "damaged": 1}
+
+
+# -- who may, and who is there --------------------------------------------------------------------
+
+
+async def test_an_order_for_another_aircraft_and_one_that_is_not_admitted(rig: Rig) -> None:
+    def verify(one: Order) -> None:
+        if one.by == "stranger":
+            raise NotAllowed("stranger may not")
+
+    await rig.aircraft("a1", verify=verify)
+    for what in (
+        replace(order(Ask(0, Action.STOP)), aircraft="a2"),
+        replace(order(Ask(0, Action.STOP)), by="stranger"),
+    ):
+        reply = await send(rig, what)
+        assert reply.outcome is Outcome.NOT_ALLOWED
+    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+
+
+async def test_what_cannot_be_read_is_answered(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    for payload in (b"", b"\x01{}", b"\x02" + pack(order(Ask(0, Action.STOP)))[1:]):
+        [answer] = await rig.network.session().ask(KEYS.command, payload, timeout=1.0)
+        reply: Reply = unpack(Reply, answer.payload)
+        assert reply.outcome is Outcome.REFUSED
+        assert reply.fault is not None
+
+
+async def test_two_agents_of_one_name_are_refused(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    await anyio.sleep(0.1)
+    twin = FleetAgent(one.client, rig.network.session(), KEYS, MemoryLedger())
+    with pytest.raises(UsageError, match="there already"):
+        await twin.require_alone()

@@ -1,0 +1,82 @@
+"""Silence is no answer: orders through a network that loses, repeats, delays and reorders."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import anyio
+import pytest
+
+from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.messages import Ask, LeaseAsk, Message
+from m100link.bus.memory import Weather
+from m100link.errors import M100Error, OutcomeUnknown, Unreachable
+from m100link.fleet.asking import Asker
+from m100link.fleet.outcome import Outcome, outcome_of
+from m100link.fleet.payloads import Reply
+from tests.fleet.conftest import Rig, with_camera
+
+pytestmark = pytest.mark.anyio
+
+NOT_DONE = (Outcome.REFUSED, Outcome.STALE_LEASE, Outcome.NOT_ALLOWED, Outcome.UNREACHABLE)
+
+
+async def asked(one: Asker, message: Message, lease: Reply) -> Outcome:
+    try:
+        await one.ask(message, fence=lease.number, token=lease.token)
+    except M100Error as error:
+        return outcome_of(error)
+    return Outcome.OK
+
+
+@pytest.mark.parametrize("seed", range(2))
+async def test_at_most_once_and_never_a_false_ok(rig: Rig, seed: int) -> None:
+    """Forty orders; the aircraft itself counts what was done."""
+    one, pilot = await rig.aircraft("a1", virtual=with_camera()), await rig.pilot(patience=2.0)
+    await one.agent.activate()
+    camera, outcomes, wrong = one.aircraft.vehicle.camera, Counter[Outcome](), []
+    asker = pilot["a1"].asker
+    rig.network.seed(seed)
+    for _ in range(40):
+        rig.network.weather = Weather()
+        await anyio.sleep(4.0)  # what was late has come, the camera is ready, the lease has ended
+        lease = await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+        before = camera.photos
+        rig.network.weather = Weather(loss=0.2, repeat=0.3, delay_s=0.01, jitter_s=0.3)
+        outcome = await asked(asker, Ask(0, Action.TAKE_PHOTO), lease)
+        rig.network.weather = Weather()
+        await anyio.sleep(2.0)
+        done = camera.photos - before
+        outcomes[outcome] += 1
+        is_lie = (outcome is Outcome.OK) > done or (done and outcome in NOT_DONE)
+        if done > 1 or is_lie:
+            wrong.append((outcome, done))
+    assert wrong == [], f"seed {seed}"
+    assert outcomes[Outcome.OK] > 25, f"seed {seed}: {outcomes}"
+
+
+async def test_a_way_that_is_cut_is_unknown_and_what_is_not_there_unreachable(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    rig.network.cut(one.bus)
+    began = anyio.current_time()
+    with pytest.raises(OutcomeUnknown):
+        await pilot["a1"].stop()
+    assert anyio.current_time() - began < 6.0
+    await anyio.sleep(2.0)
+    with pytest.raises(Unreachable):
+        await pilot["a1"].stop()
+
+
+async def test_an_outcome_is_found_again_when_the_way_is_whole_again(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+
+    async def cut() -> None:
+        await anyio.sleep(3.5)  # in the middle of the take-off
+        rig.network.cut(one.bus)
+        await anyio.sleep(1.0)
+        rig.network.join(one.bus)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(cut)
+        await pilot["a1"].take_off()
+    assert one.height > 1.0

@@ -1,0 +1,49 @@
+"""What was heard is known, for a while."""
+
+from __future__ import annotations
+
+from m100link.fleet.book import KEPT_S, OrderBook
+from m100link.fleet.outcome import Outcome
+from m100link.fleet.payloads import Progress, Reply
+
+
+def reply(identity: str) -> Reply:
+    return Reply(identity, "a1", "boot", Progress.DONE, Outcome.OK)
+
+
+def test_an_order_runs_then_has_an_outcome() -> None:
+    book = OrderBook()
+    assert not book.is_known("a")
+    book.begin("a", 0.0)
+    assert book.is_known("a")
+    assert book.reply("a") is None
+    book.end(reply("a"))
+    assert book.reply("a") == reply("a")
+
+
+def test_what_is_old_is_forgotten_but_not_what_runs() -> None:
+    book = OrderBook()
+    book.begin("a", 0.0)
+    book.end(reply("a"))
+    book.begin("b", KEPT_S - 1)
+    assert book.is_known("a")
+    book.begin("c", KEPT_S)
+    assert not book.is_known("a")
+    assert book.is_known("b")
+    book.begin("d", 3 * KEPT_S)
+    assert book.is_known("b"), "it runs"
+
+
+def test_what_an_agent_before_began_is_known_as_that() -> None:
+    book = OrderBook({"a": 1.0})
+    assert book.was_begun_before("a")
+    assert not book.is_known("a")
+    assert not book.was_begun_before("b")
+
+
+def test_it_does_not_grow_without_end() -> None:
+    book = OrderBook()
+    for number in range(50_000):
+        book.begin(str(number), number * 1e-3)
+        book.end(reply(str(number)))
+    assert sum(book.is_known(str(number)) for number in range(50_000)) <= 20_001

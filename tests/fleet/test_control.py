@@ -1,0 +1,97 @@
+"""Control over the network: one pilot at a time, and whoever loses it is told."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from m100link.agent.lease import LeaseHeld
+from m100link.bus.memory import Weather
+from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
+from m100link.geodesy import LocalFrame
+from m100link.protocol.setpoint import Setpoint
+from tests.fleet.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+async def test_one_flies_to_a_place_and_lands_as_the_block_is_left(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    async with pilot["a1"].control(stop="land") as control:
+        await control.take_off()
+        card = await pilot["a1"].card()
+        assert card.holder == "pilot"
+        assert card.latitude_deg is not None
+        assert card.longitude_deg is not None
+        frame = LocalFrame(card.latitude_deg, card.longitude_deg)
+        latitude, longitude = frame.to_geodetic(10.0, 0.0)
+        await control.fly_to(latitude_deg=latitude, longitude_deg=longitude, height=5.0)
+        card = await pilot["a1"].card()
+        assert card.height_m == pytest.approx(5.0, abs=0.6)
+        assert one.height > 4.0
+    assert one.height < 0.1
+    assert one.client.holder.number == 0
+
+
+async def test_of_two_pilots_one_has_it_and_a_take_over_ends_the_other(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    first, second = await rig.pilot("first"), await rig.pilot("second")
+    with pytest.raises(M100Error):
+        async with first["a1"].control() as control:
+            with pytest.raises(LeaseHeld, match="first"):
+                async with second["a1"].control():
+                    pass
+            async with second["a1"].control(take_over=True) as taken:
+                assert taken.fence > control.fence
+                await anyio.sleep(5.0)
+
+
+async def test_a_pilot_who_is_cut_off_longer_than_the_lease_is_told(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    began = 0.0
+    with pytest.raises(OutcomeUnknown, match="the lease has ended"):
+        async with pilot["a1"].control() as control:
+            await control.take_off()
+            rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+            began = anyio.current_time()
+            await anyio.sleep(60.0)
+    assert 2.0 < anyio.current_time() - began < 5.0
+    assert one.client.holder.number == 0
+
+
+async def test_a_stop_ends_a_hold_until_the_pilot_begins_anew(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    pilot, other = await rig.pilot(), await rig.pilot("other")
+
+    async def hold() -> None:
+        with pytest.raises(GuardRefused):
+            async with pilot["a1"].control() as control:
+                await control.take_off()
+                async with control.hold(NORTH):
+                    await anyio.sleep(30.0)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(hold)
+        await rig.until(lambda: one.speed > 2.5)
+        assert (await other.stop())["a1"].is_ok
+        await anyio.sleep(3.0)
+        assert one.speed < 0.3
+
+
+async def test_setpoints_need_a_clock_that_is_known(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    pilot = await rig.pilot()
+    rig.network.weather = Weather(delay_s=0.3)
+    async with pilot["a1"].control() as control:
+        with pytest.raises(UsageError, match="clock of a1"):
+            control.send(NORTH)
+
+
+async def test_what_cannot_be_asked(rig: Rig) -> None:
+    pilot = await rig.pilot()
+    with pytest.raises(UsageError, match="stop action"):
+        pilot["a1"].control(stop="dive")  # type: ignore[arg-type] # that is the test
+    with pytest.raises(StaleLease):
+        pilot["a1"].control().send(NORTH)

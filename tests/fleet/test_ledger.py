@@ -1,0 +1,73 @@
+"""What outlives an agent that was killed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from m100link.errors import UsageError
+from m100link.fleet.book import KEPT_S
+from m100link.fleet.ledger import FENCES_AT_ONCE, FileLedger, MemoryLedger
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+async def test_what_was_begun_is_known_by_the_next_run(tmp_path: Path) -> None:
+    path = tmp_path / "site" / "a1.jsonl"
+    first = FileLedger(path, lambda: 1000.0)
+    await first.begin("one", 1000.0)
+    await first.begin("two", 1001.0)
+    # Killed: nobody closes anything.
+    second = FileLedger(path, lambda: 1002.0)
+    assert second.begun == {"one": 1000.0, "two": 1001.0}
+    first.close()
+    second.close()
+    third = FileLedger(path, lambda: 1000.5 + KEPT_S)
+    assert third.begun == {"two": 1001.0}
+    third.close()
+
+
+async def test_a_line_that_was_cut_off_is_no_order_and_harms_none(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    ledger = FileLedger(path, lambda: 0.0)
+    await ledger.begin("one", 0.0)
+    ledger.close()
+    for damage in (b'{"id": "tw', b"\xff\xfe\n", b"[]\n", b'{"at": "x"}\n', b'{"fence": "9"}\n'):
+        path.write_bytes(path.read_bytes() + damage)
+        again = FileLedger(path, lambda: 1.0)
+        assert "one" in again.begun
+        again.close()
+
+
+async def test_a_fence_is_never_granted_again(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    greatest = 0
+    for _ in range(3):
+        ledger = FileLedger(path, lambda: 0.0)
+        assert ledger.leases_before >= greatest
+        for number in range(1, 2 * FENCES_AT_ONCE + 10):
+            greatest = ledger.leases_before + number
+            await ledger.granted(greatest)
+        ledger.close()
+
+
+async def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="file") as caught:
+        FileLedger(tmp_path / "file" / "a1.jsonl", lambda: 0.0)
+    assert "--ledger" in caught.value.remedy
+
+
+async def test_one_in_memory_does_the_same_for_a_virtual_aircraft() -> None:
+    first = MemoryLedger()
+    await first.begin("one", 0.0)
+    await first.granted(17)
+    second = MemoryLedger(first)
+    assert second.begun == {"one": 0.0}
+    assert second.leases_before >= 17

@@ -1,0 +1,82 @@
+"""A network that is lost is a hover, then what was configured, and nothing resumes by itself."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import anyio
+import pytest
+
+from m100link.errors import FleetError, UsageError
+from m100link.fleet.client import Fleet
+from m100link.fleet.lost import LostPlan
+from m100link.protocol.setpoint import Setpoint
+from tests.fleet.conftest import OnBoard, Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+async def fly_and_be_cut(rig: Rig, one: OnBoard, pilot: Fleet, *, seconds: float) -> None:
+    """Fly north at 3 m/s, lose the network in flight, and come back after a while."""
+    with pytest.raises(FleetError):
+        async with pilot["a1"].control() as control:
+            await control.take_off()
+            async with control.hold(NORTH):
+                await anyio.sleep(4.0)
+                assert one.speed > 2.5
+                rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+                await anyio.sleep(2.0)
+                assert one.speed < 0.3
+                await anyio.sleep(seconds)
+
+
+async def test_hovers_within_two_seconds_and_the_lease_ends(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    await fly_and_be_cut(rig, one, pilot, seconds=10.0)
+    assert one.client.holder.number == 0
+    assert one.height > 1.0, "by default it hovers, and the pilot with the remote control flies"
+    rig.network.join(pilot.bus)  # type: ignore[arg-type] # one in memory
+    await anyio.sleep(5.0)
+    assert one.speed < 0.3, "nothing resumes by itself"
+
+
+@pytest.mark.parametrize("action", ["land", "home"])
+async def test_lands_or_goes_home_when_that_is_configured(rig: Rig, action: str) -> None:
+    plan = LostPlan(action, 3.0)  # type: ignore[arg-type] # a parameter of the test
+    one, pilot = await rig.aircraft("a1", lost=plan), await rig.pilot()
+    await fly_and_be_cut(rig, one, pilot, seconds=30.0)
+    cut_at = anyio.current_time()
+    await rig.until(lambda: one.height < 0.1, within=120.0)
+    assert anyio.current_time() - cut_at < 120.0
+    rig.network.join(pilot.bus)  # type: ignore[arg-type] # one in memory
+    await anyio.sleep(10.0)
+    assert one.height < 0.1
+
+
+async def test_who_takes_control_meanwhile_keeps_it(rig: Rig) -> None:
+    one = await rig.aircraft("a1", lost=LostPlan("land", 5.0))
+    pilot, other = await rig.pilot(), await rig.pilot("other")
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(partial(fly_and_be_cut, rig, one, pilot, seconds=30.0))
+        await rig.until(lambda: one.client.holder.name == "pilot")
+        await rig.until(lambda: one.client.holder.number == 0)
+        async with other["a1"].control():
+            await anyio.sleep(20.0)
+            assert one.height > 1.0
+
+
+async def test_who_lets_go_is_not_lost(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1", lost=LostPlan("land", 1.0)), await rig.pilot()
+    await pilot["a1"].take_off()
+    await anyio.sleep(20.0)
+    assert one.height > 1.0
+
+
+def test_what_cannot_be_configured() -> None:
+    with pytest.raises(UsageError, match="'dive'"):
+        LostPlan("dive")  # type: ignore[arg-type] # that is the test
+    with pytest.raises(UsageError, match="-1 s"):
+        LostPlan("land", -1.0)
