@@ -134,7 +134,7 @@ VERBS = {
     ),
     "fleet": (
         "fleet:app",
-        "Many aircraft: formations that they fly.",
+        "Many aircraft on many machines: a router, agents on board, pilots, formations.",
     ),
     "console": (
         "station:console",

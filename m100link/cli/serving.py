@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from m100link.agent.messages import Event
     from m100link.station.child import Child
 
-__all__ = ["AS_USUAL", "RunOptions", "run_station"]
+__all__ = ["AS_USUAL", "RunOptions", "Teller", "run_station", "show"]
 
 
 _MOST_UNTOLD = 200
@@ -86,7 +86,7 @@ def run_station(
         for name, settings in aircraft.items():
             if len(aircraft) > 1:
                 out.print(f"[{name}]", markup=False)
-            _show(settings)
+            show(settings)
         return ExitCode.OK
     if with_rosbridge or with_console:
         _require_packages()
@@ -117,7 +117,8 @@ class _Served:
     with_rosbridge: bool
 
 
-def _show(settings: Settings) -> None:
+def show(settings: Settings) -> None:
+    """Print the settings and where each came from."""
     for name in settings.__dataclass_fields__:
         if name in ("origins", "unused"):
             continue
@@ -144,7 +145,7 @@ async def _serve(
     tell_elsewhere(JOURNAL_LOG)
     events = logging.getLogger(__name__)
     log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
-    with _Teller() as teller:
+    with Teller() as teller:
 
         def tell(name: str, event: Event) -> None:
             if options.log.log_json:
@@ -200,7 +201,7 @@ async def _running(
         yield one, one.front if isinstance(one, RunningApart) else None
 
 
-class _Teller:
+class Teller:
     """Tells in a thread of its own what happens while an aircraft flies.
 
     A terminal that was stopped by Ctrl-S and a pipe that nobody reads or that was closed are no

@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("cyclopts")
 
-from m100link.cli.serving import _MOST_UNTOLD, _Teller
+from m100link.cli.serving import _MOST_UNTOLD, Teller
 
 
 def test_what_is_not_read_holds_up_nobody() -> None:
     told: list[int] = []
     stopped = threading.Event()
-    with _Teller() as teller:
+    with Teller() as teller:
         teller.do(lambda: told.append(1))
         teller.do(partial(stopped.wait, 60))  # Ctrl-S
         for number in range(10 * _MOST_UNTOLD):
@@ -30,7 +30,7 @@ def test_a_closed_pipe_ends_the_talk_and_nothing_else() -> None:
         raise BrokenPipeError
 
     told: list[int] = []
-    with _Teller() as teller:
+    with Teller() as teller:
         teller.do(broken)
         teller.do(lambda: told.append(1))
     assert told == []

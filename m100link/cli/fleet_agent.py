@@ -1,0 +1,147 @@
+"""``m100link fleet router`` and ``fleet agent``: what runs beside the pilots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from m100link.agent.messages import Event
+from m100link.bus.session import open_session, session_config
+from m100link.cli.common import err, out, places, run_async
+from m100link.cli.fleet import ROUTER, until_told
+from m100link.cli.logs import AS_IT_IS, LogOptions
+from m100link.cli.options import Counted, offered, options_of
+from m100link.cli.outcome import ExitCode, print_json
+from m100link.cli.serving import AS_USUAL, RunOptions, Teller, show
+from m100link.cli.station import aircraft_of
+from m100link.errors import UsageError
+from m100link.fleet.keys import DEFAULT_SITE
+from m100link.fleet.lost import LostAction, LostPlan
+from m100link.station.config import ENVIRONMENT, ONLY_NAME, Settings
+from m100link.station.fleet import FleetSettings, default_ledgers, serving_fleet
+
+__all__ = ["agent", "router"]
+
+_FromSettings: Any = options_of(
+    Settings,
+    (
+        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+    ),
+    environment=ENVIRONMENT,
+    called={"baud_rate": "--baud"},
+    is_layer=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AgentOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
+    """Where the aircraft is, and how far it may fly.
+
+    Attributes:
+        run: How the agent is run and told of.
+    """
+
+    run: RunOptions = AS_USUAL
+
+
+def router(
+    *,
+    listen: Annotated[tuple[str, ...], Parameter(negative="")] = (ROUTER,),
+    json_output: Annotated[bool, Parameter(name="--json")] = False,
+    log: LogOptions = AS_IT_IS,
+) -> int:
+    """Be the router that agents and pilots connect to, until Ctrl-C. Any zenohd does as well.
+
+    Whoever reaches it can fly every aircraft behind it: let it listen on loopback, in a network of
+    your own, or behind certificates.
+
+    Args:
+        listen: Where, such as tcp/0.0.0.0:7447; several times for several.
+        json_output: Print one line of JSON when it runs.
+        log: What is logged.
+    """
+
+    async def run() -> None:
+        ended = until_told()
+        async with open_session(session_config("router", listen=listen)):
+            if json_output:
+                print_json({"listen": list(listen)})
+            else:
+                out.print(f"router: {', '.join(listen)}", markup=False, soft_wrap=True)
+            await ended.wait()
+
+    return run_async(run())
+
+
+def agent(
+    *url: Annotated[str, offered(places)],
+    name: str = "a1",
+    count: Annotated[int, Counted] = 1,
+    connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET", negative="")] = (
+        ROUTER,
+    ),
+    site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE,
+    lost: LostAction = "hover",
+    lost_after: float = 10.0,
+    ledger: Path | None = None,
+    options: AgentOptions = AgentOptions(),
+) -> int:
+    """Own an aircraft on board and serve it to a fleet, until Ctrl-C.
+
+    When whoever flies falls silent the aircraft hovers within a fifth of a second, and its lease
+    ends after three; what follows is --lost.
+
+    Args:
+        url: Where the aircraft is, or its name (M100LINK_URL); several as name=URL.
+        name: What it is called in the fleet.
+        count: So many virtual ones of sim://, called NAME1, NAME2 and so on.
+        connect: Endpoint of a router (M100LINK_FLEET); several times for several.
+        site: Name of the site (M100LINK_SITE).
+        lost: What happens when the pilot is lost: hover, land or home.
+        lost_after: Seconds of hovering before that.
+        ledger: Folder in which orders that were begun are kept, so that none is carried out twice
+            when the agent is killed; by default in the user's folder for the state of programs,
+            and nowhere for virtual aircraft.
+        options: See below.
+    """
+    words = url
+    if count > 1:
+        if url != ("sim://",):
+            raise UsageError("--count is for virtual aircraft", remedy="give sim:// as URL")
+        words = tuple(f"{name}{number}=sim://" for number in range(1, count + 1))
+    aircraft = aircraft_of(options, words)
+    if ONLY_NAME in aircraft:
+        aircraft = {name: aircraft[ONLY_NAME]}
+    if options.run.show_config:
+        for settings in aircraft.values():
+            show(settings)
+        return ExitCode.OK
+    is_virtual = all(settings.sim for settings in aircraft.values())
+    kept = ledger or (None if is_virtual else default_ledgers())
+    fleet = FleetSettings(connect, site, LostPlan(lost, lost_after), kept)
+    return run_async(_serve(aircraft, fleet, as_json=options.run.json_output))
+
+
+async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, *, as_json: bool) -> int:
+    ended = until_told()
+    with Teller() as teller:
+
+        def tell(name: str, event: Event) -> None:
+            style = {"warning": "yellow", "error": "red"}.get(event.level)
+            text = f"{name}: {event.text}"
+            teller.do(lambda: err.print(text, style=style, markup=False))
+
+        async with serving_fleet(aircraft, fleet, tell) as agents:
+            if as_json:
+                print_json({"fleet": fleet.site, "agents": list(agents)})
+            else:
+                names = ", ".join(agents)
+                out.print(f"fleet:     {fleet.site}: {names}", markup=False, soft_wrap=True)
+            await ended.wait()
+            teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
+    return ExitCode.OK

@@ -1,0 +1,122 @@
+"""Agents of a fleet: each owns an aircraft and serves it under keys of its own, in one process."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from m100link.agent.carriers.memory import memory_channels
+from m100link.agent.client import AgentClient
+from m100link.agent.messages import Event
+from m100link.bus.network import Bus
+from m100link.bus.session import open_session, session_config
+from m100link.fleet.agent import FleetAgent, Verify
+from m100link.fleet.keys import DEFAULT_SITE, Keys
+from m100link.fleet.ledger import FileLedger, Ledger, MemoryLedger
+from m100link.fleet.lost import LostPlan
+from m100link.log.folder import state_folder
+from m100link.station.config import Settings
+from m100link.station.run import owning
+
+__all__ = ["FleetSettings", "default_ledgers", "serving_fleet"]
+
+
+def default_ledgers() -> Path:
+    """Where ledgers are kept, in the user's folder for the state of programs."""
+    return state_folder() / "fleet"
+
+
+@dataclass(frozen=True)
+class FleetSettings:
+    """How agents are part of a fleet.
+
+    Attributes:
+        connect: Endpoints of routers.
+        site: Which site.
+        lost: What happens when whoever flies is lost.
+        ledgers: Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
+        options: More options of zenoh, by name, as JSON.
+        verify: Looks at each order; None: the router alone decides who may ask.
+    """
+
+    connect: tuple[str, ...] = ()
+    site: str = DEFAULT_SITE
+    lost: LostPlan = field(default_factory=LostPlan)
+    ledgers: Path | None = None
+    options: dict[str, str] = field(default_factory=dict)
+    verify: Verify | None = None
+
+
+@asynccontextmanager
+async def serving_fleet(
+    aircraft: Mapping[str, Settings],
+    fleet: FleetSettings,
+    tell: Callable[[str, Event], None],
+) -> AsyncIterator[dict[str, FleetAgent]]:
+    """Own aircraft and be part of a fleet while the block runs.
+
+    Args:
+        aircraft: Settings by name.
+        fleet: Which fleet.
+        tell: Called with the name and each event.
+
+    Raises:
+        UsageError: A name is taken or cannot be, a ledger cannot be written, no session can be.
+    """
+    keys = {name: Keys(fleet.site, name) for name in aircraft}  # before anything is opened
+    config = session_config("client", connect=fleet.connect) | fleet.options
+    async with AsyncExitStack() as stack:
+        bus = await stack.enter_async_context(open_session(config, is_patient=True))
+        agents = {}
+        for place, (name, settings) in enumerate(aircraft.items()):
+            ledger = _ledger(stack, fleet, keys[name])
+            agents[name] = await _agent(stack, settings, place, ledger, keys[name], bus, fleet)
+            await agents[name].require_alone()
+            for event in agents[name].client.events:
+                tell(name, event)
+            agents[name].client.on_event.append(_teller(tell, name))
+        # One that fails takes the process with it, which is started again.
+        async with asyncio.TaskGroup() as group:
+            running = [
+                group.create_task(one.run(), name=f"m100link fleet: {name}")
+                for name, one in agents.items()
+            ]
+            try:
+                yield agents
+            finally:
+                for one in running:
+                    one.cancel()
+
+
+def _teller(tell: Callable[[str, Event], None], name: str) -> Callable[[Event], None]:
+    return lambda event: tell(name, event)
+
+
+def _ledger(stack: AsyncExitStack, fleet: FleetSettings, keys: Keys) -> Ledger:
+    if fleet.ledgers is None:
+        return MemoryLedger()
+    ledger = FileLedger(fleet.ledgers / keys.site / f"{keys.name}.jsonl", time.time)
+    stack.callback(ledger.close)
+    return ledger
+
+
+async def _agent(
+    stack: AsyncExitStack,
+    settings: Settings,
+    place: int,
+    ledger: Ledger,
+    keys: Keys,
+    bus: Bus,
+    fleet: FleetSettings,
+) -> FleetAgent:
+    owner = await stack.enter_async_context(
+        owning(settings, place=place, leases_before=ledger.leases_before)
+    )
+    ours, its = memory_channels()
+    owner.service.attach(its)
+    client = await stack.enter_async_context(AgentClient(ours, "fleet"))
+    return FleetAgent(client, bus, keys, ledger, lost=fleet.lost, verify=fleet.verify)

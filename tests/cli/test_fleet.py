@@ -1,0 +1,127 @@
+"""``m100link fleet`` as people use it: a router, agents, orders, in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from m100link.cli.fleet import tell_results
+from m100link.errors import StaleLease
+from m100link.fleet.outcome import Result
+from tests.waiting import PATIENCE
+
+pytest.importorskip("zenoh", reason="the extra fleet is not installed")
+
+pytestmark = pytest.mark.pty
+
+
+class Site:
+    """A router, and what is started beside it."""
+
+    def __init__(self, stack: ExitStack, place: str, state: Path) -> None:
+        self._stack = stack
+        self.environment = os.environ | {"M100LINK_FLEET": place, "XDG_STATE_HOME": str(state)}
+        self.place = place
+
+    def start(self, *words: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "m100link", "fleet", *words]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=self.environment)
+        self._stack.callback(self._end, process)
+        return process
+
+    def _end(self, process: subprocess.Popen[str]) -> None:
+        process.kill()
+        process.communicate(timeout=PATIENCE)
+
+    def ask(self, *words: str) -> tuple[int, list[dict[str, Any]]]:
+        command = [sys.executable, "-m", "m100link", "fleet", *words, "--json"]
+        done = subprocess.run(
+            command, capture_output=True, text=True, env=self.environment, timeout=300, check=False
+        )
+        return done.returncode, [json.loads(line) for line in done.stdout.splitlines()]
+
+    def listed(self, count: int) -> list[dict[str, Any]]:
+        """The cards, when so many are connected."""
+        ends = time.monotonic() + 2 * PATIENCE
+        found: list[dict[str, Any]] = []
+        while time.monotonic() < ends:
+            _, found = self.ask("list")
+            if sum(one.get("connection") == "connected" for one in found) == count:
+                break
+        return found
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Site]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with ExitStack() as stack:
+        one = Site(stack, place, tmp_path)
+        router = one.start("router", "--listen", place, "--json")
+        assert router.stdout is not None
+        assert json.loads(router.stdout.readline()) == {"listen": [place]}
+        yield one
+
+
+def test_all_take_off_and_land_and_one_that_is_not_there_is_named(site: Site) -> None:
+    agent = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
+    assert agent.stdout is not None
+    assert json.loads(agent.stdout.readline()) == {"fleet": "site", "agents": ["a1", "a2"]}
+    assert [card["name"] for card in site.listed(2)] == ["a1", "a2"]
+    status, told = site.ask("takeoff", "--all")
+    assert (status, [one["outcome"] for one in told]) == (0, ["ok", "ok"])
+    assert [card["phase"] for card in site.listed(2)] == ["in air", "in air"]
+    status, told = site.ask("stop", "a1", "nobody")
+    assert status == 1
+    outcomes = {one["name"]: one["outcome"] for one in told}
+    assert outcomes == {"a1": "ok", "nobody": "unreachable"}
+    status, told = site.ask("land", "--all")
+    assert (status, [one["outcome"] for one in told]) == (0, ["ok", "ok"])
+    agent.send_signal(signal.SIGTERM)
+    assert agent.wait(PATIENCE) == 0
+    assert site.ask("list") == (0, [])
+
+
+def test_a_name_that_is_taken_ends_the_second_agent(site: Site) -> None:
+    site.start("agent", "sim://", "--name", "a1")
+    site.listed(1)
+    second = site.start("agent", "sim://", "--name", "a1")
+    assert second.wait(PATIENCE) == 2
+
+
+def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "m100link", "fleet", "list", "--connect", "tcp/127.0.0.1:9"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "no router answered" in done.stderr
+    assert "m100link fleet router" in done.stderr
+
+
+def test_whoever_names_nobody_is_asked_whom(site: Site) -> None:
+    assert site.ask("takeoff")[0] == 2
+    assert site.ask("land", "a1", "--all")[0] == 2
+
+
+def test_results_are_told_with_reason_and_remedy(capsys: pytest.CaptureFixture[str]) -> None:
+    results = {
+        "a1": Result.of("a1", None),
+        "a2": Result.of("a2", StaleLease("lease 3 is not in force", remedy="take it")),
+    }
+    assert tell_results(results, as_json=False) == 1
+    told = capsys.readouterr()
+    assert "ok" in told.out
+    assert "lease 3 is not in force" in told.out
+    assert "take it" in told.err
+    assert tell_results({"a1": results["a1"]}, as_json=True) == 0
