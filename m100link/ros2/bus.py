@@ -77,7 +77,7 @@ class Request:
     """A request to a service.
 
     Attributes:
-        payload: As in :class:`Received`.
+        payload: As in :class:`Received`; empty, too, when more than this service was asked.
         attachment: As in :class:`Received`.
         answer: Takes payload and attachment of the answer, once.
         drop: Ends it without an answer.
@@ -223,13 +223,15 @@ def _received(sample: zenoh.Sample) -> Received:
     return Received(_bytes(sample.payload), _bytes(sample.attachment))
 
 
-def _request(query: zenoh.Query) -> Request:
+def _request(query: zenoh.Query, key: str) -> Request:
     def answer(payload: bytes, attachment: bytes) -> None:
         _unless_closed(query.reply, query.key_expr, payload, attachment=attachment)
         drop()
 
     drop: Callable[[], None] = query.drop
-    return Request(_bytes(query.payload), _bytes(query.attachment), answer, drop)
+    # A question with a wildcard would take off, land and disarm at once.
+    payload = _bytes(query.payload) if str(query.key_expr) == key else b""
+    return Request(payload, _bytes(query.attachment), answer, drop)
 
 
 class ZenohBus:
@@ -285,7 +287,7 @@ class ZenohBus:
 
         ring: Any = zenoh.handlers.RingChannel(depth)
         declared = self._session.declare_queryable(key, ring, complete=True)
-        return _Ring(declared, _request, depth)
+        return _Ring(declared, lambda query: _request(query, key), depth)
 
     def declare(self, token: str) -> None:
         """Show a token."""
