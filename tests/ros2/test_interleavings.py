@@ -47,6 +47,8 @@ class World:
         self.wanted_at = rig.client.now
         # Since somebody stopped it, and until somebody asks for something anew.
         self.is_stopped = False
+        # Whether a goal may fly: sent, and not ended since by anybody.
+        self.has_goal = False
         self.log: list[str] = []
         self.calls: set[asyncio.Task[Any]] = set()
 
@@ -76,10 +78,19 @@ class World:
 
     def stopped(self, success: bool) -> None:
         self.is_stopped = self.is_stopped or success
+        self.ended(success)
+
+    def ended(self, success: bool) -> None:
+        self.has_goal = self.has_goal and not success
+
+    def down(self, success: bool) -> None:
+        self.anew()
+        self.ended(success)
 
     def goal(self) -> None:
-        name = self.random.choice(["~/take_off", "~/fly_to", "~/fly_mission"])
-        place = self.client.place(self.random.uniform(-30, 30), self.random.uniform(-30, 30))
+        name = self.random.choice(["~/take_off", "~/fly_to", "~/fly_mission", "~/fly_mission"])
+        far = self.random.choice((2.0, 30.0))
+        place = self.client.place(self.random.uniform(-far, far), self.random.uniform(-far, far))
         leg = {**place, "height": self.random.uniform(1.0, 8.0)}
         goals: dict[str, dict[str, Any]] = {
             "~/take_off": {"height": leg["height"]},
@@ -87,8 +98,8 @@ class World:
             "~/fly_mission": {
                 "speed": 3.0,
                 "waypoints": [
-                    {**leg, "wait": self.random.uniform(0.0, 4.0)},
-                    {**leg, "latitude": place["latitude"] + 1e-4, "wait": 1.0},
+                    {**leg, "wait": self.random.uniform(0.0, 30.0)},
+                    {**leg, "latitude": place["latitude"] + 2e-4, "wait": 1.0},
                 ],
             },
         }
@@ -96,6 +107,7 @@ class World:
         async def run() -> None:
             self.anew()
             answer = await self.client.ask_goal(name, **goals[name])
+            self.has_goal = self.has_goal or bool(answer.get("accepted"))
             self.told(f"{name} -> {answer}")
 
         self.told(f"goal {name}")
@@ -104,7 +116,9 @@ class World:
     def cancel(self) -> None:
         async def run() -> None:
             for name in ("~/take_off", "~/fly_to", "~/fly_mission"):
-                self.told(f"cancel {name} -> {await self.client.ask_cancel(name)}")
+                answer = await self.client.ask_cancel(name)
+                self.ended(bool(answer.get("goals_canceling")))
+                self.told(f"cancel {name} -> {answer}")
 
         self._spawn(run())
 
@@ -118,6 +132,7 @@ class World:
         mode = self.random.choice("PPFFFF")
         self.told(f"pilot {mode}")
         self.rig.aircraft.vehicle.remote.set_mode(mode)
+        self.ended(mode == "P")
 
     def take_over(self) -> None:
         async def run() -> None:
@@ -128,6 +143,7 @@ class World:
                 else:
                     self.console_lease = await self.console.acquire("the console")
                 self.told("console has the lease")
+                self.ended(True)
                 await self.console.obtain(self.console_lease)
                 self.anew()
                 self.console_steers = self.random.random() < 0.5
@@ -147,6 +163,7 @@ class World:
     def halt(self) -> None:
         self.told("console halts")
         self.console.halt("hover")
+        self.ended(True)
 
     def stop(self) -> None:
         async def run() -> None:
@@ -160,23 +177,25 @@ class World:
     def stand_still(self) -> None:
         self.told("node stood still")
         self.rig.node._ran_at -= 5.0
+        self.ended(True)
 
     def leave(self) -> None:
         self.told("client is gone, and back")
         self.client.leave()
+        self.ended(True)
         self.client = Client(self.rig)
 
     def happen(self) -> None:
         what: list[tuple[float, Callable[[], None]]] = [
             (3, lambda: self.call("~/obtain_control", self.anew)),
-            (1, lambda: self.call("~/release_control")),
+            (1, lambda: self.call("~/release_control", self.ended)),
             (3, lambda: self.call("~/takeoff", self.anew)),
-            (1, lambda: self.call("~/land", self.anew)),
-            (0.5, lambda: self.call("~/go_home", self.anew)),
+            (1, lambda: self.call("~/land", self.down)),
+            (0.5, lambda: self.call("~/go_home", self.down)),
             (1, lambda: self.call("~/stop", self.stopped)),
             (0.3, lambda: self.call("~/disarm")),
-            (4, self.goal),
-            (2, self.cancel),
+            (5, self.goal),
+            (1, self.cancel),
             (6, self.stream),
             (1.5, self.pilot),
             (0.7, self.take_over),
@@ -218,7 +237,7 @@ class World:
         if flight.tasks.is_executing or flight.phase.name in ("LANDING", "FINISHING_LANDING"):
             return True  # the autopilot flies
         if self.rig.agent.holding.guided_order is not None:
-            return bool(self.rig.node.helm.goal)
+            return self.has_goal
         return (self.console_steers or any(self.streaming)) and not self.is_stopped
 
     def check(self) -> None:
@@ -253,7 +272,7 @@ async def fly(rig: Rig, seed: int) -> None:
             for _ in range(30):
                 for _ in range(random.choice((1, 1, 1, 2, 3))):
                     world.happen()
-                await world.pass_by(random.choice((0.05, 0.1, 0.5, 1.0, 3.0)))
+                await world.pass_by(random.choice((0.05, 0.1, 0.5, 1.0, 3.0, 6.0)))
             await end(world)
         except BaseException:
             sys.stdout.write("\n".join([f"seed {seed}", *world.log, ""]))
@@ -273,17 +292,19 @@ async def end(world: World) -> None:
     assert rig.speed < AT_REST
     if is_down(rig):
         return
-    for _ in range(600):
-        if world.rig.client.state.task != "land":
-            world.call("~/obtain_control", world.anew)
-            await world.pass_by(0.5)
+    accepted: list[bool] = []
+    world.call("~/obtain_control", world.anew)
+    await world.pass_by(1.0)
+    with anyio.fail_after(60.0):  # it is refused while the autopilot takes off
+        while not any(accepted) and not is_down(rig):
             world.cancel()
             world.goal()
-            world.call("~/land")
-        await world.pass_by(0.5)
-        if is_down(rig):
-            return
-    raise AssertionError("it did not land")
+            world.call("~/land", accepted.append)
+            await world.pass_by(1.0)
+    with anyio.fail_after(40.0):
+        while not is_down(rig):
+            world.goal()
+            await world.pass_by(0.5)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
