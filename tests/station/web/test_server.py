@@ -288,8 +288,10 @@ async def test_more_clients_than_allowed_are_refused() -> None:
 async def test_silent_sockets_make_room_and_the_pilot_keeps_his(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("m100link.station.web.places.SILENCE", 0.3)
-    monkeypatch.setattr("m100link.station.web.places.FIRST_WORD", 0.3)
+    def is_silent_after(seconds: float) -> None:
+        monkeypatch.setattr("m100link.station.web.places.SILENCE", seconds)
+        monkeypatch.setattr("m100link.station.web.places.FIRST_WORD", seconds)
+
     async with station(max_clients=2) as one, contextlib.AsyncExitStack() as stack:
 
         async def come() -> ClientConnection:
@@ -299,9 +301,10 @@ async def test_silent_sockets_make_room_and_the_pilot_keeps_his(
         await opened(one, pilot)
         watcher, idle = await come(), await come()  # the pilot takes none of the two places
         await send(watcher, "subscribe", topic="/flight_status")
+        is_silent_after(3600.0)
         with pytest.raises(InvalidStatus):
             await come()
-        await asyncio.sleep(0.4)
+        is_silent_after(0.0)  # all of them are, and the pilot, too
         third = await come()
         await send(third, "subscribe", topic="/flight_status")
         await receive(third)
@@ -310,8 +313,7 @@ async def test_silent_sockets_make_room_and_the_pilot_keeps_his(
         assert caught.value.rcvd is not None
         assert "another client needs the place" in caught.value.rcvd.reason
         await receive(watcher)
-        await asyncio.sleep(0.4)
-        await come()  # the pilot is silent, too
+        await come()
         await send(pilot, "call_service", service="/rosapi/services")
         while (await receive(pilot))["op"] != "service_response":
             pass
