@@ -145,7 +145,7 @@ class Asker:
 
     async def _answered(self, key: str, order: Order, patience: float) -> Reply:
         payload = pack(order)
-        silent_since = self._clock()
+        silent_since = began = self._clock()
         is_sent = False
         while self._clock() - silent_since < patience:
             # Only what never arrived is sent, and sent again.
@@ -159,12 +159,22 @@ class Asker:
             if reply.progress is Progress.DONE:
                 return reply
             if reply.progress is Progress.NEVER:
+                if self._clock() - began >= patience:
+                    raise self._never_arrives()
                 is_sent = False
                 await asyncio.sleep(_AGAIN_S)
         raise OutcomeUnknown(
             f"{self._keys.name} gave no answer for {patience:g} s",
             cause="the way there or back is cut, its agent hangs, or the router lets no answer "
             "pass to this identity",
+        )
+
+    def _never_arrives(self) -> OutcomeUnknown:
+        """It answers what became of the order, and the order does not come to it."""
+        return OutcomeUnknown(
+            f"{self._keys.name} answers, and has not heard of the order",
+            cause="the router routes no such order of this identity, or the way there loses it",
+            remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
         )
 
     async def _one(

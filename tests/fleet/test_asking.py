@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import cast
 
 import anyio
 import pytest
 
 from m100link.agent.actions import Action, LeaseAction
 from m100link.agent.messages import Ask, LeaseAsk, Message
-from m100link.bus.memory import Weather
+from m100link.bus.memory import MemoryBus, Weather
+from m100link.bus.network import Answer, Bus
 from m100link.errors import M100Error, OutcomeUnknown, Unreachable
 from m100link.fleet.asking import Asker
+from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome, outcome_of
 from m100link.fleet.payloads import Reply
-from tests.fleet.conftest import Rig, with_camera
+from tests.fleet.conftest import SITE, Rig, with_camera
 
 pytestmark = pytest.mark.anyio
 
@@ -80,3 +83,28 @@ async def test_an_outcome_is_found_again_when_the_way_is_whole_again(rig: Rig) -
         group.start_soon(cut)
         await pilot["a1"].take_off()
     assert one.height > 1.0
+
+
+class OnlyStatus:
+    """A router whose rules let one ask what became of an order, and give none."""
+
+    def __init__(self, bus: MemoryBus) -> None:
+        self._bus = bus
+
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+        if "/status/" in key:
+            return await self._bus.ask(key, payload, timeout=timeout)
+        return []
+
+    async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
+        return await self._bus.tokens(pattern, timeout=timeout)
+
+
+async def test_an_order_that_never_arrives_is_not_sent_for_ever(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    bus = cast(Bus, OnlyStatus(rig.network.session()))
+    asker = Asker(bus, Keys(SITE, "a1"), "pilot", patience=3.0)
+    began = anyio.current_time()
+    with pytest.raises(OutcomeUnknown, match="has not heard of the order"):
+        await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+    assert 3.0 <= anyio.current_time() - began < 6.0
