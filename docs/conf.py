@@ -59,6 +59,8 @@ nitpick_ignore_regex = [
     (r"py:class", r"os\.PathLike"),
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
     (r"py:class", r"(Path|Random)"),
+    # What is signed is handed on as it is.
+    (r"py:class", r"m100link\.fleet\.payloads\.Order"),
     # Attributes are described by their class, they are not entries of their own.
     (r"py:attr", r"state"),
     # Programs get a Control or a Subscription from the aircraft and never make one.

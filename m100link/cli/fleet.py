@@ -10,6 +10,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import cyclopts
@@ -25,6 +26,7 @@ from m100link.fleet.client import Fleet, FleetAircraft, connect
 from m100link.fleet.keys import DEFAULT_SITE
 from m100link.fleet.outcome import Result
 from m100link.fleet.payloads import Card
+from m100link.fleet.signing import read_signer, signing, tls_options
 
 __all__ = ["app"]
 
@@ -54,7 +56,9 @@ class FleetOptions:
         connect: Endpoint of a router (M100LINK_FLEET); several times for several, of which the
             first that answers serves.
         site: Name of the site (M100LINK_SITE).
-        name: Who asks, for other people; user and host by default.
+        name: Who asks, for other people; the identity, or user and host, by default.
+        identity: Who signs orders, and whose certificate is shown to a router behind tls/.
+        pki: Folder with that certificate and key (M100LINK_PKI).
         json_output: Print one JSON object per line.
         log: What is logged.
     """
@@ -64,13 +68,21 @@ class FleetOptions:
     )
     site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE
     name: str | None = None
+    identity: str | None = None
+    pki: Annotated[Path, Parameter(env_var="M100LINK_PKI")] = Path()
     json_output: Annotated[bool, Parameter(name="--json")] = False
     log: LogOptions = AS_IT_IS
 
     def open(self, patience: float = 5.0) -> AbstractAsyncContextManager[Fleet]:
         """The fleet."""
-        name = self.name or f"{getpass.getuser()}@{platform.node() or 'host'}"
-        return connect(*self.connect, site=self.site, name=name, patience=patience)
+        name = self.name or self.identity or f"{getpass.getuser()}@{platform.node() or 'host'}"
+        sign, options = None, {}
+        if self.identity is not None:
+            sign = signing(read_signer(self.pki, self.identity))
+            options = tls_options(self.pki, self.identity)
+        return connect(
+            *self.connect, site=self.site, name=name, sign=sign, options=options, patience=patience
+        )
 
 
 NO_OPTIONS = FleetOptions()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,8 +20,11 @@ from m100link.cli.outcome import ExitCode, print_json
 from m100link.cli.serving import AS_USUAL, RunOptions, Teller, show
 from m100link.cli.station import aircraft_of
 from m100link.errors import UsageError
+from m100link.fleet.acl import router_config
 from m100link.fleet.keys import DEFAULT_SITE
 from m100link.fleet.lost import LostAction, LostPlan
+from m100link.fleet.rights import Rights
+from m100link.fleet.signing import tls_options, verifying
 from m100link.station.config import ENVIRONMENT, ONLY_NAME, Settings
 from m100link.station.fleet import FleetSettings, default_ledgers, serving_fleet
 
@@ -52,6 +57,9 @@ class AgentOptions(_FromSettings):  # type: ignore[misc] # a class that is made 
 def router(
     *,
     listen: Annotated[tuple[str, ...], Parameter(negative="")] = (ROUTER,),
+    name: str = "router",
+    pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
+    rights: Path | None = None,
     json_output: Annotated[bool, Parameter(name="--json")] = False,
     log: LogOptions = AS_IT_IS,
 ) -> int:
@@ -61,14 +69,26 @@ def router(
     your own, or behind certificates.
 
     Args:
-        listen: Where, such as tcp/0.0.0.0:7447; several times for several.
+        listen: Where, such as tcp/0.0.0.0:7447, or tls/… with --pki; several times for several.
+        name: Of its certificate.
+        pki: Folder with its certificate and key (M100LINK_PKI): who comes by tls/ needs one, too.
+        rights: File of rights: what it does not allow is not routed. Needs --pki, because who
+            somebody is stands in the certificate.
         json_output: Print one line of JSON when it runs.
         log: What is logged.
     """
+    options = {} if pki is None else tls_options(pki, name, listens=True)
+    if rights is not None:
+        if pki is None or not all(place.startswith("tls/") for place in listen):
+            raise UsageError(
+                "the rules of --rights know everybody by a certificate",
+                remedy="--pki FOLDER, and --listen tls/… alone",
+            )
+        options["access_control"] = json.dumps(router_config(Rights.read(rights)))
 
     async def run() -> None:
         ended = until_told()
-        async with open_session(session_config("router", listen=listen)):
+        async with open_session(session_config("router", listen=listen) | options):
             if json_output:
                 print_json({"listen": list(listen)})
             else:
@@ -89,6 +109,8 @@ def agent(
     lost: LostAction = "hover",
     lost_after: float = 10.0,
     ledger: Path | None = None,
+    pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
+    rights: Path | None = None,
     options: AgentOptions = AgentOptions(),
 ) -> int:
     """Own an aircraft on board and serve it to a fleet, until Ctrl-C.
@@ -107,6 +129,8 @@ def agent(
         ledger: Folder in which orders that were begun are kept, so that none is carried out twice
             when the agent is killed; by default in the user's folder for the state of programs,
             and nowhere for virtual aircraft.
+        pki: Folder with its certificate and key, for a router behind tls/ (M100LINK_PKI).
+        rights: File of rights: orders that are not signed by who may are refused.
         options: See below.
     """
     words = url
@@ -124,6 +148,10 @@ def agent(
     is_virtual = all(settings.sim for settings in aircraft.values())
     kept = ledger or (None if is_virtual else default_ledgers())
     fleet = FleetSettings(connect, site, LostPlan(lost, lost_after), kept)
+    if pki is not None:
+        fleet = replace(fleet, options=tls_options(pki, name))
+    if rights is not None:
+        fleet = replace(fleet, verify=verifying(Rights.read(rights), aircraft, time.time))
     return run_async(_serve(aircraft, fleet, as_json=options.run.json_output))
 
 

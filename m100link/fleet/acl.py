@@ -17,6 +17,7 @@ __all__ = ["explain", "router_config"]
 
 _TOLD = ("tel", "tel/**", "state", "event")
 _WATCHED = ("state", "log")  # asked by who watches
+_CARDS = ("state",)  # and of all at once
 _ORDERED = ("cmd", "status/**")  # by who may stop; of who flies besides:
 _FLOWN = ("lease",)
 _PUT = ("setpoint",)
@@ -67,12 +68,13 @@ def _keys(rights: Rights, patterns: Iterable[str], ends: Iterable[str]) -> list[
 
 def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
     """An agent tells of its own aircraft, and is asked for it."""
-    served = _keys(rights, [name], dict.fromkeys((*_WATCHED, *_ORDERED, *_FLOWN)))
+    served = _keys(rights, [name], (*_WATCHED, *_ORDERED, *_FLOWN))
+    asked = [*served, *_keys(rights, ["*"], _CARDS)]
     told, put, live = (_keys(rights, [name], ends) for ends in (_TOLD, _PUT, _LIVE))
     yield _rule("ingress", ["put"], told)
     yield _rule("egress", ["declare_subscriber"], told)
     yield _rule("ingress", ["declare_queryable", "reply"], served)
-    yield _rule("egress", ["query"], served)
+    yield _rule("egress", ["query"], asked)
     yield _rule("ingress", ["declare_subscriber"], put)
     yield _rule("egress", ["put"], put)
     # It looks whether another one has its name.
@@ -85,7 +87,8 @@ def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
     """Who watches hears; who may stop asks, too; who flies takes the lease and sends setpoints."""
     watched, stopped, flown = (one.allowed(right) for right in Right)
     told = _keys(rights, watched, _TOLD)
-    asked = [
+    everybody = ["*"] if watched else []
+    served = [
         *_keys(rights, watched, _WATCHED),
         *_keys(rights, stopped, _ORDERED),
         *_keys(rights, flown, _FLOWN),
@@ -93,11 +96,11 @@ def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
     put, live = _keys(rights, flown, _PUT), _keys(rights, watched, _LIVE)
     # It may ask for all by one pattern, which has to be allowed as it stands: what it is told is
     # decided for each key as it goes out.
-    everybody = ["*"] if watched else []
+    asked = [*served, *_keys(rights, everybody, _CARDS)]
     yield _rule("ingress", ["declare_subscriber"], _keys(rights, everybody, _TOLD))
     yield _rule("egress", ["put"], told)
     yield _rule("ingress", ["query"], asked)
-    yield _rule("egress", ["declare_queryable", "reply"], asked)
+    yield _rule("egress", ["declare_queryable", "reply"], served)
     yield _rule("ingress", ["put"], put)
     yield _rule("egress", ["declare_subscriber"], put)
     messages = ["liveliness_query", "declare_liveliness_subscriber"]

@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import (
     Ed25519PublicKey,
 )
 
-from m100link.errors import M100Error, UsageError
+from m100link.errors import NotAllowed, UsageError
 from m100link.fleet.rights import Right, Rights
 
 __all__ = ["STOP_WINDOW_S", "WINDOW_S", "Claim", "Gate", "OrderRefused", "Reason", "Signer"]
@@ -45,7 +45,7 @@ class Reason(Enum):
 
 
 class OrderRefused(
-    M100Error,
+    NotAllowed,
     code="M100-ORDER-REFUSED",
     cause="a key that the agent does not know, a clock that is wrong, or a right that is missing",
     remedy="look at `reason`; nothing was done",

@@ -50,10 +50,12 @@ def test_what_no_rule_allows_is_denied() -> None:
     assert len({rule["id"] for rule in found["rules"]}) == len(found["rules"])
 
 
-def test_an_agent_has_rules_for_its_own_keys_alone() -> None:
+def test_an_agent_has_rules_for_nobody_elses_keys_but_one_question() -> None:
+    """Where all stand is asked by one pattern, which has to be allowed as it stands."""
     keys = {key for rule in rules_of("agent a1") for key in rule["key_exprs"]}
-    assert keys
-    assert all(key.startswith("m100/site/a1/") for key in keys)
+    assert {key for key in keys if not key.startswith("m100/site/a1/")} == {"m100/site/*/state"}
+    [rule] = [one for one in rules_of("agent a1") if "m100/site/*/state" in one["key_exprs"]]
+    assert (rule["flows"], rule["messages"]) == (["egress"], ["query"])
 
 
 def test_part_of_a_name_is_written_as_zenoh_writes_it() -> None:
@@ -193,6 +195,9 @@ def test_a_router_lets_everybody_do_what_the_file_says(site: Site) -> None:
         "wall": {"a1", "a2"},
         "stranger": set(),
     }
+
+    cards = {name: answers(session, "m100/site/*/state") for name, session in people.items()}
+    assert cards == {"anna": 1, "bert": 2, "wall": 2, "stranger": 0}
 
     for name, session in people.items():
         session.put("m100/site/a1/setpoint", name.encode())
