@@ -21,11 +21,11 @@ CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LINES_PER_FILE = 500
 LINES_PER_FUNCTION = 60  # its docstring not counted
 # The bridge to MAVLink is a room of its own: a front with a protocol, a codec and six arrows, which
-# the command line begins. The node of ROS 2 is another one, with six arrows to what lies below and
-# two to it, from the station and the command line.
+# the command line begins. The node of ROS 2 is another one, with seven arrows to what lies below
+# and two to it, from the station and the command line.
 # What many aircraft fly together is a room above all that know one: the command line begins it.
 # Its network is another one, of which only it knows.
-ROOMS, FLOORS, ARROWS = 27, 11, 140
+ROOMS, FLOORS, ARROWS = 27, 11, 141
 
 
 @cache
@@ -238,6 +238,7 @@ TESTED_ELSEWHERE = {
     "flight/missions/orders.py": ("flight/missions/test_keeper.py", "requests by their kind"),
     "flight/missions/refusal.py": ("flight/missions/test_waypoint.py", "seen in what is raised"),
     "log/ros2_definitions.py": ("log/test_cdr.py", "compared with those of others"),
+    "ros2/answers.py": ("ros2/test_node.py", "each service answers by it"),
     "ros2/ends.py": ("ros2/test_node.py", "seen in what comes in and goes out"),
     "ros2/flights.py": ("ros2/test_actions.py", "each is a goal of an action"),
     "ros2/helm.py": ("ros2/test_node.py", "seen in what flies"),

@@ -84,11 +84,33 @@ _OWN = {
     f"{OWN_PACKAGE}/FlightStatus": "std_msgs/Header header\nuint8 phase\nbool has_authority\n"
     "string holder\nstring task\nstring mode_switch\nuint8 gps_health\nuint8 battery_percent\n"
     "string firmware\nstring connection",
+    f"{OWN_PACKAGE}/MissionAction": "uint8 kind\nfloat32 value",
+    f"{OWN_PACKAGE}/MissionPoint": "float64 latitude\nfloat64 longitude\nfloat32 height\n"
+    "float32 heading\nfloat32 damping\nfloat32 gimbal_pitch\nbool turn_counterclockwise\n"
+    f"{OWN_PACKAGE}/MissionAction[] actions",
     f"{OWN_PACKAGE}/MissionEvent": "std_msgs/Header header\nuint8 event\nuint8[5] data",
     f"{OWN_PACKAGE}/Waypoint": "float64 latitude\nfloat64 longitude\nfloat32 height\nfloat32 wait",
 }
 
+_RESULT = "bool success\nstring message"
+
 SERVICES = {
+    f"{OWN_PACKAGE}/srv/PointGimbal": (
+        (
+            "float32 yaw\nfloat32 pitch\nfloat32 roll\nbool is_relative\nbool keep_yaw\n"
+            "bool keep_pitch\nbool keep_roll\nfloat32 duration"
+        ),
+        _RESULT,
+    ),
+    f"{OWN_PACKAGE}/srv/StartMission": ("bool take_off", _RESULT),
+    f"{OWN_PACKAGE}/srv/UploadMission": (
+        (
+            f"{OWN_PACKAGE}/MissionPoint[] points\nfloat32 speed\nfloat32 max_speed\n"
+            "uint8 heading\nuint8 trace\nuint8 at_end\nuint8 on_rc_loss\n"
+            "bool gimbal_by_point\nuint8 repeat"
+        ),
+        _RESULT,
+    ),
     "action_msgs/srv/CancelGoal": (
         "action_msgs/GoalInfo goal_info",
         "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
@@ -114,11 +136,9 @@ SERVICES = {
         "rcl_interfaces/Parameter[] parameters",
         "rcl_interfaces/SetParametersResult result",
     ),
-    "std_srvs/srv/Trigger": ("", "bool success\nstring message"),
+    "std_srvs/srv/Trigger": ("", _RESULT),
 }
 """Request and response of each service."""
-
-_RESULT = "bool success\nstring message"
 
 ACTIONS = {
     f"{OWN_PACKAGE}/action/TakeOff": ("float32 height", _RESULT, "float32 height"),

@@ -12,7 +12,7 @@ import asyncio
 from m100link.agent.client import AgentClient
 from m100link.agent.lease import Lease
 from m100link.agent.messages import Action, Event, Topic
-from m100link.errors import GuardRefused, M100Error, NoAuthority, UsageError
+from m100link.errors import GuardRefused, M100Error, MissionRunning, NoAuthority, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightStatus
 from m100link.protocol.setpoint import Setpoint
@@ -154,9 +154,24 @@ class Helm:
         if flying.done():
             flying.result()
 
-    async def _flown(self, lease: Lease, task: Task, begun: asyncio.Event) -> None:
+    async def _begin(self, lease: Lease, task: Task, begun: asyncio.Event) -> None:
+        """Fly a task. A mission of the aircraft's own has to be over before a landing."""
         try:
             await self._agent.fly(lease, task, begun.set)
+        except MissionRunning:
+            if task is Task.TAKE_OFF:
+                raise
+        else:
+            return
+        try:
+            await self._agent.ask(Action.MISSION_STOP, lease)
+        except M100Error as error:  # it may be over by now, and landing matters more
+            self._agent.note(f"the mission before {task.name.lower()}: {error.seen}")
+        await self._agent.fly(lease, task, begun.set)
+
+    async def _flown(self, lease: Lease, task: Task, begun: asyncio.Event) -> None:
+        try:
+            await self._begin(lease, task, begun)
         except M100Error as error:
             if not begun.is_set():
                 raise
@@ -175,15 +190,20 @@ class Helm:
         if self.goal:
             raise UsageError(f"{what}: {self.goal} flies", remedy="cancel that goal first")
 
-    async def do(self, action: Action) -> None:
+    async def do(self, action: Action, *, number: int = 0, data: bytes = b"") -> None:
         """Something that needs the lease and is done when it is answered.
+
+        Args:
+            action: What.
+            number: As in :class:`m100link.agent.messages.Ask`.
+            data: Likewise.
 
         Raises:
             M100Error: As :meth:`m100link.agent.client.AgentClient.ask`.
         """
         lease = self.held()
         self._ordered_at = self._agent.now
-        await self._agent.ask(action, lease)
+        await self._agent.ask(action, lease, number=number, data=data)
 
     async def stop(self) -> None:
         """Stop whatever happens; anybody may. Setpoints fly after the next ~/obtain_control."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from m100link.agent.client import AgentClient
@@ -14,12 +14,15 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.ros2.actions import Actions
+from m100link.ros2.answers import answering, trigger
 from m100link.ros2.bus import Bus
 from m100link.ros2.dji import DJI_OUTPUTS
 from m100link.ros2.ends import Call, Ends, Input
 from m100link.ros2.graph import ADMIN, Names, NodeName
 from m100link.ros2.helm import Helm
+from m100link.ros2.missions import Missions
 from m100link.ros2.parameters import Parameters
+from m100link.ros2.payload import Payload
 from m100link.ros2.presence import Presence
 from m100link.ros2.setpoints import Frames, speed, toward
 from m100link.ros2.telling import ALL_OUTPUTS, Teller
@@ -112,11 +115,12 @@ class Node:
             "~/cmd_vel_unstamped": lambda message: speed(message, is_body=True),
             "~/setpoint_position": self._place,
         }
-        self._inputs: list[tuple[str, Input, Make]] = [
-            (name, self.ends.subscribe(names.full(name), row.kind), takes[name])
-            for name, row in INPUTS.items()
-        ]
-        for name, call in self._triggers().items():
+        inputs = {
+            name: self.ends.subscribe(names.full(name), row.kind) for name, row in INPUTS.items()
+        }
+        self._inputs = [(name, inputs[name], make) for name, make in takes.items()]
+        self._payload = Payload(agent, self.helm, inputs["~/gimbal_speed"], self._tell)
+        for name, call in (self._calls() | Missions(self.helm).calls()).items():
             self.ends.serve(names.full(name), SERVICES[name].kind, call)
         self.actions = Actions(
             agent, self.helm, self.ends, names, self._presence, self.teller.time_now
@@ -180,20 +184,21 @@ class Node:
 
     # -- services --------------------------------------------------------------------------------
 
-    def _triggers(self) -> dict[str, Call]:
+    def _calls(self) -> dict[str, Call]:
         helm = self.helm
         return {
-            "~/obtain_control": _trigger(self._obtain, "ROS has control"),
-            "~/release_control": _trigger(helm.release, "control is given back"),
-            "~/takeoff": _trigger(lambda: helm.fly(Task.TAKE_OFF), "it takes off"),
-            "~/land": _trigger(lambda: self._end(Task.LAND), "it lands"),
-            "~/go_home": _trigger(lambda: self._end(Task.GO_HOME), "it flies home"),
-            "~/arm": _trigger(lambda: helm.do(Action.ARM), "the motors run"),
-            "~/disarm": _trigger(lambda: helm.do(Action.DISARM), "the motors stand"),
-            "~/stop": _trigger(helm.stop, "stopped"),
-            "~/take_photo": _trigger(lambda: helm.do(Action.TAKE_PHOTO), "sent"),
-            "~/start_video": _trigger(lambda: helm.do(Action.START_VIDEO), "sent"),
-            "~/stop_video": _trigger(lambda: helm.do(Action.STOP_VIDEO), "sent"),
+            "~/obtain_control": trigger(self._obtain, "ROS has control"),
+            "~/release_control": trigger(helm.release, "control is given back"),
+            "~/takeoff": trigger(lambda: helm.fly(Task.TAKE_OFF), "it takes off"),
+            "~/land": trigger(lambda: self._end(Task.LAND), "it lands"),
+            "~/go_home": trigger(lambda: self._end(Task.GO_HOME), "it flies home"),
+            "~/arm": trigger(lambda: helm.do(Action.ARM), "the motors run"),
+            "~/disarm": trigger(lambda: helm.do(Action.DISARM), "the motors stand"),
+            "~/stop": trigger(helm.stop, "stopped"),
+            "~/take_photo": trigger(lambda: helm.do(Action.TAKE_PHOTO), "sent"),
+            "~/start_video": trigger(lambda: helm.do(Action.START_VIDEO), "sent"),
+            "~/stop_video": trigger(lambda: helm.do(Action.STOP_VIDEO), "sent"),
+            "~/point_gimbal": answering(self._payload.point, "sent"),
         }
 
     async def _obtain(self) -> None:
@@ -226,6 +231,7 @@ class Node:
         self._is_even = not self._is_even
         if self._is_even:
             self.ends.take_requests(is_deaf=now < self._deaf_until)
+        self._payload.advance(is_deaf=now < self._deaf_until)
         self.helm.advance()
         self.actions.advance()
         if now - self._looked_at >= _LOOK_S:
@@ -264,16 +270,3 @@ class Node:
         self.teller.hear(sample)
         if self._agent.now - self._ran_at >= _STEP_SOONEST_S:
             self._wake()
-
-
-def _trigger(doing: Callable[[], Awaitable[None]], done: str) -> Call:
-    """A service without a question: done, or why not, with cause and remedy."""
-
-    async def call(message: dict[str, Any]) -> Mapping[str, Any]:
-        try:
-            await doing()
-        except M100Error as error:
-            return {"success": False, "message": str(error)}
-        return {"success": True, "message": done}
-
-    return call

@@ -116,6 +116,10 @@ INPUTS: Mapping[str, Input] = {
         "geometry_msgs/PoseStamped",
         "fly towards this place in odom or map for 0.3 s, and turn to its heading",
     ),
+    "~/gimbal_speed": Input(
+        "geometry_msgs/Vector3Stamped",
+        "turn the camera for half a second, rad/s about forward, left, up (firmware 2.3 on)",
+    ),
 }
 """By name."""
 
@@ -149,5 +153,17 @@ SERVICES: Mapping[str, Service] = {
     "~/take_photo": Service(_TRIGGER, "take a photograph; nobody confirms it"),
     "~/start_video": Service(_TRIGGER, "start video; nobody confirms it"),
     "~/stop_video": Service(_TRIGGER, "stop video; nobody confirms it"),
+    "~/point_gimbal": Service(
+        "m100_msgs/srv/PointGimbal", "point the camera (firmware 2.3 on); nobody confirms it"
+    ),
+    "~/mission/upload": Service(
+        "m100_msgs/srv/UploadMission", "check a plan for the aircraft's own missions (3.1)"
+    ),
+    "~/mission/start": Service(
+        "m100_msgs/srv/StartMission", "upload it to the aircraft, which flies it by itself"
+    ),
+    "~/mission/pause": Service(_TRIGGER, "let the mission hover where it is"),
+    "~/mission/resume": Service(_TRIGGER, "let it fly on"),
+    "~/mission/stop": Service(_TRIGGER, "end it: the aircraft hovers"),
 }
 """By name."""
