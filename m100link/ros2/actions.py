@@ -20,6 +20,7 @@ from m100link.errors import M100Error
 from m100link.ros2.ends import Ends, Topic
 from m100link.ros2.flights import FLIGHTS, Flight
 from m100link.ros2.graph import Names, Qos
+from m100link.ros2.heartbeat import Heartbeat
 from m100link.ros2.helm import Helm
 from m100link.ros2.presence import Presence
 
@@ -117,6 +118,7 @@ class Actions:
         ends: Where services and topics are offered.
         names: Names of the node.
         presence: Who is there.
+        heartbeat: Who of them still runs.
         stamp: Time now, as builtin_interfaces/Time.
     """
 
@@ -127,9 +129,11 @@ class Actions:
         ends: Ends,
         names: Names,
         presence: Presence,
+        heartbeat: Heartbeat,
         stamp: Callable[[], Mapping[str, int]],
     ) -> None:
         self._agent, self._helm, self._presence, self._stamp = agent, helm, presence, stamp
+        self._heartbeat = heartbeat
         self._goals: OrderedDict[bytes, _Goal] = OrderedDict()
         self._current: _Goal | None = None
         self._feedback_at = agent.now
@@ -208,6 +212,7 @@ class Actions:
         while len(self._goals) > _KEPT:
             self._goals.popitem(last=False)
         self._helm.goal = goal.action.name
+        self._heartbeat.follow(self._presence.sessions(goal.clients))
         if goal.clients:
             who = self._presence.names(goal.clients)
             self._agent.note(f"{goal.action.name} for {who}")
@@ -264,6 +269,8 @@ class Actions:
             return
         if self._presence.missing(goal.clients):
             self._cancel(goal, "whoever asked has gone")
+        elif self._heartbeat.is_missing(now):
+            self._cancel(goal, "whoever asked does not answer any more")
         if not goal.flight.is_ours:
             # Between two of its legs nothing of it flies that the agent could have ended.
             self._cancel(goal, "control was lost, or given back")

@@ -42,6 +42,12 @@ MOST_TOKENS = 1024
 MOST_BYTES = 32768
 """Of a payload that is read: a mission of 500 places has 20,000."""
 
+_ANSWER_S = 2.0
+"""Seconds for which an answer of a session is waited for."""
+
+_MOST_ANSWERS = 256
+"""Of one session to one question: more of them would wait in zenoh until the question ends."""
+
 _SESSION = {
     "mode": '"peer"',
     "connect/endpoints": '["tcp/localhost:7447"]',
@@ -151,6 +157,10 @@ class Bus(Protocol):
 
     def watch(self, pattern: str) -> Inbox[TokenChange]:
         """See tokens come and go, those first that are there."""
+        ...
+
+    def ask(self, session: str) -> Inbox[bool]:
+        """Ask another session whether it is there; something is in the inbox if it is."""
         ...
 
 
@@ -305,6 +315,15 @@ class ZenohBus:
             return TokenChange(str(one.key_expr), one.kind == put)
 
         return _Ring(declared, change, MOST_TOKENS)
+
+    def ask(self, session: str) -> Inbox[bool]:
+        """Ask another session whether it is there: by its admin space, which it may not have."""
+        import zenoh
+
+        # No ring, which is emptied when the question has ended.
+        queue: Any = zenoh.handlers.FifoChannel(_MOST_ANSWERS)
+        asked = self._session.get(f"@/{session}/*", queue, timeout=_ANSWER_S)
+        return _Ring(asked, lambda reply: reply.ok is not None, _MOST_ANSWERS)
 
 
 def _config(environment: Mapping[str, str]) -> zenoh.Config:

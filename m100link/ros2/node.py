@@ -19,6 +19,7 @@ from m100link.ros2.bus import Bus
 from m100link.ros2.dji import DJI_OUTPUTS
 from m100link.ros2.ends import Call, Ends, Input
 from m100link.ros2.graph import ADMIN, Names, NodeName
+from m100link.ros2.heartbeat import Heartbeat
 from m100link.ros2.helm import Helm
 from m100link.ros2.missions import Missions
 from m100link.ros2.parameters import Parameters
@@ -123,7 +124,13 @@ class Node:
         for name, call in (self._calls() | Missions(self.helm).calls()).items():
             self.ends.serve(names.full(name), SERVICES[name].kind, call)
         self.actions = Actions(
-            agent, self.helm, self.ends, names, self._presence, self.teller.time_now
+            agent,
+            self.helm,
+            self.ends,
+            names,
+            self._presence,
+            Heartbeat(bus.ask),
+            self.teller.time_now,
         )
         Parameters(agent, self.teller, self.ends, names)
 

@@ -46,6 +46,10 @@ class Presence:
             key for key, one in self._seen.items() if one.end is End.CLIENT and one.topic == service
         )
 
+    def sessions(self, keys: frozenset[str]) -> frozenset[str]:
+        """In which sessions these tokens are."""
+        return frozenset(self._seen[key].node[0] for key in keys if key in self._seen)
+
     def names(self, keys: frozenset[str]) -> str:
         """Whose tokens these are, for people."""
         return ", ".join(sorted({self._seen[key].node_name for key in keys if key in self._seen}))

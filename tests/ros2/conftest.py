@@ -65,6 +65,8 @@ class MemoryBus:
         self.inboxes: dict[str, MemoryInbox] = {}
         self.tokens: list[str] = []
         self.changes = MemoryInbox(1024)
+        self.asked: list[str] = []
+        self.answering: set[str] = set()
 
     def publish(self, key: str, *, kept: int = 0) -> Outlet:
         return self.outlets.setdefault(key, MemoryOutlet())
@@ -80,6 +82,13 @@ class MemoryBus:
 
     def watch(self, pattern: str) -> Inbox[TokenChange]:
         return self.changes
+
+    def ask(self, session: str) -> Inbox[bool]:
+        inbox = MemoryInbox(1)
+        self.asked.append(session)
+        if session in self.answering:
+            inbox.waiting.append(True)
+        return inbox
 
 
 class Program:

@@ -25,7 +25,7 @@ class Client(Program):
 
     def __init__(self, rig: Rig, number: int = 5) -> None:
         super().__init__(rig, number)
-        node = NodeName(0, f"session{number}", "/", f"program{number}")
+        node = NodeName(0, f"5e55{number:02d}", "/", f"program{number}")
         self.tokens = [
             node.token_of(
                 place,
@@ -196,6 +196,21 @@ async def test_who_asked_is_killed_and_it_hovers(rig: Rig, client: Client) -> No
     client.leave()
     status, why = await client.result("~/fly_to", goal)
     assert (status, why) == (GoalStatus.CANCELED, "whoever asked has gone")
+    await anyio.sleep(2.0)
+    assert rig.speed < 0.3
+
+
+async def test_who_asked_stands_still_and_it_hovers(rig: Rig, client: Client) -> None:
+    rig.bus.answering = {"5e5505"}
+    await client.up()
+    goal = await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=6.0)
+    assert goal is not None
+    await rig.until(lambda: rig.speed > 3.0)
+    rig.bus.answering = set()  # as after kill -STOP: its tokens stay
+    began = rig.client.now
+    status, why = await client.result("~/fly_to", goal)
+    assert (status, why) == (GoalStatus.CANCELED, "whoever asked does not answer any more")
+    assert rig.client.now - began < 2.0
     await anyio.sleep(2.0)
     assert rig.speed < 0.3
 

@@ -44,16 +44,16 @@ async def some(inbox: Inbox[Any]) -> list[Any]:
     return found
 
 
-async def two(stack: AsyncExitStack) -> tuple[ZenohBus, ZenohBus]:
+async def two(stack: AsyncExitStack, *, second: str = "") -> tuple[ZenohBus, ZenohBus]:
     """Two sessions, one of which listens where the other one connects."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         place = json.dumps([f"tcp/127.0.0.1:{probe.getsockname()[1]}"])
     first = {"ZENOH_CONFIG_OVERRIDE": f"listen/endpoints={place};connect/endpoints=[]"}
-    second = {"ZENOH_CONFIG_OVERRIDE": f"connect/endpoints={place}"}
+    other = {"ZENOH_CONFIG_OVERRIDE": f"connect/endpoints={place};{second}"}
     return (
         await stack.enter_async_context(open_bus(first)),
-        await stack.enter_async_context(open_bus(second)),
+        await stack.enter_async_context(open_bus(other)),
     )
 
 
@@ -175,10 +175,27 @@ async def test_who_asks_all_services_at_once_asks_none() -> None:
         assert await anyio.to_thread.run_sync(list, answers) == []
 
 
+async def test_a_session_with_an_admin_space_answers_and_no_other_one() -> None:
+    async with AsyncExitStack() as stack:
+        one, other = await two(stack, second="adminspace/enabled=true")
+        nobody = [other.ask(one.session), one.ask("abcdef")]
+        asked: list[Inbox[bool]] = []
+
+        def answers() -> bool:
+            asked.append(one.ask(other.session))
+            nobody.append(other.ask(one.session))
+            return any(any(inbox.take()) for inbox in asked)
+
+        await until(answers)
+        assert not any(inbox.take() for inbox in nobody)
+
+
 async def test_nothing_is_raised_when_the_session_has_ended() -> None:
     async with open_bus({"ZENOH_CONFIG_OVERRIDE": "connect/endpoints=[]"}) as bus:
         outlet = bus.publish("0/a")
+        inbox = bus.ask("abcdef")
     outlet.put(b"", b"")
+    assert inbox.take() == []
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ def session_of(port: int, *, is_router: bool = False) -> Any:
     config.insert_json5("mode", '"router"' if is_router else '"peer"')
     config.insert_json5("listen/endpoints" if is_router else "connect/endpoints", place)
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("adminspace/enabled", "true")  # as rmw_zenoh has it
     return zenoh.open(config)
 
 

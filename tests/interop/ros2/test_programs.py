@@ -274,6 +274,31 @@ def test_who_sent_a_goal_is_killed(site: Site) -> None:
     assert site.truth()["north"] < 110.0
 
 
+def test_who_sent_a_goal_stands_still(site: Site) -> None:
+    site.up()
+    north = LocalFrame(*PLACE).to_geodetic(120.0, 0.0)
+    program = site.run("plain.py", "goal", site.names[0], *map(str, north))
+    assert "'accepted': True" in line_of(program)
+    site.until(lambda: site.speed() > 3.0)
+    os.kill(program.pid, signal.SIGSTOP)
+    try:
+        # Its tokens stay for as long as the lease of its session, 10 s.
+        site.hovers("client of an action stopped (SIGSTOP)")
+    finally:
+        os.kill(program.pid, signal.SIGCONT)
+    assert site.truth()["north"] < 110.0
+
+
+def test_the_commander_stands_still(site: Site) -> None:
+    program = steering(site)
+    os.kill(program.pid, signal.SIGSTOP)
+    site.hovers("commander of setpoints stopped (SIGSTOP)")
+    os.kill(program.pid, signal.SIGCONT)
+    site.until(lambda: site.speed() > 2.0)  # it begins anew, as after a pause of its own
+    program.kill()
+    site.hovers("the same, went on and killed")
+
+
 def test_a_goal_is_flown_to_its_end(site: Site) -> None:
     site.up()
     place = LocalFrame(*PLACE).to_geodetic(15.0, 5.0)
