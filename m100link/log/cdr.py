@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from m100link.log.ros2_definitions import DEFINITIONS
 
-__all__ = ["Template", "decode", "definition", "encode", "full_name", "type_hash"]
+__all__ = ["Template", "decode", "definition", "describe", "encode", "full_name", "type_hash"]
 
 _HEAD = b"\x00\x01\x00\x00"  # CDR, little-endian
 
@@ -40,7 +40,7 @@ _SCALARS = {
     "float32": ("f", 10),
     "float64": ("d", 11),
 }
-_STRING = 17
+_STRING, _BOUNDED_STRING = 17, 21
 _NESTED = 1
 _ARRAY, _BOUNDED, _SEQUENCE = 48, 96, 144
 
@@ -50,6 +50,7 @@ class _Field(NamedTuple):
     type: str
     many: int | None  # None: one; 0: as many as there are
     most: int  # of a sequence with a bound, else 0
+    longest: int  # of a string with a bound, else 0
 
 
 @cache
@@ -59,9 +60,10 @@ def _fields(name: str) -> tuple[_Field, ...]:
         kind, field = line.split()
         kind, bracket, many = kind.partition("[")
         many = many.rstrip("]")
+        kind, _, longest = kind.partition("<=")
         most = int(many.removeprefix("<=")) if many.startswith("<=") else 0
         count = (0 if most else int(many or 0)) if bracket else None
-        made.append(_Field(field, kind, count, most))
+        made.append(_Field(field, kind, count, most, int(longest or 0)))
     return tuple(made)
 
 
@@ -93,23 +95,30 @@ def definition(name: str) -> str:
     return f"\n{line}\n".join(parts) + "\n"
 
 
-@cache
-def type_hash(name: str) -> str:
-    """The hash of a type by REP 2011, ``RIHS01_…``, which ROS 2 compares to tell types apart."""
-    described = {
+def describe(name: str) -> dict[str, Any]:
+    """A type and all that stand in it, as type_description_interfaces/TypeDescription.
+
+    Defaults, which do not count in hashes, are left out.
+    """
+    return {
         "type_description": _described(name),
         "referenced_type_descriptions": [
             _described(one) for one in sorted(_nested_in(name), key=full_name)
         ],
     }
-    return f"RIHS01_{hashlib.sha256(json.dumps(described).encode()).hexdigest()}"
+
+
+@cache
+def type_hash(name: str) -> str:
+    """The hash of a type by REP 2011, ``RIHS01_…``, which ROS 2 compares to tell types apart."""
+    return f"RIHS01_{hashlib.sha256(json.dumps(describe(name)).encode()).hexdigest()}"
 
 
 def _described(name: str) -> dict[str, Any]:
     fields = []
     for field in _fields(name):
         nested = full_name(field.type) if field.type in DEFINITIONS else ""
-        number = _NESTED if nested else _STRING
+        number = _NESTED if nested else _BOUNDED_STRING if field.longest else _STRING
         if field.type in _SCALARS:
             number = _SCALARS[field.type][1]
         if field.many is not None:
@@ -117,7 +126,7 @@ def _described(name: str) -> dict[str, Any]:
         kind = {
             "type_id": number,
             "capacity": field.most or field.many or 0,
-            "string_capacity": 0,
+            "string_capacity": field.longest,
             "nested_type_name": nested,
         }
         fields.append({"name": field.name, "type": kind})

@@ -77,6 +77,19 @@ _STANDARD = {
     "std_msgs/String": "string data",
     "std_msgs/UInt8": "uint8 data",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "type_description_interfaces/Field": "string name\n"
+    "type_description_interfaces/FieldType type\nstring default_value",
+    "type_description_interfaces/FieldType": "uint8 type_id\nuint64 capacity\n"
+    "uint64 string_capacity\nstring<=255 nested_type_name",
+    "type_description_interfaces/IndividualTypeDescription": "string<=255 type_name\n"
+    "type_description_interfaces/Field[] fields",
+    "type_description_interfaces/KeyValue": "string key\nstring value",
+    "type_description_interfaces/TypeDescription": (
+        "type_description_interfaces/IndividualTypeDescription type_description\n"
+        "type_description_interfaces/IndividualTypeDescription[] referenced_type_descriptions"
+    ),
+    "type_description_interfaces/TypeSource": "string type_name\nstring encoding\n"
+    "string raw_file_contents",
     "unique_identifier_msgs/UUID": "uint8[16] uuid",
 }
 
@@ -137,6 +150,15 @@ SERVICES = {
         "rcl_interfaces/SetParametersResult result",
     ),
     "std_srvs/srv/Trigger": ("", _RESULT),
+    "type_description_interfaces/srv/GetTypeDescription": (
+        "string type_name\nstring type_hash\nbool include_type_sources",
+        (
+            "bool successful\nstring failure_reason\n"
+            "type_description_interfaces/TypeDescription type_description\n"
+            "type_description_interfaces/TypeSource[] type_sources\n"
+            "type_description_interfaces/KeyValue[] extra_information"
+        ),
+    ),
 }
 """Request and response of each service."""
 

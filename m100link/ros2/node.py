@@ -16,6 +16,7 @@ from m100link.protocol.setpoint import Setpoint
 from m100link.ros2.actions import Actions
 from m100link.ros2.answers import answering, trigger
 from m100link.ros2.bus import Bus
+from m100link.ros2.descriptions import serve_descriptions
 from m100link.ros2.dji import DJI_OUTPUTS
 from m100link.ros2.ends import Call, Ends, Input
 from m100link.ros2.graph import ADMIN, Names, NodeName
@@ -133,6 +134,7 @@ class Node:
             self.teller.time_now,
         )
         Parameters(agent, self.teller, self.ends, names)
+        serve_descriptions(self.ends, names)
 
     @property
     def counted(self) -> dict[str, int]:
