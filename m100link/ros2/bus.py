@@ -55,8 +55,9 @@ _SESSION = {
     "listen/endpoints": '["tcp/localhost:0"]',
     "scouting/multicast/enabled": "false",
     "timestamping/enabled": '{"router": true, "peer": true, "client": true}',
-    # A cable that is cut without a word: gone after this, as the aircraft must not wait for it.
-    "transport/link/tx/lease": "1500",
+    # As rmw_zenoh's, and not below that of its router: who stands still for longer than ours and
+    # shorter than the router's gives up this session and is told of no way back to it.
+    "transport/link/tx/lease": "60000",
     # Nothing that a node hears is longer, and zenoh would put a gigabyte together.
     "transport/link/rx/max_message_size": "1048576",
 }
