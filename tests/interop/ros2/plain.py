@@ -1,4 +1,4 @@
-"""Programs of plain zenoh: `python plain.py PORT WHAT …`, a router, a client of goals, a flood."""
+"""Programs of plain zenoh: `python plain.py PORT WHAT …`, a router, a client of goals, a bag."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import json
 import os
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import zenoh
 
 from m100link.log.cdr import decode, encode
-from m100link.ros2.graph import Attachment, End, NodeName, Qos, data_key
+from m100link.ros2.graph import Attachment, End, NodeName, Qos, data_key, read_attachment
 
 FLY_TO = "m100_msgs/action/FlyTo"
 
@@ -82,22 +83,51 @@ def watch(port: int) -> None:
         print(time.time(), change.kind == zenoh.SampleKind.PUT, change.key_expr, flush=True)
 
 
-def record(port: int, seconds: str) -> None:
-    """All of domain 0, as lines of key, type and CDR in hex."""
-    session = session_of(port)
+def store_of_types() -> Any:
+    """Types as rosbags has them, and those of m100_msgs by their files."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    from m100link.ros2 import MESSAGES
+
+    store = get_typestore(Stores.LATEST)
+    for path in sorted(MESSAGES.rglob("*.msg")):
+        text = path.read_text(encoding="utf-8")
+        store.register(get_types_from_msg(text, f"m100_msgs/msg/{path.stem}"))
+    return store
+
+
+def bag(port: int, seconds: str, folder: str) -> None:
+    """Record all topics of domain 0 into a bag, as they come; what came, as lines on stdout."""
+    from rosbags.rosbag2 import Writer
+
+    session, store = session_of(port), store_of_types()
     ring: Any = zenoh.handlers.FifoChannel(100_000)
     subscriber = session.declare_subscriber("0/**", ring)
     ends = time.monotonic() + float(seconds)
-    while time.monotonic() < ends:
-        sample = subscriber.try_recv()
-        if sample is None:
-            time.sleep(0.01)
-        else:
-            print(sample.key_expr, bytes(sample.payload).hex())
+    topics: dict[str, Any] = {}
+    with Writer(Path(folder), version=9) as writer:
+        while time.monotonic() < ends:
+            sample = subscriber.try_recv()
+            if sample is None:
+                time.sleep(0.01)
+                continue
+            key, data = str(sample.key_expr), bytes(sample.payload)
+            topic, kind = told_by(key)
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=store)
+            at = read_attachment(bytes(sample.attachment)).at_ns
+            writer.write(topics[topic], at, data)
+            print(topic, kind, at, data.hex())
+
+
+def told_by(key: str) -> tuple[str, str]:
+    """Topic and type of a key of rmw_zenoh: ``0/m100/imu/sensor_msgs::msg::dds_::Imu_/RIHS…``."""
+    *topic, kind, _ = key.split("/")[1:]
+    return "/" + "/".join(topic), kind.replace("::dds_::", "::").rstrip("_").replace("::", "/")
 
 
 if __name__ == "__main__":
-    programs = {"router": router, "goal": goal, "flood": flood, "record": record, "watch": watch}
+    programs = {"router": router, "goal": goal, "flood": flood, "bag": bag, "watch": watch}
     what: Any = programs[sys.argv[2]]
     what(int(sys.argv[1]), *sys.argv[3:])
     sys.stdout.flush()
