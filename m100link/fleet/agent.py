@@ -8,7 +8,6 @@ and log are the agent's, so that a network that is lost costs a hover.
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 import uuid
 from collections import Counter
@@ -39,17 +38,15 @@ from m100link.fleet.payloads import (
     unpack,
     unpack_steer,
 )
+from m100link.fleet.stream import Dropped, SetpointStream, broken
 from m100link.fleet.thinning import Thinner
 from m100link.protocol.records import Battery, Position
 from m100link.telemetry.subscription import Newest
 
-__all__ = ["HOLD_S", "MAX_SETPOINT_AGE_S", "FleetAgent", "Verify"]
+__all__ = ["HOLD_S", "FleetAgent", "Verify"]
 
 HOLD_S = 0.5
 """Seconds that a question waits for what becomes of its order; then it hears that it runs."""
-
-MAX_SETPOINT_AGE_S = 0.2
-"""Seconds that a setpoint may have been on its way, by the agent's own clock."""
 
 _CARD_S = 1.0
 _FRESH_S = 5.0
@@ -75,8 +72,7 @@ class FleetAgent:
     Attributes:
         client: As given.
         boot: Which run of this agent it is.
-        dropped: Setpoints that were not flown, by reason: ``stale`` (lease), ``late``,
-            ``repeated`` (or overtaken), ``damaged``.
+        dropped: Setpoints that were not flown, by reason.
     """
 
     def __init__(
@@ -98,12 +94,12 @@ class FleetAgent:
         self._verify = verify
         self._utc = utc
         self.boot = uuid.uuid4().hex[:8]
-        self.dropped: Counter[str] = Counter()
+        self.dropped: Counter[Dropped] = Counter()
         self._book = OrderBook(ledger.begun)
         self._orders = Orders(client, ledger)
         self._lost = Lost(client, self._lost_plan, self._orders.descend)
         self._ended: dict[str, asyncio.Event] = {}
-        self._newest_setpoint = (0, -math.inf)
+        self._stream = SetpointStream()
         client.on_steer_refused.append(self._steer_refused)
 
     async def run(self) -> None:
@@ -312,21 +308,22 @@ class FleetAgent:
 
     def _on_setpoint(self, key: str, payload: bytes) -> None:
         try:
-            steer = unpack_steer(payload, self._orders.tokens)
+            found = unpack_steer(payload, self._orders.tokens)
         except MessageError:
-            self.dropped["damaged"] += 1
+            self.dropped[Dropped.DAMAGED] += 1
             return
-        if steer is None or steer.fence != self.client.holder.number:
-            self.dropped["stale"] += 1
+        if found is None:
+            self.dropped[Dropped.STALE] += 1
             return
-        if abs(self.client.now - steer.sent_at) > MAX_SETPOINT_AGE_S:
-            self.dropped["late"] += 1
+        steer, begins = found
+        holder = self.client.holder
+        why = self._stream.drop(steer, begins=begins, fence=holder.number, now=self.client.now)
+        if why is not None:
+            self.dropped[why] += 1
+            if why is Dropped.BROKEN:
+                self._orders.refused = broken()
             return
-        if (steer.fence, steer.sent_at) <= self._newest_setpoint:
-            self.dropped["repeated"] += 1
-            return
-        self._newest_setpoint = (steer.fence, steer.sent_at)
-        lease = Lease(self.client.holder.name, self._orders.tokens[steer.fence], steer.fence)
+        lease = Lease(holder.name, self._orders.tokens[steer.fence], steer.fence)
         self.client.steer(lease, steer.setpoint, steer.lifetime)
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:

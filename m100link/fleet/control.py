@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -39,6 +40,9 @@ _logger = logging.getLogger(__name__)
 
 MOST_CLOCK_BOUND_S = 0.1
 """Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
+
+_PAUSE_S = 0.5
+"""Seconds after which a program that sends again has decided so anew."""
 
 _RENEWAL_S = 0.5
 _LEASE_S = 3.0
@@ -77,6 +81,7 @@ class FleetControl:
         self._agent_clock = AgentClock()
         self._lease: Reply | None = None
         self._renewed_at = 0.0
+        self._sent_at = -math.inf
         self._renewing: asyncio.Task[None] | None = None
         self._owner: asyncio.Task[object] | None = None
         self._lost: M100Error | None = None
@@ -254,6 +259,9 @@ class FleetControl:
     def send(self, setpoint: Setpoint, *, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Send a setpoint once. It flies until it is renewed or expires; then the aircraft brakes.
 
+        One that follows another within half a second goes on with a stream: when the agent heard
+        none of it for a second it is not flown, and the next call says so.
+
         Args:
             setpoint: What to fly.
             lifetime: Seconds that it lasts at the agent, at most 1.
@@ -263,6 +271,11 @@ class FleetControl:
             GuardRefused, NoAuthority, UsageError: The agent did not fly one of those before.
             UsageError: The agent's clock is not known well enough to say how old a setpoint is.
         """
+        now = self._clock()
+        self._send(setpoint, lifetime, begins=now - self._sent_at > _PAUSE_S)
+        self._sent_at = now
+
+    def _send(self, setpoint: Setpoint, lifetime: float, *, begins: bool) -> None:
         lease = self._held()
         refused, self._refused = self._refused, None
         if refused is not None:
@@ -275,7 +288,7 @@ class FleetControl:
                 remedy="fly by tasks and fly_to(), whose loops are closed on board",
             )
         steer = Steer(lease.number, self._agent_clock.its(self._clock()), lifetime, setpoint)
-        self._setpoints.put(pack_steer(steer, lease.token))
+        self._setpoints.put(pack_steer(steer, lease.token, begins=begins))
 
     @asynccontextmanager
     async def hold(self, setpoint: Setpoint, *, rate_hz: float = 20.0) -> AsyncIterator[FleetHold]:
@@ -288,7 +301,7 @@ class FleetControl:
         Raises: as :meth:`send`.
         """
         hold = FleetHold(setpoint)
-        self.send(setpoint)
+        self._send(setpoint, SETPOINT_LIFETIME, begins=True)
         owner = asyncio.current_task()
         failed: list[M100Error] = []
 
@@ -296,7 +309,7 @@ class FleetControl:
             try:
                 while True:
                     await asyncio.sleep(1 / rate_hz)
-                    self.send(hold.setpoint)
+                    self._send(hold.setpoint, SETPOINT_LIFETIME, begins=False)
             except M100Error as error:
                 if self._lost is None and owner is not None:  # else the block is ended already
                     failed.append(error)

@@ -230,27 +230,36 @@ def unpack_message(payload: bytes) -> Message:
     return decode(_body(payload))
 
 
-def pack_steer(steer: Steer, token: str) -> bytes:
-    """The bytes of a setpoint, with the proof that whoever sends it has the lease."""
-    data = encode(steer)
+def pack_steer(steer: Steer, token: str, *, begins: bool) -> bytes:
+    """The bytes of a setpoint, with the proof that whoever sends it has the lease.
+
+    Args:
+        steer: The setpoint.
+        token: Proof of the lease.
+        begins: It begins a stream; see :mod:`m100link.fleet.stream`.
+    """
+    data = bytes([begins]) + encode(steer)
     return bytes([VERSION]) + _proof(token, data) + data
 
 
-def unpack_steer(payload: bytes, token_of: dict[int, str]) -> Steer | None:
-    """The setpoint in these bytes; None when the lease that it names is not proved.
+def unpack_steer(payload: bytes, token_of: dict[int, str]) -> tuple[Steer, bool] | None:
+    """The setpoint in these bytes, and whether it begins a stream.
 
     Args:
         payload: The bytes.
         token_of: Secrets of the leases that were granted, by their numbers.
+
+    Returns:
+        None when the lease that it names is not proved.
 
     Raises:
         MessageError: They are none.
     """
     body = _body(payload)
     proof, data = body[:_PROOF], body[_PROOF:]
-    steer = decode(data)
+    steer = decode(data[1:])
     if not isinstance(steer, Steer):
         raise MessageError(f"{type(steer).__name__} is no setpoint")
     token = token_of.get(steer.fence)
     is_proved = token is not None and hmac.compare_digest(proof, _proof(token, data))
-    return steer if is_proved else None
+    return (steer, data[0] != 0) if is_proved else None

@@ -26,6 +26,7 @@ from m100link.fleet.payloads import (
     unpack,
     unpack_message,
 )
+from m100link.fleet.stream import Dropped
 from m100link.protocol.setpoint import Setpoint
 from tests.fleet.conftest import SITE, OnBoard, Rig, with_camera
 
@@ -198,9 +199,9 @@ async def test_fences_rise_over_a_restart(rig: Rig) -> None:
 
 async def fly(one: OnBoard, got: Reply, seconds: float, *, age: float = 0.0, by: int = 0) -> None:
     outlet = one.rig.network.session().publish(KEYS.setpoint)
-    for _ in range(round(20 * seconds)):
+    for number in range(round(20 * seconds)):
         steer = Steer(got.number + by, one.client.now - age, 0.2, NORTH)
-        outlet.put(pack_steer(steer, got.token))
+        outlet.put(pack_steer(steer, got.token, begins=number == 0))
         await anyio.sleep(0.05)
 
 
@@ -215,14 +216,14 @@ async def test_setpoints_of_the_holder_fly(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("reason", "more"),
     [
-        ("late", {"age": 0.25}),
-        ("late", {"age": -0.25}),
-        ("stale", {"by": 1}),
-        ("stale", {"by": -1}),
+        (Dropped.LATE, {"age": 0.25}),
+        (Dropped.LATE, {"age": -0.25}),
+        (Dropped.STALE, {"by": 1}),
+        (Dropped.STALE, {"by": -1}),
     ],
 )
 async def test_setpoints_that_are_old_or_of_another_lease_do_not(
-    rig: Rig, reason: str, more: dict[str, float]
+    rig: Rig, reason: Dropped, more: dict[str, float]
 ) -> None:
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
@@ -235,13 +236,13 @@ async def test_a_setpoint_flies_once_and_not_after_a_newer_one(rig: Rig) -> None
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
     outlet = rig.network.session().publish(KEYS.setpoint)
-    old = pack_steer(Steer(got.number, one.client.now, 0.2, NORTH), got.token)
+    old = pack_steer(Steer(got.number, one.client.now, 0.2, NORTH), got.token, begins=True)
     await anyio.sleep(0.05)
-    new = pack_steer(Steer(got.number, one.client.now, 0.2, NORTH), got.token)
+    new = pack_steer(Steer(got.number, one.client.now, 0.2, NORTH), got.token, begins=True)
     for payload in (new, old, new, b"\x01junk"):
         outlet.put(payload)
     await anyio.sleep(0.1)
-    assert one.fleet_agent.dropped == {"repeated": 2, "damaged": 1}
+    assert one.fleet_agent.dropped == {Dropped.REPEATED: 2, Dropped.DAMAGED: 1}
 
 
 # -- who may, and who is there --------------------------------------------------------------------

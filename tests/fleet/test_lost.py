@@ -7,9 +7,10 @@ from functools import partial
 import anyio
 import pytest
 
-from m100link.errors import FleetError, UsageError
+from m100link.errors import FleetError, GuardRefused, UsageError
 from m100link.fleet.client import Fleet
 from m100link.fleet.lost import LostPlan
+from m100link.fleet.stream import Dropped
 from m100link.protocol.setpoint import Setpoint
 from tests.fleet.conftest import OnBoard, Rig
 
@@ -80,3 +81,18 @@ def test_what_cannot_be_configured() -> None:
         LostPlan("dive")  # type: ignore[arg-type] # that is the test
     with pytest.raises(UsageError, match="-1 s"):
         LostPlan("land", -1.0)
+
+
+async def test_a_stream_that_was_cut_for_less_than_the_lease_does_not_go_on(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    with pytest.raises(GuardRefused, match="had ended"):
+        async with pilot["a1"].control() as control:
+            await control.take_off()
+            async with control.hold(NORTH):
+                await anyio.sleep(4.0)
+                rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+                await anyio.sleep(1.5)
+                rig.network.join(pilot.bus)  # type: ignore[arg-type] # one in memory
+                await anyio.sleep(10.0)
+    assert one.speed < 0.3
+    assert one.fleet_agent.dropped[Dropped.BROKEN] > 0

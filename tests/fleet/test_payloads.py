@@ -76,11 +76,13 @@ def test_a_proof_is_of_one_lease_and_of_every_byte() -> None:
 
 def test_a_setpoint_is_proved_as_well() -> None:
     steer = Steer(7, 1.0, 0.2, NORTH)
-    payload = pack_steer(steer, "secret")
-    assert unpack_steer(payload, {7: "secret"}) == steer
+    payload = pack_steer(steer, "secret", begins=True)
+    assert unpack_steer(payload, {7: "secret"}) == (steer, True)
     assert unpack_steer(payload, {7: "other"}) is None
     assert unpack_steer(payload, {8: "secret"}) is None
-    assert unpack_steer(payload[:5] + b"\xff" + payload[6:], {7: "secret"}) is None
+    goes_on = pack_steer(steer, "secret", begins=False)
+    assert unpack_steer(goes_on, {7: "secret"}) == (steer, False)
+    assert unpack_steer(goes_on[:17] + b"\x01" + goes_on[18:], {7: "secret"}) is None
 
 
 @given(st.binary(max_size=300))

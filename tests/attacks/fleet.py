@@ -1,0 +1,249 @@
+"""Each process of a fleet killed or frozen in flight: ``python -m tests.attacks.fleet``.
+
+The aircraft stands behind a pseudo-terminal in this process, so its truth is seen whatever happens
+to the others: the router, the agent on board and the pilot, who flies north at 3 m/s. One of them
+is killed (SIGKILL) or frozen (SIGSTOP); then it is measured when the aircraft is below 0.3 m/s,
+what ``--lost`` leads to, when the pilots' view says that the agent is gone, and whether anything
+moves when the lost one is back. A router that is frozen is a cable that was cut without a word.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from m100link.fleet.client import connect
+from m100link.sim.ports.driver import Driver
+from m100link.sim.ports.pty import PtyPort
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.virtual import VirtualAircraft
+from tests.waiting import until
+
+__all__ = ["LOSSES", "Loss", "Measured", "lose"]
+
+STILL_M_S = 0.3
+WITHIN_S = 2.0
+_LOST_AFTER_S = 2.0
+
+_PILOT = """
+import asyncio, sys
+import m100link
+
+async def main():
+    north = m100link.Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+    async with m100link.fleet.connect(sys.argv[1], name="flier") as fleet:
+        async with fleet["a1"].control() as control:
+            await control.take_off()
+            async with control.hold(north):
+                await asyncio.sleep(600.0)
+
+asyncio.run(main())
+"""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What happens to whom.
+
+    Attributes:
+        who: ``router``, ``agent`` or ``pilot``.
+        how: The signal.
+        lands: Whether ``--lost land`` can follow: somebody has to be left who does it.
+    """
+
+    who: str
+    how: signal.Signals
+    lands: bool
+
+
+LOSSES = (
+    Loss("pilot", signal.SIGKILL, True),
+    Loss("pilot", signal.SIGSTOP, True),
+    Loss("router", signal.SIGKILL, True),
+    Loss("router", signal.SIGSTOP, True),
+    Loss("agent", signal.SIGKILL, False),
+    Loss("agent", signal.SIGSTOP, False),
+)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was seen.
+
+    Attributes:
+        loss: Of what.
+        still_s: Seconds until it was below 0.3 m/s, and stayed there for a second.
+        landed_s: Seconds until it was down; None where nobody was left to land it.
+        gone_s: Seconds until a pilot who watches was told that the agent is gone; None where it
+            is not, or the watcher itself is cut off.
+        moved_m_s: Greatest horizontal speed in the three seconds after the lost one was back.
+    """
+
+    loss: Loss
+    still_s: float
+    landed_s: float | None
+    gone_s: float | None
+    moved_m_s: float
+
+
+class Site:
+    """Aircraft, and the processes beside it."""
+
+    def __init__(self, stack: AsyncExitStack, seed: int, folder: Path) -> None:
+        self._stack = stack
+        self._folder = folder
+        self.aircraft = VirtualAircraft(seed=seed)
+        driver = Driver(self.aircraft)
+        port = PtyPort(driver)
+        driver.start()
+        stack.callback(driver.stop)
+        self.url = f"{port.device}:230400"
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.place = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        self.processes: dict[str, asyncio.subprocess.Process] = {}
+
+    @property
+    def speed(self) -> float:
+        return float(self.aircraft.vehicle.flight.dynamics.speed)
+
+    async def start(self, who: str) -> None:
+        """Start router, agent or pilot."""
+        fleet = (sys.executable, "-m", "m100link", "fleet")
+        commands = {
+            "router": (*fleet, "router", "--listen", self.place, "--json"),
+            "agent": (
+                *(*fleet, "agent", self.url, "--name", "a1", "--connect", self.place, "--json"),
+                *("--lost", "land", "--lost-after", f"{_LOST_AFTER_S:g}"),
+                *("--ledger", str(self._folder)),
+            ),
+            "pilot": (sys.executable, "-c", _PILOT, self.place),
+        }
+        process = await asyncio.create_subprocess_exec(
+            *commands[who],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=os.environ
+            | {"M100LINK_APP_ID": str(DEMO_APP_ID), "M100LINK_KEY": DEMO_KEY.reveal().hex()},
+        )
+        self.processes[who] = process
+        self._stack.push_async_callback(_ended, process)
+        if who != "pilot":
+            assert process.stdout is not None
+            assert json.loads(await process.stdout.readline())
+
+    async def still_since(self, lost_at: float) -> float:
+        """Seconds from then until it was slow, and stayed so for a second."""
+        slow_at = math.inf
+        while time.monotonic() - slow_at < 1.0:
+            slow_at = min(slow_at, time.monotonic()) if self.speed < STILL_M_S else math.inf
+            if time.monotonic() - lost_at > 20.0:
+                return math.inf
+            await asyncio.sleep(0.01)
+        return slow_at - lost_at
+
+    async def fastest(self, seconds: float) -> float:
+        """Greatest speed in that time."""
+        ends, found = time.monotonic() + seconds, 0.0
+        while time.monotonic() < ends:
+            found = max(found, self.speed)
+            await asyncio.sleep(0.01)
+        return found
+
+
+async def _ended(process: asyncio.subprocess.Process) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        process.send_signal(signal.SIGCONT)
+        process.kill()
+    await process.wait()
+
+
+@asynccontextmanager
+async def flying(seed: int) -> AsyncIterator[Site]:
+    """A site whose aircraft flies north."""
+    async with AsyncExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        site = Site(stack, seed, folder)
+        for who in ("router", "agent", "pilot"):
+            await site.start(who)
+        await until(lambda: site.speed > 2.5)
+        yield site
+
+
+async def lose(loss: Loss, seed: int = 1) -> Measured:
+    """One loss and what follows."""
+    async with flying(seed) as site, connect(site.place, name="watcher") as watcher:
+        await until(lambda: "a1" in watcher.present)
+        gone: list[float] = []
+
+        async def watch() -> None:
+            async for change in watcher.changes():
+                if not change.is_there:
+                    gone.append(time.monotonic())
+
+        watching = asyncio.create_task(watch())
+        process = site.processes[loss.who]
+        process.send_signal(loss.how)
+        lost_at = time.monotonic()
+        still = await site.still_since(lost_at)
+        landed = None
+        if loss.lands:
+            await until(lambda: site.aircraft.height < 0.1)
+            landed = time.monotonic() - lost_at
+        elif loss.how is signal.SIGSTOP:
+            await until(lambda: bool(gone))
+        if loss.how is signal.SIGSTOP:
+            process.send_signal(signal.SIGCONT)
+        elif loss.who != "pilot":
+            await process.wait()
+            await site.start(loss.who)
+        moved = await site.fastest(3.0)
+        watching.cancel()
+        gone_s = gone[0] - lost_at if gone else None
+        return Measured(loss, still, landed, gone_s, moved)
+
+
+def table(measured: Measured) -> str:
+    """One line."""
+
+    def told(seconds: float | None) -> str:
+        return "      –" if seconds is None else f"{seconds:6.2f}s"
+
+    loss = measured.loss
+    return (
+        f"{loss.who:7} {loss.how.name:8} still {told(measured.still_s)}  down "
+        f"{told(measured.landed_s)}  gone {told(measured.gone_s)}  "
+        f"after it {measured.moved_m_s:.2f} m/s"
+    )
+
+
+async def _main(times: int, tell: Callable[[str], None]) -> bool:
+    is_good = True
+    for seed in range(times):
+        for loss in LOSSES:
+            measured = await lose(loss, seed)
+            tell(table(measured))
+            is_good &= measured.still_s < WITHIN_S and measured.moved_m_s < STILL_M_S
+    return is_good
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--times", type=int, default=1)
+    given = parser.parse_args()
+    good = asyncio.run(_main(given.times, print))
+    sys.exit(0 if good else "something went on flying")
