@@ -36,10 +36,10 @@ _LARGEST = 1400
 """Bytes of a datagram that no network cuts up."""
 
 _READ_PER_STEP = 32768
-"""Bytes of frames that are read and answered in :data:`STEP_S`, shared out evenly among the addresses
-of peers, and one share for all strangers: a flood is dropped, and holds up neither setpoints nor
-others. What does not look like a frame hardly counts: to read it costs little more than to drop
-it, and of who sends commands between much noise none is dropped."""
+"""Bytes of frames that are read and answered in :data:`STEP_S`, shared out evenly among the
+addresses of peers, and one share for all strangers: a flood is dropped, and holds up neither
+setpoints nor others. What does not look like a frame hardly counts: to read it costs little more
+than to drop it, and of who sends commands between much noise none is dropped."""
 
 _SKIPPED = 32
 """Bytes of a datagram that take as long to be skipped as one of a frame to be read."""
