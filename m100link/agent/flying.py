@@ -17,7 +17,7 @@ from m100link.agent.lease import Flown
 from m100link.agent.messages import Limits
 from m100link.agent.mission import FlyingMission
 from m100link.agent.steering import SETPOINT_LIFETIME
-from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
+from m100link.errors import GuardRefused, M100Error, NotObserved, TaskRefused
 from m100link.flight.control import Control
 from m100link.flight.guards import Guards
 from m100link.flight.missions.flight import MissionFlight
@@ -165,7 +165,8 @@ class Flying:
             await asyncio.shield(work)
         except asyncio.CancelledError:
             if work.cancelled():
-                raise NoAuthority(f"{name}: control ended before it was seen to end") from None
+                # Not NoAuthority, which says that nothing was sent.
+                raise NotObserved(f"{name}: control ended before it was seen to end") from None
             raise
 
     async def _fly(self, task: Task, name: str, accepted: Callable[[], None]) -> None:

@@ -243,7 +243,8 @@ class FleetAgent:
         self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
 
     async def _carry_out(self, order: Order, message: Message) -> None:
-        reply = self._reply(order.id, MessageError("the agent failed", remedy="see its log"))
+        failed = OutcomeUnknown("the agent failed while it did this", remedy="see its log")
+        reply = self._reply(order.id, failed)
         try:
             if self._book.was_begun_before(order.id):
                 reply = self._reply(order.id, _begun_before())

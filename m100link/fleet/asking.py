@@ -180,9 +180,19 @@ class Asker:
     async def _one(
         self, key: str, payload: bytes, identity: str, within: float = _ANSWER_S
     ) -> Reply | None:
-        """One answer; None for none, for one that cannot be read, and for two."""
+        """One answer; None for none.
+
+        Raises:
+            OutcomeUnknown: There are only answers that cannot be read, or those of two agents.
+        """
         answers = await self._bus.ask(key, payload, timeout=within)
-        replies: list[Reply] = [unpack(Reply, one.payload) for one in answers]
+        replies: list[Reply] = []
+        unread: MessageError | None = None
+        for one in answers:
+            try:
+                replies.append(unpack(Reply, one.payload))
+            except MessageError as error:
+                unread = error
         ours = [one for one in replies if one.id in (identity, "") and one.name == self._keys.name]
         if len({one.boot for one in ours}) > 1:
             raise OutcomeUnknown(
@@ -190,6 +200,9 @@ class Asker:
                 remedy="end one of them, and look at both aircraft",
             )
         if not ours:
+            if unread is not None:
+                # Whoever answers may well have done it.
+                raise OutcomeUnknown(unread.seen, cause=unread.cause, remedy=unread.remedy)
             return None
         self.heard_at = self._clock()
         return ours[0]

@@ -8,8 +8,12 @@ from enum import Enum
 from m100link.agent.lease import LeaseHeld, LeaseRefused
 from m100link.errors import (
     AckTimeout,
+    AuthorityLost,
+    LinkClosed,
+    LinkLost,
     M100Error,
     NotAllowed,
+    NotObserved,
     OutcomeUnknown,
     StaleLease,
     Unreachable,
@@ -38,6 +42,11 @@ _OUTCOMES: tuple[tuple[type[M100Error], Outcome], ...] = (
     (Unreachable, Outcome.UNREACHABLE),
     (OutcomeUnknown, Outcome.UNKNOWN),
     (AckTimeout, Outcome.UNKNOWN),  # the aircraft itself did not answer
+    # It had begun, and nobody saw how it went on.
+    (NotObserved, Outcome.UNKNOWN),
+    (AuthorityLost, Outcome.UNKNOWN),
+    (LinkLost, Outcome.UNKNOWN),
+    (LinkClosed, Outcome.UNKNOWN),
     (M100Error, Outcome.REFUSED),
 )
 

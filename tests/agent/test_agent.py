@@ -8,7 +8,7 @@ import pytest
 from m100link.agent.connection import ConnectionState
 from m100link.agent.holding import HoldingState
 from m100link.agent.lease import LeaseChange, LeaseRefused
-from m100link.errors import GuardRefused, M100Error, NoAuthority, UsageError
+from m100link.errors import GuardRefused, M100Error, NoAuthority, NotObserved, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from tests.agent.conftest import Rig
@@ -80,7 +80,7 @@ async def test_a_stop_during_a_task_gives_authority_back(rig: Rig) -> None:
     async with anyio.create_task_group() as group:
 
         async def take_off() -> None:
-            with pytest.raises(NoAuthority, match="control ended"):
+            with pytest.raises(NotObserved, match="control ended"):
                 await rig.agent.fly(rig.token, Task.TAKE_OFF)
 
         group.start_soon(take_off)

@@ -108,3 +108,33 @@ async def test_an_order_that_never_arrives_is_not_sent_for_ever(rig: Rig) -> Non
     with pytest.raises(OutcomeUnknown, match="has not heard of the order"):
         await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
     assert 3.0 <= anyio.current_time() - began < 6.0
+
+
+async def test_an_answer_that_cannot_be_read_is_no_refusal(rig: Rig) -> None:
+    """The one who gives it may have done what was asked, as here."""
+    one, pilot = await rig.aircraft("a1", virtual=with_camera()), await rig.pilot()
+    await one.agent.activate()
+    lease = await pilot["a1"].asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+    other = rig.network.session()
+    other.serve("m100/*/a1/cmd", lambda question: question.answer("m100/x/a1/cmd", b"\x09{}"))
+    photo = Ask(0, Action.TAKE_PHOTO)
+    assert await asked(pilot["a1"].asker, photo, lease) is Outcome.OK, "one of two can be read"
+    for outlet in list(rig.network.takers("serve", "m100/*/a1/cmd")):
+        if outlet.session is one.bus:
+            outlet.close()
+    assert await asked(pilot["a1"].asker, photo, lease) is Outcome.UNKNOWN, "nothing else came"
+
+
+async def test_a_take_off_that_is_broken_off_is_unknown_to_who_asked(rig: Rig) -> None:
+    one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
+    results: list[Outcome] = []
+
+    async def take_off() -> None:
+        results.append((await pilot.each(lambda a: a.take_off(), ["a1"]))["a1"].outcome)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(take_off)
+        await rig.until(lambda: one.height > 0.3)
+        assert (await other.stop())["a1"].is_ok
+    assert results == [Outcome.UNKNOWN], "it is in the air"
+    assert one.height > 0.3

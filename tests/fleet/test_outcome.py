@@ -7,9 +7,13 @@ import pytest
 from m100link.agent.lease import LeaseHeld, LeaseRefused
 from m100link.errors import (
     AckTimeout,
+    AuthorityLost,
     GuardRefused,
+    LinkError,
+    LinkLost,
     M100Error,
     NotAllowed,
+    NotObserved,
     OutcomeUnknown,
     StaleLease,
     Unreachable,
@@ -30,6 +34,11 @@ from m100link.fleet.outcome import Outcome, Result, outcome_of
         (OutcomeUnknown("silence"), Outcome.UNKNOWN),
         # The aircraft itself gave no answer: it may have done it.
         (AckTimeout("no ack", tries=3), Outcome.UNKNOWN),
+        # It had begun: the aircraft may have done it, or do it yet.
+        (NotObserved("not seen to be done"), Outcome.UNKNOWN),
+        (AuthorityLost("the pilot left F"), Outcome.UNKNOWN),
+        (LinkLost("unplugged"), Outcome.UNKNOWN),
+        (LinkError("not connected: nothing was sent"), Outcome.REFUSED),
     ],
 )
 def test_each_error_has_one(error: M100Error | None, outcome: Outcome) -> None:
