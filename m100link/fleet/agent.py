@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 
 import m100link
 from m100link.agent.client import AgentClient
@@ -97,7 +98,7 @@ class FleetAgent:
         self.dropped: Counter[Dropped] = Counter()
         self._book = OrderBook(ledger.begun)
         self._orders = Orders(client, ledger)
-        self._lost = Lost(client, self._lost_plan, self._orders.descend)
+        self._lost = Lost(client, self._lost_plan, partial(self._orders.descend, take_over=False))
         self._ended: dict[str, asyncio.Event] = {}
         self._stream = SetpointStream()
         client.on_steer_refused.append(self._steer_refused)

@@ -169,34 +169,44 @@ class Orders:
         status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
         return None if status is None else status.phase
 
-    async def descend(self, task: Task, who: str) -> None:
+    async def descend(self, task: Task, who: str, *, take_over: bool = True) -> None:
         """Land, here or at home, whoever has the lease: it is taken over for that long.
 
         Who asks while the aircraft lands already waits for the same landing.
 
+        Args:
+            task: Land, or go home.
+            who: Under which name.
+            take_over: Whether the lease is taken from who has it.
+
         Raises:
+            LeaseHeld: Somebody has the lease, and it is not to be taken over.
             M100Error: As :meth:`m100link.agent.client.AgentClient.fly`.
         """
         if self.phase is FlightPhase.STANDBY:
             return  # it is where it is wanted
         if self._descent is None or self._descent.done():
-            self._descent = self._client.background.spawn(self._descended(task, who), who)
+            self._descent = self._client.background.spawn(
+                self._descended(task, who, take_over=take_over), who
+            )
         await asyncio.shield(self._descent)
 
-    async def _descended(self, task: Task, who: str) -> None:
+    async def _descended(self, task: Task, who: str, *, take_over: bool) -> None:
         client = self._client
-        lease = await self._seize(who)
+        lease = await self._seize(who, take_over=take_over)
         async with self._kept(lease):
             if not client.state.is_activated:
                 await client.activate(lease)
             await client.obtain(lease)
             await client.fly(lease, task)
 
-    async def _seize(self, who: str) -> Lease:
+    async def _seize(self, who: str, *, take_over: bool) -> Lease:
         client = self._client
         try:
             lease = await client.acquire(who)
         except LeaseHeld:
+            if not take_over:
+                raise
             offer = await client.ask_take_over(who)
             lease = await client.confirm(offer.token)
         await self._ledger.granted(lease.number)

@@ -7,6 +7,8 @@ from functools import partial
 import anyio
 import pytest
 
+from m100link.agent.actions import LeaseAction
+from m100link.agent.messages import LeaseAsk
 from m100link.errors import FleetError, GuardRefused, UsageError
 from m100link.fleet.client import Fleet
 from m100link.fleet.lost import LostPlan
@@ -74,6 +76,69 @@ async def test_who_lets_go_is_not_lost(rig: Rig) -> None:
     await pilot["a1"].take_off()
     await anyio.sleep(20.0)
     assert one.height > 1.0
+
+
+async def lose_the_pilot(rig: Rig, one: OnBoard) -> None:
+    """He takes off and is cut off for good."""
+    pilot = await rig.pilot("cut off")
+
+    async def fly() -> None:
+        with pytest.raises(FleetError):
+            async with pilot["a1"].control() as control:
+                await control.take_off()
+                rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+                await anyio.sleep(30.0)
+
+    one.agent.background.spawn(fly(), "a pilot")
+    await rig.until(lambda: one.client.holder.number)
+    await rig.until(lambda: not one.client.holder.number)
+    assert one.height > 1.0
+
+
+async def test_a_lease_alone_flies_nothing_and_its_end_lands_nothing(rig: Rig) -> None:
+    """Who takes the lease and is not heard again has not flown: the pilot with the remote does."""
+    one, pilot = await rig.aircraft("a1", lost=LostPlan("land", 1.0)), await rig.pilot()
+    await pilot["a1"].take_off()
+    await pilot["a1"].asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+    await anyio.sleep(30.0)
+    assert one.height > 1.0
+
+
+async def test_a_pilot_of_any_name_is_somebody(rig: Rig) -> None:
+    one = await rig.aircraft("a1", lost=LostPlan("land", 3.0))
+    other = await rig.pilot("pilot lost (land)")
+    await lose_the_pilot(rig, one)
+    async with other["a1"].control():
+        await anyio.sleep(20.0)
+        assert one.height > 1.0
+
+
+@pytest.mark.parametrize("sign", ["stick", "mode", "stop", "lands already"])
+async def test_who_shows_that_he_is_there_is_left_alone(rig: Rig, sign: str) -> None:
+    one = await rig.aircraft("a1", lost=LostPlan("land", 3.0))
+    other = await rig.pilot("other")
+    await lose_the_pilot(rig, one)
+    await anyio.sleep(1.0)
+    if sign == "stick":
+        one.aircraft.move_stick(throttle=0.3)
+        await anyio.sleep(0.5)
+        one.aircraft.release_sticks()
+    elif sign == "mode":
+        one.aircraft.set_rc_mode("P")
+        await anyio.sleep(0.5)
+        one.aircraft.set_rc_mode("F")
+    elif sign == "stop":
+        assert (await other.stop())["a1"].is_ok
+    else:
+        await rig.until(lambda: one.client.state.task == "land")
+        one.aircraft.set_rc_mode("P")
+        await anyio.sleep(1.0)
+        one.aircraft.set_rc_mode("F")
+    height = one.height
+    assert height > 0.5
+    await anyio.sleep(30.0)
+    assert one.height > height - 0.1
+    assert any("left alone" in event.text for event in one.client.events)
 
 
 def test_what_cannot_be_configured() -> None:
