@@ -340,3 +340,10 @@ def test_what_is_tested_elsewhere_says_where_and_why(module: str) -> None:
     test, reason = TESTED_ELSEWHERE[module]
     assert (ROOT / "tests" / test).exists()
     assert len(reason) > 10
+
+
+def test_a_test_that_traces_puts_back_what_traced_before() -> None:
+    """Without that nothing behind it in its process is in the figures of coverage."""
+    away = re.compile(r"settrace\(None\)")
+    found = [path.name for path in programs("tests") if away.search(path.read_text("utf-8"))]
+    assert found == []

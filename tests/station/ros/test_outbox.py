@@ -150,12 +150,13 @@ def test_a_drop_costs_the_same_however_many_topics_there_are() -> None:
 
         for one in publications[:200]:
             bench.outbox.deliver(one, 0.0)
+        before = sys.gettrace()  # what measures coverage has to go on
         sys.settrace(count_lines)
         try:
             for one in publications[200:]:
                 bench.outbox.deliver(one, 0.0)
         finally:
-            sys.settrace(None)
+            sys.settrace(before)
         return counted
 
     assert lines(100) < 1.2 * lines(2)
