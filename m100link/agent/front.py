@@ -225,7 +225,7 @@ class Front:
 
     def _on_note(self, note: Note) -> None:
         if note.level in _LEVELS and self._may_note():
-            self._agent.journal.note(note.text[:_MAX_NOTE], note.level)
+            self._agent.journal.note(_line(note.text), note.level)
 
     def _on_ask(self, ask: Ask) -> None:
         if ask.action is Action.HALT:
@@ -251,9 +251,7 @@ class Front:
         """Tell whoever flies that somebody else had it hover: more may be to come of its flight."""
         holder = self._agent.desk.holder(self._agent.now)
         if holder is not None and holder.number not in self._tokens and self._may_note():
-            self._agent.journal.note(
-                (why or f"{self._name}: hover")[:_MAX_NOTE], "info", Topic.HALTED
-            )
+            self._agent.journal.note(_line(why or f"{self._name}: hover"), "info", Topic.HALTED)
 
     def _on_guided(self, order: GuidedOrder) -> None:
         self._spawn(
@@ -308,3 +306,10 @@ class Front:
             self._answer(ask, Stage.DONE, result=result or ("", 0))
         finally:
             self._asks -= 1
+
+
+def _line(text: str) -> str:
+    """One line that is fit to be shown: strangers' names are in it, and a terminal obeys some."""
+    return "".join(
+        one if one.isprintable() else "\N{REPLACEMENT CHARACTER}" for one in text[:_MAX_NOTE]
+    )

@@ -311,6 +311,15 @@ async def test_notes_and_questions_are_bounded(rig: Rig, service: Service) -> No
     assert rig.agent.journal.events[-1].level != "shout"
 
 
+async def test_a_note_is_one_line_that_no_terminal_obeys(rig: Rig, service: Service) -> None:
+    front = Front(rig, service)
+    front.send(Note("info", "flies for /\x1b]0;x\x07\x1b[2J\r\nconnection lost: größer"))
+    told = rig.agent.journal.events[-1].text
+    assert told.isprintable()
+    assert told.startswith("flies for /\N{REPLACEMENT CHARACTER}]0;x")
+    assert told.endswith("connection lost: größer")
+
+
 async def test_telemetry_of_a_profile_of_ones_own_is_not_told_under_a_known_name(
     rig: Rig, service: Service
 ) -> None:
