@@ -132,9 +132,12 @@ def look(program: Program) -> None:
         time.sleep(0.1)
     topics: dict[str, Any] = {}
     services: dict[str, Any] = {}
-    for _ in range(5):  # it does not wait for all of the graph
+    seen, same = 0, 0
+    while same < 5:  # it does not wait for all of the graph: until nothing new came five times
         topics |= dict(sdk.get_topic_names_and_types(**program.way))
         services |= dict(sdk.get_service_names_and_types(**program.way))
+        before, seen = seen, len(topics) + len(services)
+        same = same + 1 if seen == before else 0
         time.sleep(1.0)
     print(json.dumps({"topics": topics, "services": services, "messages": found}))
 
