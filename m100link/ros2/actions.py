@@ -19,7 +19,7 @@ from m100link.agent.messages import Topic as EventTopic
 from m100link.errors import M100Error
 from m100link.ros2.ends import Ends, Topic
 from m100link.ros2.flights import FLIGHTS, Flight
-from m100link.ros2.graph import Names, Qos
+from m100link.ros2.graph import Names, Qos, Seen
 from m100link.ros2.heartbeat import Heartbeat
 from m100link.ros2.helm import Helm
 from m100link.ros2.presence import Presence
@@ -69,7 +69,7 @@ class _Goal:
         action: Of which action.
         stamp: When it was accepted.
         flight: What flies.
-        clients: Tokens of those who may have asked.
+        clients: Those who may have asked, by their tokens.
         status: Where it stands.
         message: Why it ended as it did.
         over: Set when it has.
@@ -79,7 +79,7 @@ class _Goal:
     action: _Action
     stamp: Mapping[str, int]
     flight: Flight
-    clients: frozenset[str]
+    clients: Mapping[str, Seen]
     status: GoalStatus = GoalStatus.ACCEPTED
     message: str = ""
     over: asyncio.Event = field(default_factory=asyncio.Event)
@@ -212,9 +212,9 @@ class Actions:
         while len(self._goals) > _KEPT:
             self._goals.popitem(last=False)
         self._helm.goal = goal.action.name
-        self._heartbeat.follow(self._presence.sessions(goal.clients))
+        self._heartbeat.follow(frozenset(one.node[0] for one in goal.clients.values()))
         if goal.clients:
-            who = self._presence.names(goal.clients)
+            who = ", ".join(sorted({one.node_name for one in goal.clients.values()}))
             self._agent.note(f"{goal.action.name} for {who}")
         else:
             self._agent.note(f"{goal.action.name} for a node that nobody would miss", "warning")

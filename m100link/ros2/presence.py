@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from m100link.ros2.bus import MOST_TOKENS, Inbox, TokenChange
 from m100link.ros2.graph import End, Seen, read_token
@@ -38,21 +38,15 @@ class Presence:
                 continue
             seen = read_token(change.key)
             if seen is not None and len(self._seen) < _MOST:
-                self._seen[change.key] = seen
+                self._seen.setdefault(change.key, seen)
 
-    def clients(self, service: str) -> frozenset[str]:
-        """Tokens of those who can call a service."""
-        return frozenset(
-            key for key, one in self._seen.items() if one.end is End.CLIENT and one.topic == service
-        )
-
-    def sessions(self, keys: frozenset[str]) -> frozenset[str]:
-        """In which sessions these tokens are."""
-        return frozenset(self._seen[key].node[0] for key in keys if key in self._seen)
-
-    def names(self, keys: frozenset[str]) -> str:
-        """Whose tokens these are, for people."""
-        return ", ".join(sorted({self._seen[key].node_name for key in keys if key in self._seen}))
+    def clients(self, service: str) -> Mapping[str, Seen]:
+        """Those who can call a service, by their tokens."""
+        return {
+            key: one
+            for key, one in self._seen.items()
+            if one.end is End.CLIENT and one.topic == service
+        }
 
     def has_namesake(self, name: str, session: str) -> bool:
         """Whether a node of another session is called so, too: calls reach both."""
@@ -61,6 +55,6 @@ class Presence:
             for one in self._seen.values()
         )
 
-    def missing(self, keys: frozenset[str]) -> bool:
-        """Whether any of these tokens is gone."""
-        return any(key not in self._seen for key in keys)
+    def missing(self, clients: Mapping[str, Seen]) -> bool:
+        """Whether any of them is gone, or was: who is back within a step is another one."""
+        return any(self._seen.get(key) is not one for key, one in clients.items())

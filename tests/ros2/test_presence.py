@@ -23,13 +23,27 @@ def test_those_who_can_call_are_known_until_one_is_gone() -> None:
         inbox.waiting.append(TokenChange(key, True))
     presence.look()
     clients = presence.clients(TOPIC)
-    assert clients == {token("a"), token("b")}
-    assert presence.names(clients) == "/node_a, /node_b"
+    assert set(clients) == {token("a"), token("b")}
+    assert {one.node_name for one in clients.values()} == {"/node_a", "/node_b"}
     assert not presence.missing(clients)
     inbox.waiting.append(TokenChange(token("b"), False))
     presence.look()
     assert presence.missing(clients)
-    assert presence.clients(TOPIC) == {token("a")}
+    assert set(presence.clients(TOPIC)) == {token("a")}
+
+
+def test_who_went_and_is_back_within_a_step_was_gone() -> None:
+    inbox = MemoryInbox(99)
+    presence = Presence(lambda: inbox)
+    inbox.waiting.append(TokenChange(token("a"), True))
+    presence.look()
+    clients = presence.clients(TOPIC)
+    inbox.waiting.append(TokenChange(token("a"), True))  # the router tells it, too
+    presence.look()
+    assert not presence.missing(clients)
+    inbox.waiting.extend(TokenChange(token("a"), is_there) for is_there in (False, True))
+    presence.look()
+    assert presence.missing(clients)
 
 
 def test_a_flood_of_tokens_is_not_kept() -> None:
