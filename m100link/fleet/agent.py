@@ -8,6 +8,7 @@ and log are the agent's, so that a network that is lost costs a hover.
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 import uuid
 from collections import Counter
@@ -24,11 +25,12 @@ from m100link.agent.message_bytes import decode
 from m100link.agent.messages import Event, Message, Telemetry
 from m100link.bus.network import Bus, Held, Question
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
+from m100link.fleet.age import OrderAges
 from m100link.fleet.book import OrderBook
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger
 from m100link.fleet.lost import Lost, LostPlan
-from m100link.fleet.orders import Done, Orders, is_kept
+from m100link.fleet.orders import Done, Orders, is_kept, revokes
 from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import (
     Card,
@@ -49,6 +51,7 @@ __all__ = ["HOLD_S", "FleetAgent", "Verify"]
 HOLD_S = 0.5
 """Seconds that a question waits for what becomes of its order; then it hears that it runs."""
 
+_ID = re.compile(r"[0-9a-f]{32}")
 _CARD_S = 1.0
 _FRESH_S = 5.0
 _SAMPLES = 100
@@ -97,6 +100,7 @@ class FleetAgent:
         self.boot = uuid.uuid4().hex[:8]
         self.dropped: Counter[Dropped] = Counter()
         self._book = OrderBook(ledger.begun)
+        self._ages = OrderAges()
         self._orders = Orders(client, ledger)
         self._lost = Lost(client, self._lost_plan, partial(self._orders.descend, take_over=False))
         self._ended: dict[str, asyncio.Event] = {}
@@ -233,12 +237,23 @@ class FleetAgent:
         Raises:
             NotAllowed: Not for this aircraft, or not by this identity.
             MessageError: It says nothing that can be done.
+            StaleLease: It needs the lease, and came without.
+            GuardRefused: It comes too late.
         """
+        if not _ID.fullmatch(order.id):
+            raise MessageError("the id of an order is 32 hexadecimal digits")
         if order.aircraft != self._keys.name:
             raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
         if self._verify is not None:
             self._verify(order)
         message = decode(order.message)
+        if self._book.was_begun_before(order.id):
+            pass  # whatever it comes under now, it may have been done
+        elif is_kept(message):
+            self._orders.require_lease(order)  # before a stranger's words are worth a disk's time
+            self._ages.hear(order.fence, order.clock, self.client.now)
+        elif revokes(message):
+            self._ages.revoke(self.client.now)
         self._book.begin(order.id, self.client.now)
         self._ended[order.id] = asyncio.Event()
         self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
@@ -252,6 +267,7 @@ class FleetAgent:
                 return
             if is_kept(message):
                 await self._ledger.begin(order.id, self._utc())
+                self._ages.check(order.clock, self.client.now)
             reply = self._reply(order.id, None, await self._orders.carry_out(order, message))
         except M100Error as error:
             reply = self._reply(order.id, error)
@@ -300,7 +316,7 @@ class FleetAgent:
 
     async def _answer_status(self, question: Question) -> None:
         identity = question.key.rpartition("/")[2]
-        if not identity.isalnum():  # a pattern asks for no order
+        if not _ID.fullmatch(identity):  # a pattern asks for no order
             question.drop()
             return
         await self._wait(identity)

@@ -52,6 +52,7 @@ class Asker:
 
     Attributes:
         heard_at: When it answered last, on the event loop's clock; None: never.
+        its_clock: What the agent's own clock showed in that answer, s.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Asker:
         self._utc = utc
         self._clock = asyncio.get_running_loop().time
         self.heard_at: float | None = None
+        self.its_clock = 0.0
 
     async def is_there(self) -> bool:
         """Whether its agent shows itself."""
@@ -86,6 +88,7 @@ class Asker:
         *,
         fence: int = 0,
         token: str = "",
+        clock: float = 0.0,
         identity: str = "",
         patience: float | None = None,
     ) -> Reply:
@@ -95,6 +98,8 @@ class Asker:
             message: What: a question of the agent's messages.
             fence: Number of the lease it is asked under; 0 for none.
             token: Proof of that lease.
+            clock: The agent's own clock, at the earliest, s; by default that of its last answer.
+                What moves has to say it, and is not carried out when it is old.
             identity: Of the order; a new one by default.
             patience: Seconds without any answer after which the outcome is unknown.
 
@@ -107,7 +112,7 @@ class Asker:
         """
         if not await self.is_there():
             raise Unreachable(f"no agent named {self._keys.name} is there; nothing was sent")
-        order = self._order(message, fence, token, identity)
+        order = self._order(message, fence, token, clock or self.its_clock, identity)
         key = self._key(message)
         return _raised(await self._answered(key, order, patience or self._patience))
 
@@ -124,14 +129,21 @@ class Asker:
         Raises:
             M100Error: As :meth:`ask`.
         """
-        order = self._order(message, 0, "", "")
+        order = self._order(message)
         reply = await self._one(self._key(message), pack(order), order.id, within)
         return None if reply is None or reply.progress is not Progress.DONE else _raised(reply)
 
     def _key(self, message: Message) -> str:
         return self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command
 
-    def _order(self, message: Message, fence: int, token: str, identity: str) -> Order:
+    def _order(
+        self,
+        message: Message,
+        fence: int = 0,
+        token: str = "",
+        clock: float = 0.0,
+        identity: str = "",
+    ) -> Order:
         order = Order(
             identity or uuid.uuid4().hex,
             self._keys.name,
@@ -139,6 +151,7 @@ class Asker:
             fence,
             self._utc(),
             encode(message),
+            clock,
         )
         order = self._sign(order)
         return order.under(token) if token else order
@@ -204,7 +217,7 @@ class Asker:
                 # Whoever answers may well have done it.
                 raise OutcomeUnknown(unread.seen, cause=unread.cause, remedy=unread.remedy)
             return None
-        self.heard_at = self._clock()
+        self.heard_at, self.its_clock = self._clock(), ours[0].clock
         return ours[0]
 
 

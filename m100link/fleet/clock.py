@@ -44,3 +44,11 @@ class AgentClock:
         if not self._exchanges:
             raise ValueError("nothing was heard of that clock")
         return own + min(self._exchanges)[1]
+
+    def its_at_least(self, own: float) -> float:
+        """What the agent's clock shows at an own time at the earliest, s.
+
+        Raises:
+            ValueError: Nothing was heard yet.
+        """
+        return self.its(own) - min(self._exchanges)[0]

@@ -82,6 +82,8 @@ class FleetControl:
         self._lease: Reply | None = None
         self._renewed_at = 0.0
         self._sent_at = -math.inf
+        # When the last order was made at the earliest, by the agent's clock.
+        self._asked_at = 0.0
         self._renewing: asyncio.Task[None] | None = None
         self._owner: asyncio.Task[object] | None = None
         self._lost: M100Error | None = None
@@ -205,7 +207,15 @@ class FleetControl:
     async def ask(self, message: Message) -> Reply:
         """Ask for something under this lease; see :meth:`m100link.fleet.asking.Asker.ask`."""
         lease = self._held()
-        return await self._asker.ask(message, fence=lease.number, token=lease.token)
+        # What is asked for after an answer was made after it, however well the clock is known.
+        self._asked_at = max(
+            self._asked_at,
+            self._asker.its_clock,
+            self._agent_clock.its_at_least(self._clock()),
+        )
+        return await self._asker.ask(
+            message, fence=lease.number, token=lease.token, clock=self._asked_at
+        )
 
     async def _do(self, action: Action, *, number: int = 0, data: bytes = b"") -> Reply:
         return await self.ask(Ask(0, action, self.fence, number, data))

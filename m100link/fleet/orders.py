@@ -23,7 +23,7 @@ from m100link.fleet.payloads import Order
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = ["Done", "Orders", "is_kept"]
+__all__ = ["Done", "Orders", "is_kept", "revokes"]
 
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
@@ -53,6 +53,11 @@ def is_kept(message: Message) -> bool:
     if isinstance(message, Ask):
         return message.action not in _UNKEPT
     return isinstance(message, GuidedOrder)
+
+
+def revokes(message: Message) -> bool:
+    """Whether what was asked for before, and comes later, is not wanted any more."""
+    return isinstance(message, Ask) and message.action in (Action.STOP, Action.HALT, Action.LAND)
 
 
 class Orders:
@@ -100,7 +105,7 @@ class Orders:
         if isinstance(message, LeaseAsk):
             return await self._doing[message.action](order, message)
         if isinstance(message, GuidedOrder):
-            await client.guide(self._lease_of(order), message)
+            await client.guide(self.require_lease(order), message)
             return Done()
         if not isinstance(message, Ask):
             raise MessageError(f"{type(message).__name__} is no order")
@@ -113,7 +118,7 @@ class Orders:
         if message.action is Action.LAND and not order.fence:
             await self.descend(Task.LAND, f"landing for {order.by}")
             return Done()
-        lease = None if message.action is Action.VERSION else self._lease_of(order)
+        lease = None if message.action is Action.VERSION else self.require_lease(order)
         if message.action is Action.ACTIVATE and client.state.is_activated:
             return Done()
         outcome = await client.ask(message.action, lease, number=message.number, data=message.data)
@@ -128,7 +133,12 @@ class Orders:
             return None
         return Lease(self._client.holder.name, token, order.fence)
 
-    def _lease_of(self, order: Order) -> Lease:
+    def require_lease(self, order: Order) -> Lease:
+        """The lease in force, if the order proves that its asker has it.
+
+        Raises:
+            StaleLease: It does not.
+        """
         lease = self._lease_if_any(order)
         if lease is None:
             holder = self._client.holder

@@ -60,6 +60,7 @@ class Order:
         fence: Number of the lease that it is asked under; 0 for none.
         at: When it was made, POSIX time, s.
         message: The agent's message, by :mod:`m100link.agent.message_bytes`.
+        clock: When it was made at the earliest, by the agent's own clock, s; 0: nobody knows.
         proof: That whoever asks has the lease; empty without one.
         signer: Whose signature it is; empty for none.
         signature: Over :meth:`signed`; empty for none.
@@ -71,14 +72,15 @@ class Order:
     fence: int
     at: float
     message: bytes
+    clock: float = 0.0
     proof: bytes = b""
     signer: str = ""
     signature: bytes = b""
 
     def signed(self) -> bytes:
         """What proof and signature are over: everything that must not be changed on the way."""
-        head = json.dumps([self.id, self.aircraft, self.by, self.fence, self.at, self.signer])
-        return head.encode() + b"\n" + self.message
+        head = [self.id, self.aircraft, self.by, self.fence, self.at, self.clock, self.signer]
+        return json.dumps(head).encode() + b"\n" + self.message
 
     def under(self, token: str) -> Order:
         """The order with the proof that whoever asks has the lease."""

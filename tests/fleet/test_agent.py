@@ -9,6 +9,7 @@ import anyio
 import pytest
 
 from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.guided import FlyTo
 from m100link.agent.message_bytes import encode
 from m100link.agent.messages import Ask, Event, LeaseAsk, Message, Steer, Telemetry
 from m100link.errors import NotAllowed, UsageError
@@ -27,6 +28,7 @@ from m100link.fleet.payloads import (
     unpack_message,
 )
 from m100link.fleet.stream import Dropped
+from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
 from tests.fleet.conftest import SITE, OnBoard, Rig, with_camera
 
@@ -37,7 +39,10 @@ NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
 def order(message: Message, fence: int = 0, token: str = "") -> Order:
-    made = Order(uuid.uuid4().hex, "a1", "by hand", fence, 1.8e9, encode(message))
+    """Made now: agents on virtual time go by the clock of the loop."""
+    made = Order(
+        uuid.uuid4().hex, "a1", "by hand", fence, 1.8e9, encode(message), anyio.current_time()
+    )
     return made.under(token) if token else made
 
 
@@ -181,6 +186,70 @@ async def test_stop_and_landing_need_no_lease_and_a_landing_is_shared(rig: Rig) 
     assert replies == [Outcome.OK, Outcome.OK]
     assert one.height < 0.1
     assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK, "it is down"
+
+
+async def far_away(rig: Rig) -> FlyTo:
+    [answer] = await rig.network.session().ask(KEYS.state, timeout=1.0)
+    card: Card = unpack(Card, answer.payload)
+    assert card.latitude_deg is not None
+    assert card.longitude_deg is not None
+    latitude, longitude = LocalFrame(card.latitude_deg, card.longitude_deg).to_geodetic(80.0, 0.0)
+    return FlyTo(latitude_deg=latitude, longitude_deg=longitude, height=3.0, speed=5.0)
+
+
+@pytest.mark.parametrize("revoked_by", [Action.STOP, Action.HALT, "its asker", "time"])
+async def test_an_order_that_was_overtaken_is_not_carried_out(
+    rig: Rig, revoked_by: Action | str
+) -> None:
+    """It waited in the network, under a lease that is in force all the time."""
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    late = order(replace(await far_away(rig), fence=got.number), got.number, got.token)
+    await anyio.sleep(0.5)
+    if isinstance(revoked_by, Action):
+        assert (await send(rig, order(Ask(0, revoked_by)))).outcome is Outcome.OK
+    elif revoked_by == "its asker":
+        assert (await send(rig, order(Ask(0, Action.OBTAIN), got.number, got.token))).number == 0
+    else:
+        await anyio.sleep(5.0)
+    reply = await send(rig, late)
+    assert reply.outcome is Outcome.REFUSED
+    assert reply.fault is not None
+    assert "was not carried out" in reply.fault.seen
+    for _ in range(40):
+        await anyio.sleep(0.1)
+        assert one.speed < 0.3
+    again = order(replace(await far_away(rig), fence=got.number), got.number, got.token)
+    await rig.network.session().ask(KEYS.command, pack(again), timeout=2.0)
+    await anyio.sleep(2.0)
+    assert one.speed > 1.0, "what is asked for now flies"
+
+
+async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: Rig) -> None:
+    class Slow(MemoryLedger):
+        async def begin(self, identity: str, at: float) -> None:
+            await anyio.sleep(1.0)
+
+    one = await rig.aircraft("a1", ledger=Slow())
+    await one.agent.activate()
+    got = await lease(rig)
+    await send(rig, order(Ask(0, Action.OBTAIN), got.number, got.token))
+    take_off = order(Ask(0, Action.TAKE_OFF), got.number, got.token)
+    await rig.network.session().ask(KEYS.command, pack(take_off), timeout=2.0)
+    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK
+    assert (await send(rig, take_off)).outcome is not Outcome.OK
+    await anyio.sleep(10.0)
+    assert one.height < 0.1
+
+
+async def test_strangers_reach_neither_disk_nor_memory(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    for identity in ("", "x" * 4000, "ab" * 15 + "/*", "AB" * 16):
+        bad = replace(order(Ask(0, Action.STOP)), id=identity)
+        [answer] = await rig.network.session().ask(KEYS.command, pack(bad), timeout=2.0)
+        assert unpack(Reply, answer.payload).outcome is Outcome.REFUSED
+    assert (await send(rig, order(Ask(0, Action.TAKE_OFF)))).outcome is Outcome.STALE_LEASE
+    assert one.ledger.begun == {}
 
 
 async def test_fences_rise_over_a_restart(rig: Rig) -> None:
