@@ -212,7 +212,6 @@ TESTED_ELSEWHERE = {
     "errors/usage.py": ("test_errors.py", "names and attributes, nothing to run"),
     "cli/fleet_agent.py": ("cli/test_fleet.py", "what runs beside the pilots"),
     "errors/fleet.py": ("test_errors.py", "names and attributes, nothing to run"),
-    "fleet/orders.py": ("fleet/test_agent.py", "each is asked for over the network"),
     "station/fleet.py": ("cli/test_fleet.py", "a process that owns aircraft"),
     "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),
     "log/dissector.py": ("interop/test_wireshark.py", "what it makes runs inside tshark"),

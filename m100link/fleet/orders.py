@@ -15,9 +15,9 @@ from m100link.agent.actions import Action, LeaseAction
 from m100link.agent.client import AgentClient
 from m100link.agent.fault import Fault, MessageError, fault_of
 from m100link.agent.guided import GuidedOrder
-from m100link.agent.lease import Lease, LeaseHeld
+from m100link.agent.lease import Flown, Lease, LeaseHeld
 from m100link.agent.messages import Ask, LeaseAsk, Message
-from m100link.errors import M100Error, StaleLease
+from m100link.errors import M100Error, MissionRunning, StaleLease, TaskRefused
 from m100link.fleet.ledger import Ledger
 from m100link.fleet.payloads import Order
 from m100link.protocol.commands.control import Task
@@ -27,6 +27,8 @@ __all__ = ["Done", "Orders", "is_kept", "revokes"]
 
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
+_LOOK_S = 0.1
+_REFUSED_S = 5.0
 _UNKEPT = (Action.STOP, Action.HALT, Action.LAND, Action.VERSION)
 """What is begun without a word to the ledger: it must not wait for a disk, or moves nothing."""
 
@@ -79,6 +81,9 @@ class Orders:
         self.refused: M100Error | None = None
         # A landing that nobody has to hold a lease for, and that all who ask for it wait for.
         self._descent: asyncio.Task[None] | None = None
+        self._descends_by = Task.LAND
+        # Orders under a lease that have begun: the aircraft may be about to leave the ground.
+        self._underway = 0
         self._doing: dict[LeaseAction, Callable[[Order, LeaseAsk], Awaitable[Done]]] = {
             LeaseAction.ACQUIRE: self._acquire,
             LeaseAction.RENEW: self._renew,
@@ -121,7 +126,12 @@ class Orders:
         lease = None if message.action is Action.VERSION else self.require_lease(order)
         if message.action is Action.ACTIVATE and client.state.is_activated:
             return Done()
-        outcome = await client.ask(message.action, lease, number=message.number, data=message.data)
+        ask, number, data = client.ask, message.number, message.data
+        self._underway += 1
+        try:
+            outcome = await ask(message.action, lease, number=number, data=data)
+        finally:
+            self._underway -= 1
         return Done(outcome.text, outcome.number)
 
     # -- the lease -------------------------------------------------------------------------------
@@ -193,9 +203,11 @@ class Orders:
             LeaseHeld: Somebody has the lease, and it is not to be taken over.
             M100Error: As :meth:`m100link.agent.client.AgentClient.fly`.
         """
-        if self.phase is FlightPhase.STANDBY:
+        if self.phase is FlightPhase.STANDBY and not self._underway:
             return  # it is where it is wanted
-        if self._descent is None or self._descent.done():
+        is_under_way = self._descent is not None and not self._descent.done()
+        if self._descent is None or not is_under_way or task is not self._descends_by:
+            self._descends_by = task
             self._descent = self._client.background.spawn(
                 self._descended(task, who, take_over=take_over), who
             )
@@ -207,8 +219,30 @@ class Orders:
         async with self._kept(lease):
             if not client.state.is_activated:
                 await client.activate(lease)
+            await self._end_task()
             await client.obtain(lease)
-            await client.fly(lease, task)
+            await self._fly_down(lease, task)
+
+    async def _end_task(self) -> None:
+        """End what the aircraft flies by itself; a landing is left to its end."""
+        client = self._client
+        while client.state.task == Flown.LAND.value:  # noqa: ASYNC110 - no event says it
+            await asyncio.sleep(_LOOK_S)
+        if client.state.task:
+            await client.stop()  # nothing else ends a task
+
+    async def _fly_down(self, lease: Lease, task: Task) -> None:
+        until = self._client.now + _REFUSED_S
+        while self.phase is not FlightPhase.STANDBY:
+            try:
+                await self._client.fly(lease, task)
+            except (TaskRefused, MissionRunning):
+                # What was broken off takes its time to end, in the air or on the ground.
+                if self._client.now > until:
+                    raise
+                await asyncio.sleep(_RENEWAL_S)
+            else:
+                return
 
     async def _seize(self, who: str, *, take_over: bool) -> Lease:
         client = self._client
