@@ -7,6 +7,7 @@ disk before what it says happens, in a thread: a disk that hangs holds up no set
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import json
 import os
 import tempfile
@@ -83,6 +84,8 @@ class FileLedger:
         self._path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self._lock = path.with_suffix(".lock").open("a")
+            self._own()
             self.begun, self.leases_before = self._read(utc())
             self._reserved = self.leases_before + FENCES_AT_ONCE
             self._rewrite()
@@ -90,6 +93,18 @@ class FileLedger:
         except OSError as error:
             raise _failed(path, error) from error
         self._writing = asyncio.Lock()
+
+    def _own(self) -> None:
+        # Of a file of its own: the ledger is replaced as it is read.
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._lock.close()
+            raise UsageError(
+                f"{self._path}: another agent has it",
+                cause="two agents of one name run on this computer",
+                remedy="end the other one, or name another folder by --ledger",
+            ) from None
 
     def _read(self, now: float) -> tuple[dict[str, float], int]:
         begun: dict[str, float] = {}
@@ -159,8 +174,9 @@ class FileLedger:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; another agent may have it then."""
         self._file.close()
+        self._lock.close()
 
 
 def _failed(path: Path, error: OSError) -> UsageError:

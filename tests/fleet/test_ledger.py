@@ -23,14 +23,23 @@ async def test_what_was_begun_is_known_by_the_next_run(tmp_path: Path) -> None:
     first = FileLedger(path, lambda: 1000.0)
     await first.begin("one", 1000.0)
     await first.begin("two", 1001.0)
-    # Killed: nobody closes anything.
+    first.close()  # as the kernel does when it is killed; each word was on the disk
     second = FileLedger(path, lambda: 1002.0)
     assert second.begun == {"one": 1000.0, "two": 1001.0}
-    first.close()
     second.close()
     third = FileLedger(path, lambda: 1000.5 + KEPT_S)
     assert third.begun == {"two": 1001.0}
     third.close()
+
+
+def test_two_agents_have_two_ledgers(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    first = FileLedger(path, lambda: 0.0)
+    with pytest.raises(UsageError, match="another agent has it"):
+        FileLedger(path, lambda: 0.0)
+    FileLedger(tmp_path / "a2.jsonl", lambda: 0.0).close()
+    first.close()
+    FileLedger(path, lambda: 0.0).close()
 
 
 async def test_a_line_that_was_cut_off_is_no_order_and_harms_none(tmp_path: Path) -> None:
