@@ -19,7 +19,7 @@ _TOLD = ("tel", "tel/**", "state", "event")
 _WATCHED = ("state", "log")  # asked by who watches
 _CARDS = ("state",)  # and of all at once
 _ORDERED = ("cmd", "status/**")  # by who may stop; of who flies besides:
-_FLOWN = ("lease",)
+_FLOWN = ("lease", "show")
 _PUT = ("setpoint",)
 _LIVE = ("live",)
 

@@ -100,6 +100,11 @@ class Keys:
         """Pieces of flight logs are asked here."""
         return self.of("log")
 
+    @property
+    def show(self) -> str:
+        """What has to do with a show is asked here."""
+        return self.of("show")
+
     def status(self, identity: str = "*") -> str:
         """What became of an order is asked here."""
         return self.of(f"status/{identity}")

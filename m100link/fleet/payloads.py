@@ -22,6 +22,7 @@ from m100link.agent.messages import Message, Steer
 from m100link.fleet.outcome import Outcome
 
 __all__ = [
+    "SHOW",
     "VERSION",
     "Card",
     "Order",
@@ -36,6 +37,9 @@ __all__ = [
 
 VERSION = 1
 """Of these payloads."""
+
+SHOW = b"show\n"
+"""What the message of an order to take part in a show begins with; behind it is JSON."""
 
 _PROOF = 16
 _MOST = 64 * 1024

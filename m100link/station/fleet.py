@@ -18,6 +18,7 @@ from m100link.fleet.agent import FleetAgent, Verify
 from m100link.fleet.keys import DEFAULT_SITE, Keys
 from m100link.fleet.ledger import FileLedger, Ledger, MemoryLedger
 from m100link.fleet.lost import LostPlan
+from m100link.fleet.show.service import ShowService
 from m100link.log.folder import state_folder
 from m100link.station.config import Settings
 from m100link.station.run import owning
@@ -83,6 +84,13 @@ async def serving_fleet(
         async with asyncio.TaskGroup() as group:
             running = [
                 group.create_task(one.run(), name=f"m100link fleet: {name}")
+                for name, one in agents.items()
+            ]
+            running += [
+                group.create_task(
+                    ShowService(one.client, bus, keys[name], verify=fleet.verify).run(),
+                    name=f"m100link fleet show: {name}",
+                )
                 for name, one in agents.items()
             ]
             try:

@@ -1,0 +1,303 @@
+"""An aircraft of a fleet in a show: on board, beside its agent, which has control and the guards.
+
+It is loaded with a track, takes its place, is told when to begin, and flies by its own clock: the
+network is not needed any more from then on. When it has to leave (its tube, the clock, telemetry,
+a guard) what was chosen follows, hover or land. When somebody else wants the aircraft (STOP, a
+take-over, the pilot) it lets go of it and does nothing more.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from enum import Enum
+from typing import Literal
+
+from m100link.agent.client import AgentClient
+from m100link.agent.guided import ChangeHeight, FlyTo
+from m100link.agent.lease import Lease
+from m100link.agent.messages import Event, Topic
+from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
+from m100link.fleet.show.clock import DRIFT
+from m100link.fleet.show.steering import TrackSteering
+from m100link.fleet.show.track import BadShow, TimedTrack, Vector
+from m100link.flight.guards import MAX_COMMAND_M_S
+from m100link.flight.pacing import Ticker
+from m100link.geodesy import LocalFrame
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Attitude, FlightStatus, Position
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = ["ALLOWED", "Leave", "Order", "Performer", "Stage"]
+
+Leave = Literal["hover", "land"]
+
+_FRESH_S = 0.5
+_STATUS_S = 2.5
+_RENEWAL_S = 0.5
+
+
+class Stage(Enum):
+    """How far an aircraft is in a show."""
+
+    EMPTY = "empty"
+    LOADED = "loaded"
+    PLACING = "placing"  # it takes off and flies to its first point
+    READY = "ready"  # it hovers there
+    FLYING = "flying"  # it waits for the beginning, or flies
+    FLOWN = "flown"
+    LEFT = "left"  # it gave up: the reason stands beside it
+
+
+class Order(Enum):
+    """What it is told."""
+
+    LOAD = "load"
+    PLACE = "place"
+    START = "start"
+    LEAVE = "leave"
+
+
+ALLOWED: dict[Order, frozenset[Stage]] = {
+    Order.LOAD: frozenset({Stage.EMPTY, Stage.LOADED, Stage.FLOWN, Stage.LEFT}),
+    Order.PLACE: frozenset({Stage.LOADED}),
+    Order.START: frozenset({Stage.READY}),
+    # Whoever wants out gets out, and may say so any number of times.
+    Order.LEAVE: frozenset(Stage),
+}
+
+
+_BUSY = (Stage.PLACING, Stage.READY, Stage.FLYING)
+
+
+class Performer:
+    """One aircraft.
+
+    Args:
+        client: What knows its agent.
+        name: Of the aircraft.
+
+    Attributes:
+        stage: How far it is.
+        fault: Why it left; None otherwise.
+        track: What it is loaded with; None for nothing.
+        farthest_m: Farthest from its track, by its own telemetry.
+    """
+
+    def __init__(self, client: AgentClient, name: str) -> None:
+        self._client = client
+        self._name = name
+        self.stage = Stage.EMPTY
+        self.fault: M100Error | None = None
+        self.track: TimedTrack | None = None
+        self.farthest_m = 0.0
+        self._leave: Leave = "land"
+        self._lease: Lease | None = None
+        self._refused: M100Error | None = None  # why the last setpoint was not flown
+        self._work: asyncio.Task[None] | None = None
+        client.on_event.append(self._hear)
+        client.on_steer_refused.append(self._steer_refused)
+        client.on_authority_taken.append(self._gave_way)
+
+    def close(self) -> None:
+        """Leave, and hear nothing more of the agent."""
+        self.leave()
+        self._client.on_event.remove(self._hear)
+        self._client.on_steer_refused.remove(self._steer_refused)
+        self._client.on_authority_taken.remove(self._gave_way)
+
+    # -- who else wants the aircraft -------------------------------------------------------------
+
+    def _hear(self, event: Event) -> None:
+        if event.topic in (Topic.STOPPED, Topic.HALTED):
+            self._gave_way(NoAuthority(f"{self._name} was stopped: {event.text}"))
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        if self._lease is not None and self._lease.number == fence:
+            self._refused = error
+
+    def _gave_way(self, error: M100Error) -> None:
+        if self.stage in _BUSY:
+            self.fault = error
+            self.leave()
+
+    # -- what it is told -------------------------------------------------------------------------
+
+    def _require(self, order: Order) -> None:
+        if self.stage not in ALLOWED[order]:
+            raise UsageError(
+                f"{self._name} is {self.stage.value} and cannot {order.value}",
+                cause="two conduct the same show, or an order came late",
+                remedy="let it leave, and begin anew: load, place, start",
+            )
+
+    def load(self, data: bytes, leave: Leave) -> str:
+        """Take a track.
+
+        Args:
+            data: Of :meth:`TimedTrack.to_bytes`.
+            leave: What follows the track, or whatever ends it.
+
+        Returns:
+            Its digest: whoever sent it compares.
+
+        Raises:
+            BadShow: It is none, or another aircraft's.
+            UsageError: It is in a show.
+        """
+        self._require(Order.LOAD)
+        track = TimedTrack.from_bytes(data)
+        if track.name != self._name:
+            raise BadShow(f"the track of {track.name} came to {self._name}", aircraft=(self._name,))
+        if leave not in ("hover", "land"):
+            raise UsageError(f"leave cannot be {leave!r}", remedy="hover or land")
+        self.track, self._leave, self.fault = track, leave, None
+        self.stage = Stage.LOADED
+        return track.digest
+
+    def place(self, who: str) -> None:
+        """Begin to take off and to fly to the first point.
+
+        Args:
+            who: Who conducts, for people.
+
+        Raises:
+            UsageError: It is not loaded.
+        """
+        self._require(Order.PLACE)
+        self.stage = Stage.PLACING
+        self._do(lambda: self._place(who))
+
+    def start(self, digest: str, start_at: float, bound: float) -> None:
+        """Begin the track at a time.
+
+        Args:
+            digest: Of the track that is meant.
+            start_at: By the agent's clock, s.
+            bound: By how much whoever says so may be wrong about that clock, s.
+
+        Raises:
+            ShowRefused: The clock, the time or the place is wrong.
+            UsageError: It is not ready, or loaded with another track.
+        """
+        self._require(Order.START)
+        track = self._loaded()
+        if digest != track.digest:
+            raise UsageError(f"{self._name} is loaded with another track", remedy="load it anew")
+        steering = TrackSteering(track, MAX_COMMAND_M_S * (1 - 1e-6))
+        steering.require_ready(start_at - self._client.now, bound, self._here(track))
+        self.stage = Stage.FLYING
+        self._do(lambda: self._fly(track, steering, start_at, bound))
+
+    def leave(self) -> None:
+        """End it, wherever it is: control is given back, and it hovers."""
+        if self._work is not None:
+            self._work.cancel()
+        if self.stage in _BUSY:
+            self.stage = Stage.LEFT
+        self._let_go()
+
+    # -- what it does ----------------------------------------------------------------------------
+
+    def _loaded(self) -> TimedTrack:
+        assert self.track is not None, "every stage from LOADED on has one"
+        return self.track
+
+    def _do(self, work: Callable[[], Awaitable[None]]) -> None:
+        async def guarded() -> None:
+            try:
+                await work()
+            except M100Error as error:
+                self.fault, self.stage = error, Stage.LEFT
+                self._client.note(f"show: {error.seen}", "error")
+                await self._end()
+
+        if self._work is not None:
+            self._work.cancel()
+        self._work = self._client.background.spawn(guarded(), "show")
+
+    async def _place(self, who: str) -> None:
+        client, track = self._client, self._loaded()
+        TrackSteering(track, 1.0).require_below(self._here(track))
+        self._lease = lease = await client.acquire(f"show of {who}")
+        if not client.state.is_activated:
+            await client.activate(lease)
+        await client.obtain(lease)
+        telemetry = client.telemetry
+        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
+        first = track.points[0]
+        height = first.height - track.ground_m
+        keeping = client.background.spawn(self._keep(lease), "lease of a show")
+        try:
+            if status is None or not status.is_airborne:
+                await client.fly(lease, Task.TAKE_OFF)
+            await client.guide(lease, ChangeHeight(height))
+            place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
+            await client.guide(lease, FlyTo(*place, height, yaw_deg=track.heading_deg))
+            self.stage = Stage.READY
+            await asyncio.Event().wait()  # it keeps the lease until it is told to begin
+        finally:
+            keeping.cancel()
+
+    async def _keep(self, lease: Lease) -> None:
+        while True:
+            self._client.keep(lease)
+            await asyncio.sleep(_RENEWAL_S)
+
+    async def _fly(
+        self, track: TimedTrack, steering: TrackSteering, start_at: float, bound: float
+    ) -> None:
+        client, told_at, self._refused = self._client, self._client.now, None
+        lease = client.check(self._lease)
+        heading = track.heading_deg if track.heading_deg is not None else self._heading()
+        async for _ in Ticker():
+            client.check(lease)
+            if self._refused is not None:
+                raise self._refused
+            now = client.now
+            wrong = bound + DRIFT * (now - told_at)
+            velocity = steering.step(now - start_at, wrong, self._here(track))
+            self.farthest_m = steering.farthest_m
+            if velocity is None:
+                break
+            north, east, up = velocity
+            client.steer(lease, Setpoint.velocity(north=north, east=east, up=up, yaw_deg=heading))
+        self.stage = Stage.FLOWN
+        client.note(f"show: {self._name} has flown its track")
+        await self._end()
+
+    async def _end(self) -> None:
+        """What follows: it hovers, or lands; and whoever comes next may have control."""
+        client, lease = self._client, self._lease
+        has_control = client.holds(lease) and client.has_authority
+        if self._leave == "land" and lease is not None and has_control:
+            keeping = client.background.spawn(self._keep(lease), "lease of a show")
+            try:
+                await client.fly(lease, Task.LAND)
+            except M100Error as error:
+                client.note(f"show: {error.seen}", "error")
+            finally:
+                keeping.cancel()
+        self._let_go()
+
+    def _let_go(self) -> None:
+        lease, self._lease = self._lease, None
+        if lease is not None and self._client.holds(lease):
+            self._client.let_go(lease)
+
+    # -- where it is -----------------------------------------------------------------------------
+
+    def _here(self, track: TimedTrack) -> Vector:
+        telemetry = self._client.telemetry
+        found = None if telemetry is None else telemetry.fresh(Position, within=_FRESH_S)
+        if found is None or not found.is_possible:
+            raise TelemetryStalled(f"where {self._name} is, is not known")
+        north, east = LocalFrame(*track.origin).to_local(found.latitude_deg, found.longitude_deg)
+        return north, east, found.height_m + track.ground_m
+
+    def _heading(self) -> float:
+        telemetry = self._client.telemetry
+        found = None if telemetry is None else telemetry.fresh(Attitude, within=_FRESH_S)
+        if found is None:
+            raise TelemetryStalled(f"where the nose of {self._name} points is not known")
+        return found.yaw_deg

@@ -1,0 +1,156 @@
+"""What an agent of a fleet is asked of a show, and what it answers.
+
+Orders are those of the fleet, signed as all are; each is admitted by the stage that the aircraft is
+in, so that one that comes twice does nothing. Whoever conducts learns by asking where it stands.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from contextlib import ExitStack
+from typing import Any
+
+from m100link.agent.client import AgentClient
+from m100link.agent.fault import MessageError, fault_of
+from m100link.bus.network import Bus, Question
+from m100link.errors import M100Error, NotAllowed
+from m100link.fleet.agent import Verify
+from m100link.fleet.keys import Keys
+from m100link.fleet.outcome import outcome_of
+from m100link.fleet.payloads import SHOW, Order, Progress, Reply, pack, unpack
+from m100link.fleet.show.performer import Performer
+from m100link.fleet.show.track import MAX_POINTS
+
+__all__ = ["ShowService"]
+
+_MOST_KNOWN = 1024
+_MOST_BYTES = 32 * MAX_POINTS + 1024
+
+
+class ShowService:
+    """One aircraft's end.
+
+    Args:
+        client: What knows its agent.
+        bus: The network.
+        keys: Its keys.
+        verify: Looks at each order; without it the router alone decides who may ask.
+    """
+
+    def __init__(
+        self, client: AgentClient, bus: Bus, keys: Keys, *, verify: Verify | None = None
+    ) -> None:
+        self._client = client
+        self._bus = bus
+        self._keys = keys
+        self._verify = verify
+        self.performer = Performer(client, keys.name)
+        # What became of orders that were let through: the network may bring one twice.
+        self._known: dict[str, M100Error | None] = {}
+        self._pieces = bytearray()
+
+    async def run(self) -> None:
+        """Answer until this is cancelled; whatever flies then leaves the show, and hovers."""
+        with ExitStack() as stack:
+            stack.callback(self.performer.close)
+            stack.callback(self._bus.serve(self._keys.show, self._on_order).close)
+            await asyncio.Event().wait()
+
+    def _on_order(self, question: Question) -> None:
+        identity, fault = "", None
+        try:
+            order: Order = unpack(Order, question.payload)
+            identity = order.id
+            if identity not in self._known:
+                self._admit(order)
+                self._remember(identity, self._obey(order))
+            fault = self._known[identity]
+        except M100Error as error:
+            fault = error
+        question.answer(self._keys.show, pack(self._reply(identity, fault)))
+
+    def _remember(self, identity: str, fault: M100Error | None) -> None:
+        self._known[identity] = fault
+        if len(self._known) > _MOST_KNOWN:
+            del self._known[next(iter(self._known))]
+
+    def _admit(self, order: Order) -> None:
+        if order.aircraft != self._keys.name:
+            raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
+        if self._verify is not None:
+            self._verify(order)
+
+    def _obey(self, order: Order) -> M100Error | None:
+        """Do it; what it is refused for, if it is."""
+        try:
+            self._do(order, _read(order.message))
+        except M100Error as error:
+            return error
+        return None
+
+    def _do(self, order: Order, wanted: dict[str, Any]) -> None:
+        performer = self.performer
+        try:
+            match wanted.pop("do", None):
+                case "tell":
+                    pass  # the answer says where it stands
+                case "piece":
+                    self._take_piece(int(wanted["at"]), bytes.fromhex(wanted["data"]))
+                case "load":
+                    performer.load(bytes(self._pieces), wanted["leave"])
+                case "place":
+                    performer.place(order.signer or order.by)
+                case "start":
+                    performer.start(
+                        str(wanted["digest"]), float(wanted["at"]), float(wanted["bound"])
+                    )
+                case "leave":
+                    performer.leave()
+                case other:
+                    raise MessageError(f"a show knows no order {other!r}")
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, M100Error):
+                raise
+            raise MessageError(f"an order to a show cannot be read: {error!r}") from error
+
+    def _take_piece(self, at: int, data: bytes) -> None:
+        """A track comes in pieces: from the beginning, and each where the one before ended."""
+        if not 0 <= at <= len(self._pieces) or at + len(data) > _MOST_BYTES:
+            raise MessageError(
+                f"a piece of a track at {at} comes behind {len(self._pieces)} bytes",
+                cause="two upload tracks to the same aircraft, or one is far too long",
+                remedy="upload it anew from its beginning",
+            )
+        self._pieces[at:] = data
+
+    def _reply(self, identity: str, error: M100Error | None) -> Reply:
+        performer = self.performer
+        told = {
+            "stage": performer.stage.value,
+            "digest": "" if performer.track is None else performer.track.digest,
+            "farthest_m": performer.farthest_m,
+            "why": "" if performer.fault is None else performer.fault.seen,
+        }
+        return Reply(
+            id=identity,
+            name=self._keys.name,
+            boot="",
+            progress=Progress.DONE,
+            outcome=outcome_of(error),
+            fault=fault_of(error),
+            text=json.dumps(told),
+            clock=self._client.now,
+        )
+
+
+def _read(message: bytes) -> dict[str, Any]:
+    if not message.startswith(SHOW):
+        raise MessageError("an order came where shows are asked, and is about none")
+    try:
+        found = json.loads(message[len(SHOW) :])
+    except (ValueError, RecursionError) as error:
+        raise MessageError("an order to a show is not JSON") from error
+    if not isinstance(found, dict):
+        raise MessageError("an order to a show is no object")
+    return found

@@ -1,0 +1,213 @@
+"""A show over a network in memory: agents, signatures, a conductor; one is killed, one refuses."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from itertools import combinations
+from math import dist
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.bus.memory import Weather
+from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable
+from m100link.fleet.identity import Signer
+from m100link.fleet.keys import Keys
+from m100link.fleet.rights import Rights
+from m100link.fleet.show.conductor import Conductor, Part
+from m100link.fleet.show.document import Show
+from m100link.fleet.show.performer import Stage
+from m100link.fleet.show.service import ShowService
+from m100link.fleet.show.steering import ShowRefused
+from m100link.fleet.signing import signing, verifying
+from m100link.geodesy import LocalFrame
+from m100link.sim.vehicle.settings import AircraftSettings
+from m100link.sim.virtual import VirtualAircraft
+from tests.fleet.conftest import SITE, OnBoard, Rig, anyio_backend, rig
+from tests.fleet.show.shows import ORIGIN
+from tests.fleet.show.shows import track as points_track
+from tests.fleet.show.stage import row
+
+__all__ = ["anyio_backend", "rig"]
+
+pytestmark = pytest.mark.anyio
+
+ANNA = Signer("anna", b"a" * 32)
+RIGHTS = Rights.parse(
+    f'[identity.anna]\npublic_key = "{ANNA.public_key.hex()}"\nfly = ["*"]\n[identity.bert]\n'
+    f'public_key = "{Signer("bert", b"b" * 32).public_key.hex()}"\nstop = ["*"]\n'
+)
+
+
+class Company:
+    """Aircraft at their places with their agents, and what is told."""
+
+    def __init__(self, rig: Rig, count: int) -> None:
+        self.rig = rig
+        self.show = Show("", tuple(row(count)))
+        self.on_board: list[OnBoard] = []
+        self.services: list[asyncio.Task[None]] = []
+        self.told: list[str] = []
+
+    async def come(self) -> None:
+        for index, track in enumerate(self.show.tracks):
+            first = track.points[0]
+            place = LocalFrame(*ORIGIN).to_geodetic(first.north, first.east)
+            settings = AircraftSettings(latitude_deg=place[0], longitude_deg=place[1])
+            virtual = VirtualAircraft(seed=index, settings=settings)
+            one = await self.rig.aircraft(track.name, virtual=virtual)
+            verify = verifying(RIGHTS, [track.name], self.rig.utc)
+            service = ShowService(one.client, one.bus, Keys(SITE, track.name), verify=verify)
+            self.services.append(asyncio.ensure_future(service.run()))
+            self.on_board.append(one)
+
+    def conductor(self, **options: Any) -> Conductor:
+        options.setdefault("sign", signing(ANNA))
+        bus = self.rig.network.session()
+        return Conductor(
+            bus, SITE, "anna", self.show, tell=self.told.append, utc=self.rig.utc, **options
+        )
+
+    def places(self) -> list[tuple[float, float, float]]:
+        found = []
+        for one, track in zip(self.on_board, self.show.tracks, strict=True):
+            (north, east), first = one.aircraft.position, track.points[0]
+            found.append((first.north + north, first.east + east, one.height))
+        return found
+
+    async def nearest(self) -> float:
+        """The nearest of any two from now on, until this is cancelled."""
+        found = 1e9
+        try:
+            while True:
+                await anyio.sleep(0.05)
+                found = min(found, *(dist(a, b) for a, b in combinations(self.places(), 2)))
+        except asyncio.CancelledError:
+            return found
+
+
+@asynccontextmanager
+async def company(rig: Rig, count: int) -> AsyncIterator[Company]:
+    made = Company(rig, count)
+    await made.come()
+    yield made
+    for service in made.services:
+        service.cancel()
+    await asyncio.gather(*made.services, return_exceptions=True)
+
+
+def stages(parts: dict[str, Part]) -> list[Stage | None]:
+    return [part.stage for part in parts.values()]
+
+
+async def test_five_fly_a_show_and_land(rig: Rig) -> None:
+    async with company(rig, 5) as made:
+        watching = asyncio.ensure_future(made.nearest())
+        parts = await made.conductor().fly()
+        assert stages(parts) == [Stage.FLOWN] * 5
+        assert max(part.farthest_m for part in parts.values()) < 0.3
+        await rig.until(lambda: all(one.height == 0 for one in made.on_board))
+        watching.cancel()
+        assert await watching > 8.0
+        assert sum("has flown its track" in text for text in made.told) == 5
+
+
+async def test_through_a_network_that_loses_and_delays_they_fly_all_the_same(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        rig.network.weather = Weather(loss=0.1, repeat=0.1, delay_s=0.005, jitter_s=0.02)
+        parts = await made.conductor().fly()
+        assert stages(parts) == [Stage.FLOWN] * 2
+
+
+async def test_one_that_is_cut_off_flies_on_and_one_that_is_killed_hovers(rig: Rig) -> None:
+    async with company(rig, 3) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave="hover").fly())
+        await rig.until(lambda: any("begins in" in text for text in made.told))
+        await anyio.sleep(9.0)
+        cut, killed, _ = made.on_board
+        rig.network.cut(cut.bus)
+        made.services[1].cancel()  # whoever performs has gone, and the aircraft is not flown on
+        rig.network.cut(killed.bus)
+        await anyio.sleep(2.0)
+        assert killed.speed < 0.3
+        place = made.places()[1]
+        parts = await conducting
+        assert stages(parts) == [None, None, Stage.FLOWN]
+        assert "a2 is silent; the others fly on" in made.told
+        assert dist(made.places()[1], place) < 0.5
+        assert dist(made.places()[0], made.show.tracks[0].points[-1].place) < 0.5
+
+
+async def test_one_that_has_to_leave_is_named_and_the_others_fly_on(rig: Rig) -> None:
+    async with company(rig, 3) as made:
+        conducting = asyncio.ensure_future(made.conductor().fly())
+        await rig.until(lambda: any("begins in" in text for text in made.told))
+        await anyio.sleep(9.0)
+        made.on_board[1].aircraft.vehicle.flight.dynamics.east += 2.0
+        parts = await conducting
+        assert stages(parts) == [Stage.FLOWN, Stage.LEFT, Stage.FLOWN]
+        assert "left its track" in parts["a2"].why
+        assert any(text.startswith("a2 left: ") for text in made.told)
+
+
+async def test_all_are_ready_or_none_begins(rig: Rig) -> None:
+    """One has a low battery: it refuses to take off, and the others leave and hover."""
+    async with company(rig, 3) as made:
+        made.on_board[1].aircraft.battery_percent = 10.0
+        with pytest.raises((ShowRefused, GuardRefused), match=r"a2|battery"):
+            await made.conductor().fly()
+        await anyio.sleep(3.0)
+        assert made.on_board[1].height == 0
+        for one in (made.on_board[0], made.on_board[2]):
+            assert one.speed < 0.1
+            assert one.client.holder.number == 0
+        assert not any("begins in" in text for text in made.told)
+
+
+async def test_a_track_of_many_points_arrives(rig: Rig) -> None:
+    async with company(rig, 1) as made:
+        points = [(0.1 * index, 0.01 * index, 0.0, 4.0) for index in range(200)]
+        made.show = Show("", (points_track("a1", *points),))
+        parts = await made.conductor().fly()
+        assert parts["a1"].digest == made.show.tracks[0].digest
+        assert parts["a1"].stage is Stage.FLOWN
+
+
+async def test_one_that_is_not_there_is_named_and_nobody_takes_off(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        made.show = Show("", tuple(row(3)))
+        with pytest.raises(Unreachable, match="a3 does not answer"):
+            await made.conductor().fly()
+        assert all(one.height == 0 for one in made.on_board)
+
+
+@pytest.mark.parametrize(
+    ("sign", "said"),
+    [(None, "signed by nobody"), (signing(Signer("bert", b"b" * 32)), "bert may not fly")],
+)
+async def test_who_may_not_fly_conducts_nothing(rig: Rig, sign: Any, said: str) -> None:
+    async with company(rig, 1) as made:
+        with pytest.raises(NotAllowed, match=said):
+            await made.conductor(sign=sign).fly()
+        assert made.on_board[0].height == 0
+
+
+async def test_a_conductor_that_is_ended_lets_all_of_them_leave(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        conducting = asyncio.ensure_future(made.conductor().fly())
+        await anyio.sleep(6.0)
+        conducting.cancel()
+        await asyncio.gather(conducting, return_exceptions=True)
+        await anyio.sleep(3.0)
+        assert all(one.speed < 0.1 for one in made.on_board)
+        assert all(one.client.holder.number == 0 for one in made.on_board)
+
+
+async def test_a_network_that_is_too_slow_to_tell_the_time_begins_nothing(rig: Rig) -> None:
+    async with company(rig, 1) as made:
+        rig.network.weather = Weather(delay_s=0.08)
+        with pytest.raises(M100Error, match="may be wrong by"):
+            await made.conductor().fly()

@@ -1,0 +1,142 @@
+"""What an agent answers to questions about a show, whatever they are."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.fleet.keys import Keys
+from m100link.fleet.outcome import Outcome
+from m100link.fleet.payloads import SHOW, Order, Reply, pack, unpack
+from m100link.fleet.show.service import ShowService
+from m100link.sim.vehicle.settings import AircraftSettings
+from m100link.sim.virtual import VirtualAircraft
+from tests.fleet.conftest import SITE, Rig, anyio_backend, rig
+from tests.fleet.show.shows import ORIGIN, track
+
+__all__ = ["anyio_backend", "rig"]
+
+pytestmark = pytest.mark.anyio
+
+FLOWN = track("a1", (0, 0, 0, 4), (8, 12, 0, 5))
+PIECE = {"do": "piece", "at": 0, "data": FLOWN.to_bytes().hex()}
+LOAD = {"do": "load", "leave": "hover"}
+
+
+class Asked:
+    """A service, and somebody who asks it."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.bus = rig.network.session()
+
+    async def come(self) -> None:
+        settings = AircraftSettings(latitude_deg=ORIGIN[0], longitude_deg=ORIGIN[1])
+        one = await self.rig.aircraft("a1", virtual=VirtualAircraft(seed=5, settings=settings))
+        self.service = ShowService(one.client, one.bus, Keys(SITE, "a1"))
+        self.running = asyncio.ensure_future(self.service.run())
+        await anyio.sleep(0.1)
+
+    async def ask(self, payload: bytes) -> Reply:
+        [answer] = await self.bus.ask(f"m100/{SITE}/a1/show", payload, timeout=1.0)
+        reply: Reply = unpack(Reply, answer.payload)
+        return reply
+
+    async def order(self, wanted: Any, number: int = 1, name: str = "a1") -> Reply:
+        message = wanted if isinstance(wanted, bytes) else SHOW + json.dumps(wanted).encode()
+        return await self.ask(pack(Order(f"{number:032x}", name, "anna", 0, 0.0, message)))
+
+
+@pytest.fixture
+async def asked(rig: Rig) -> Any:
+    made = Asked(rig)
+    await made.come()
+    yield made
+    made.running.cancel()
+
+
+async def test_where_it_stands_is_told_with_every_answer(asked: Asked) -> None:
+    reply = await asked.order({"do": "tell"})
+    assert reply.outcome is Outcome.OK
+    assert json.loads(reply.text) == {"stage": "empty", "digest": "", "farthest_m": 0.0, "why": ""}
+    assert (await asked.order(PIECE, 3)).outcome is Outcome.OK
+    reply = await asked.order(LOAD, 2)
+    told = json.loads(reply.text)
+    assert (told["stage"], told["digest"]) == ("loaded", FLOWN.digest)
+    assert reply.clock == pytest.approx(anyio.current_time(), abs=0.1)
+
+
+async def test_an_order_that_the_network_brings_twice_is_done_once(asked: Asked) -> None:
+    await asked.order(PIECE, 4)
+    await asked.order(LOAD, 1)
+    assert (await asked.order({"do": "place"}, 2)).outcome is Outcome.OK
+    again = await asked.order({"do": "place"}, 2)
+    assert (again.outcome, json.loads(again.text)["stage"]) == (Outcome.OK, "placing")
+    assert (await asked.order({"do": "place"}, 3)).outcome is Outcome.REFUSED
+    assert (await asked.order({"do": "place"}, 3)).outcome is Outcome.REFUSED
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        b"",
+        b"show",
+        SHOW + b"{",
+        SHOW + b"[1]",
+        SHOW + b"\xff",
+        SHOW + b"[" * 2000,
+        {},
+        {"do": None},
+        {"do": ["load"]},
+        {"do": "dance"},
+        {"do": "load"},
+        {"do": "load", "leave": "land"},
+        {"do": "piece"},
+        {**PIECE, "data": 3},
+        {**PIECE, "data": "xy"},
+        {**PIECE, "at": 1},
+        {**PIECE, "at": -1},
+        {**LOAD, "leave": "home"},
+        {**LOAD, "leave": []},
+        {"do": "start", "digest": "", "at": "soon", "bound": 0},
+        {"do": "start", "digest": "", "at": 10**400, "bound": 0},
+    ],
+)
+async def test_nonsense_is_refused_and_breaks_nothing(asked: Asked, wanted: Any) -> None:
+    assert (await asked.order(wanted)).outcome is Outcome.REFUSED
+    assert (await asked.order({"do": "tell"}, 2)).outcome is Outcome.OK
+
+
+async def test_a_track_comes_in_pieces_in_their_order(asked: Asked) -> None:
+    data, numbers = FLOWN.to_bytes(), iter(range(100))
+
+    async def piece(at: int, end: int) -> Outcome:
+        wanted = {"do": "piece", "at": at, "data": data[at:end].hex()}
+        return (await asked.order(wanted, next(numbers))).outcome
+
+    assert await piece(0, 50) is Outcome.OK
+    assert await piece(60, 70) is Outcome.REFUSED, "something is missing before it"
+    assert await piece(50, 80) is Outcome.OK
+    assert await piece(50, 90) is Outcome.OK, "sent anew: its answer was lost"
+    assert await piece(90, len(data)) is Outcome.OK
+    reply = await asked.order(LOAD, next(numbers))
+    assert json.loads(reply.text)["digest"] == FLOWN.digest
+    far = {"do": "piece", "at": 0, "data": "00" * 900}
+    assert (await asked.order(far, next(numbers))).outcome is Outcome.OK
+    assert (await asked.order(LOAD, next(numbers))).outcome is Outcome.REFUSED
+
+
+async def test_what_is_no_order_or_for_another_aircraft_is_refused(asked: Asked) -> None:
+    assert (await asked.ask(b"\x01{}")).outcome is Outcome.REFUSED
+    assert (await asked.ask(b"")).outcome is Outcome.REFUSED
+    assert (await asked.order({"do": "tell"}, name="a2")).outcome is Outcome.NOT_ALLOWED
+
+
+async def test_what_it_remembers_has_an_end(asked: Asked) -> None:
+    for number in range(1100):
+        await asked.order({"do": "tell"}, number)
+    assert len(asked.service._known) == 1024
