@@ -22,6 +22,7 @@ from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import Above0
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
+from m100link.fleet.asking import Sign
 from m100link.fleet.client import Fleet, FleetAircraft, connect
 from m100link.fleet.keys import DEFAULT_SITE
 from m100link.fleet.outcome import Result
@@ -75,14 +76,27 @@ class FleetOptions:
 
     def open(self, patience: float = 5.0) -> AbstractAsyncContextManager[Fleet]:
         """The fleet."""
-        name = self.name or self.identity or f"{getpass.getuser()}@{platform.node() or 'host'}"
-        sign, options = None, {}
-        if self.identity is not None:
-            sign = signing(read_signer(self.pki, self.identity))
-            options = tls_options(self.pki, self.identity)
+        options = {} if self.identity is None else tls_options(self.pki, self.identity)
         return connect(
-            *self.connect, site=self.site, name=name, sign=sign, options=options, patience=patience
+            *self.connect,
+            site=self.site,
+            name=self.who,
+            sign=self.sign(),
+            options=options,
+            patience=patience,
         )
+
+    @property
+    def who(self) -> str:
+        """Who asks, for other people."""
+        user = f"{getpass.getuser()}@{platform.node() or 'host'}"
+        return self.name or self.identity or user
+
+    def sign(self) -> Sign | None:
+        """What signs orders; None without an identity."""
+        if self.identity is None:
+            return None
+        return signing(read_signer(self.pki, self.identity))
 
 
 NO_OPTIONS = FleetOptions()

@@ -1,4 +1,4 @@
-"""``m100link fleet show``: look at shows, and check them. No aircraft is needed."""
+"""``m100link fleet show``: look at shows and check them, and let a fleet fly them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from typing import Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
+from m100link.cli.common import err, out, run_async
+from m100link.cli.fleet import NO_OPTIONS, FleetOptions
 from m100link.cli.options import Above0
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.cli.plan import File, require_free
 from m100link.errors import UsageError
 from m100link.fleet.show import checks
+from m100link.fleet.show.conductor import Conductor
 from m100link.fleet.show.document import Show
+from m100link.fleet.show.performer import Leave, Stage
 from m100link.fleet.show.picture import svg
 from m100link.fleet.show.track import BadShow
 from m100link.flight.guards import Envelope
@@ -24,7 +28,7 @@ __all__ = ["app"]
 
 app = cyclopts.App(
     name="show",
-    help="Check formations whose aircraft fly timed tracks, and draw them; no aircraft is needed.",
+    help="Formations whose aircraft fly timed tracks: check them, draw them, fly them.",
     version_flags=(),
 )
 
@@ -123,8 +127,6 @@ def _problem(error: BadShow) -> dict[str, Any]:
 
 
 def _say(lines: list[str]) -> None:
-    from m100link.cli.common import out
-
     for line in lines:
         out.print(line, markup=False, soft_wrap=True)
 
@@ -163,9 +165,81 @@ def preview(
     return ExitCode.OK if report.ok else ExitCode.USAGE
 
 
+@app.command
+def fly(
+    show: File,
+    /,
+    *,
+    leave: Leave = "land",
+    yes: bool = False,
+    guards: EnvelopeOptions = EnvelopeOptions(),
+    options: FleetOptions = NO_OPTIONS,
+) -> int:
+    """Let the aircraft of a fleet fly a show: all take their places, or none begins.
+
+    It is checked first. Whoever leaves its track hovers or lands by itself, is named, and the
+    others fly on. Ctrl-C before the beginning lets all of them leave and hover; later it changes
+    nothing: m100link fleet stop --all stops them. Ends with 0 if all have flown it to the end.
+
+    Args:
+        show: A file of JSON; - is standard input.
+        leave: What each does at its end, and when it has to leave: hover or land.
+        yes: Do not ask before they take off.
+        guards: What each aircraft may fly.
+        options: Which fleet.
+    """
+    found = _read(show)
+    report = checks.check(found, guards.envelope)
+    for problem in report.problems:
+        err.print(f"✗ {problem.seen}", markup=False, soft_wrap=True)
+    if not report.ok:
+        raise UsageError("this show is not flown", remedy="m100link fleet show check FILE")
+    if not yes:
+        _ask(found)
+
+    def tell(text: str) -> None:
+        err.print(text, markup=False, soft_wrap=True)
+
+    async def run() -> int:
+        async with options.open() as fleet:
+            conductor = Conductor(
+                fleet.bus,
+                options.site,
+                options.who,
+                found,
+                leave=leave,
+                sign=options.sign(),
+                tell=tell,
+            )
+            parts = await conductor.fly()
+        for part in parts.values():
+            stage = "silent" if part.stage is None else part.stage.value
+            if options.json_output:
+                print_json({"name": part.name, "stage": stage, "why": part.why})
+            else:
+                words = part.why or f"at most {part.farthest_m:.2f} m from its track"
+                out.print(f"{part.name}: {stage}, {words}", markup=False, soft_wrap=True)
+        is_flown = all(part.stage is Stage.FLOWN for part in parts.values())
+        return ExitCode.OK if is_flown else ExitCode.FAILED
+
+    return run_async(run())
+
+
+def _ask(show: Show) -> None:
+    """Whether they may take off.
+
+    Raises:
+        UsageError: Nobody says so.
+    """
+    names = ", ".join(track.name for track in show.tracks)
+    if not sys.stdin.isatty():
+        raise UsageError(f"nobody can be asked whether {names} may take off", remedy="--yes")
+    if input(f"{names} take off and fly for {show.duration:g} s. Go on? [y/N] ").lower() != "y":
+        raise UsageError("nothing was begun")
+
+
 def _drawn(show: Show) -> list[str]:
     from m100link.cli.canvas import line_plot, track_plot
-    from m100link.cli.common import out
 
     width = max(20, min(out.width, 100))
     samples = checks.places(show)
