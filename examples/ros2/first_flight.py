@@ -39,21 +39,26 @@ class Program:
     """A program that calls services, publishes speeds and hears the odometry."""
 
     def __init__(self, session: Any) -> None:
-        self.session, self.sent, self.id = session, 0, os.urandom(16)
+        self.session = session
+        # Each end of a node has an id and counts what it sends; a publisher whose numbers are
+        # missing was cut off, and is not flown on.
+        self.sent: dict[str, int] = {}
+        self.ids: dict[str, bytes] = {}
         odometry = f"{DOMAIN}/{NODE}/odom/nav_msgs::msg::dds_::Odometry_/*"
         self.poses = session.declare_subscriber(odometry, zenoh.handlers.RingChannel(1))
 
-    def attachment(self) -> bytes:
+    def attachment(self, end: str) -> bytes:
         """What rmw_zenoh sends with everything: a count, the time and who sends."""
-        self.sent += 1
-        return struct.pack("<qqB16s", self.sent, time.time_ns(), 16, self.id)
+        self.sent[end] = self.sent.get(end, 0) + 1
+        identity = self.ids.setdefault(end, os.urandom(16))
+        return struct.pack("<qqB16s", self.sent[end], time.time_ns(), 16, identity)
 
     def call(self, name: str) -> None:
         """Call a service without a question; a refusal ends the program."""
         key = f"{DOMAIN}/{NODE}/{name}/{TRIGGER}"
         ends = time.monotonic() + PATIENCE
         while time.monotonic() < ends:  # the service may not be there yet
-            with_it = {"payload": EMPTY, "attachment": self.attachment(), "timeout": 30.0}
+            with_it = {"payload": EMPTY, "attachment": self.attachment(name), "timeout": 30.0}
             for reply in self.session.get(key, **with_it):
                 if reply.ok is not None:
                     answer: Any = store.deserialize_cdr(bytes(reply.ok.payload), ANSWER)
@@ -73,7 +78,7 @@ class Program:
         data = bytes(store.serialize_cdr(types[kind](header, twist), kind))
         key = f"{DOMAIN}/{NODE}/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_"
         where = f"{key}/{store.hash_rihs01(kind)}"
-        self.session.put(where, data, attachment=self.attachment())
+        self.session.put(where, data, attachment=self.attachment(key))
 
     def place(self) -> tuple[float, float, float]:
         """East, north, up, m."""

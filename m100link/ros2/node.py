@@ -53,7 +53,8 @@ _TELL_S = 2.0
 _MOST_TOLD = 16
 
 _REFUSED = {
-    "other": "another publisher has the stick; be silent for a moment, and begin anew",
+    "other": "another publisher has the stick, or this one was cut off while it went on sending; "
+    "be silent for a moment, and begin anew",
     "late": "too long on its way, by the stamps in its attachments",
 }
 
@@ -165,7 +166,8 @@ class Node:
         newest: dict[str, Any] | None = None
         now = self._agent.now
         for attachment, message in source.take():
-            why = self.helm.stick.hear(attachment.gid, attachment.at_ns / 1e9, now)
+            sent_at = attachment.at_ns / 1e9
+            why = self.helm.stick.hear(attachment.gid, sent_at, now, attachment.sequence)
             if why:
                 refused = self.helm.refusal() if why == "closed" else _REFUSED[why]
                 self._tell(f"{name}: {refused}", "warning")

@@ -18,6 +18,9 @@ __all__ = ["SILENCE_S", "Stick"]
 SILENCE_S = 0.5
 """Seconds without a setpoint after which a publisher has let go."""
 
+_JITTER_S = 0.1
+"""By how much a pause may be shorter where it is made than where it is heard."""
+
 _MOST_SENDERS = 32
 
 
@@ -27,10 +30,14 @@ class _Sender:
 
     Attributes:
         heard_at: When it was heard last, s.
+        sent_at: When that was sent, s, by the clock of its sender.
+        sequence: How many it had sent by then, as it counts.
         way: How long its setpoints are on their way.
     """
 
     heard_at: float = -math.inf
+    sent_at: float = -math.inf
+    sequence: int = 0
     way: WayTime = field(default_factory=WayTime)
 
 
@@ -62,13 +69,14 @@ class Stick:
         """Control has ended, or somebody pressed STOP."""
         self.is_open, self.holder = False, None
 
-    def hear(self, sender: bytes, sent_at: float, now: float) -> str:
+    def hear(self, sender: bytes, sent_at: float, now: float, sequence: int = 0) -> str:
         """A setpoint came. Returns why it is not flown, empty where it is.
 
         Args:
             sender: Id of its publisher.
             sent_at: When it was sent, s, by the clock of its sender.
             now: s.
+            sequence: Its number, as its sender counts.
         """
         known = self._senders.pop(sender, None)
         if known is None:
@@ -77,10 +85,10 @@ class Stick:
                 return self._refuse("other" if self.is_open else "closed")
             known = _Sender()
         self._senders[sender] = known
-        begins = not self._sends(known, now) and now >= self._crowded_until
-        known.heard_at = now
-        late = known.way.late(sent_at, now)
         self.look(now)
+        begins = self._begins(known, sent_at, now, sequence) and now >= self._crowded_until
+        known.heard_at, known.sent_at, known.sequence = now, sent_at, sequence
+        late = known.way.late(sent_at, now)
         if not self.is_open:
             return self._refuse("closed")
         if self.holder is None and begins:
@@ -88,6 +96,17 @@ class Stick:
         if self.holder != sender:
             return self._refuse("other")
         return self._refuse("late") if late > MAX_LATE else ""
+
+    def _begins(self, known: _Sender, sent_at: float, now: float, sequence: int) -> bool:
+        """Whether it was silent by its own account, too.
+
+        Who went on sending while its way was cut does not fly on when that is whole again: then
+        numbers are missing, or what waited was sent without a pause.
+        """
+        if self._sends(known, now):
+            return False
+        was_silent = sent_at - known.sent_at >= SILENCE_S - _JITTER_S
+        return known.heard_at == -math.inf or (was_silent and sequence <= known.sequence + 1)
 
     def _has_room(self, now: float) -> bool:
         """Whether one more can be known, once those who fell silent are forgotten."""

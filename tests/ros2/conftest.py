@@ -96,8 +96,9 @@ class Program:
 
     def __init__(self, rig: Rig, number: int = 1) -> None:
         self.rig, self.gid = rig, bytes([number]) * 16
-        self.sequence = 0
+        self.sequence = self.published = 0
         self.late = 0.0
+        self.is_cut = False
 
     def attachment(self) -> bytes:
         self.sequence += 1
@@ -107,7 +108,11 @@ class Program:
     def publish(self, name: str, message: dict[str, Any]) -> None:
         kind = INPUTS[name].kind
         inbox = self.rig.inbox(name, kind)
-        inbox.waiting.append(Received(encode(kind, message), self.attachment()))
+        self.published += 1  # each end of a node counts what it sends
+        sent_at = round((self.rig.utc() - self.late) * 1e9)
+        attachment = bytes(Attachment(self.published, sent_at, self.gid))
+        if not self.is_cut:
+            inbox.waiting.append(Received(encode(kind, message), attachment))
 
     def speed(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, **more: Any) -> None:
         """~/cmd_vel; ``turn`` and ``frame`` besides."""

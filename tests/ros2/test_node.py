@@ -195,6 +195,23 @@ async def test_a_place_is_flown_to(rig: Rig, program: Program) -> None:
 # -- losses ---------------------------------------------------------------------------------------
 
 
+async def test_what_is_sent_on_when_the_way_is_whole_again_is_not_flown(
+    rig: Rig, program: Program
+) -> None:
+    await program.up()
+    await program.fly(2.0, 2.0)
+    program.is_cut = True
+    await program.fly(3.0, 2.0)
+    assert rig.speed < 0.3
+    program.is_cut = False
+    await program.fly(2.0, 2.0)
+    assert rig.speed < 0.3
+    assert "was cut off while it went on sending" in rig.texts
+    await anyio.sleep(0.6)
+    await program.fly(2.0, 2.0)
+    assert rig.speed > 1.5
+
+
 async def test_after_stop_nothing_resumes_by_itself(rig: Rig, program: Program) -> None:
     await program.up()
     await program.fly(2.0, 2.0)

@@ -36,6 +36,40 @@ def test_who_was_silent_begins_anew(stick: Stick) -> None:
     assert stick.hear(ONE, 5.0, 5.0) == ""
 
 
+def steer(stick: Stick, begin: float, end: float, number: int = 0) -> int:
+    """Send at 20 Hz, 50 ms late; returns the newest number."""
+    for step in range(round((end - begin) * 20)):
+        number += 1
+        at = begin + 0.05 * step
+        stick.hear(ONE, at, at + 0.05, number)
+    return number
+
+
+def test_who_paused_and_begins_anew_flies_whatever_it_counts(stick: Stick) -> None:
+    number = steer(stick, 0.0, 2.0)
+    assert stick.hear(ONE, 4.0, 4.05, number + 1) == ""
+    assert stick.hear(ONE, 6.0, 6.05, number + 1) == ""  # it does not count
+    assert stick.hear(ONE, 8.0, 8.05, 1) == ""  # it counts anew
+
+
+def test_who_was_cut_off_while_it_sent_does_not_fly_on(stick: Stick) -> None:
+    number = steer(stick, 0.0, 2.0)
+    # What it sent between is lost.
+    number = steer(stick, 3.0, 6.0, number + 20)
+    assert stick.holder is None
+    assert stick.refused["other"] == 60
+    assert stick.hear(ONE, 7.0, 7.05, number + 1) == ""  # it paused by itself
+
+
+def test_what_waited_on_a_way_that_was_cut_begins_nothing(stick: Stick) -> None:
+    number = steer(stick, 0.0, 2.0)
+    for place in range(20):
+        number += 1
+        assert stick.hear(ONE, 2.0 + 0.05 * place, 3.05, number) == "other"
+    assert steer(stick, 3.0, 4.0, number) == number + 20
+    assert stick.holder is None
+
+
 def test_before_control_nobody_has_it() -> None:
     stick = Stick()
     assert stick.hear(ONE, 0.0, 0.0) == "closed"
