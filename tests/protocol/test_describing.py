@@ -51,3 +51,12 @@ def test_an_ack_of_a_code_alone_says_that_the_rest_did_not_come() -> None:
     assert found[1]["note"] == "its code alone: the rest did not come"
     assert list(found[1]["raw"]) == ["code"]
     assert "max_radius" in found[5]["raw"]
+
+
+def test_an_ack_that_cannot_be_read_keeps_the_name_of_what_it_answers() -> None:
+    describer = Describer(FIRMWARE_1_0, CIPHER)
+    describer.feed(SEALED)
+    [answer] = describer.feed(encode_frame(b"\x02", session=2, sequence=8, is_ack=True))
+    assert answer["command"] == "request_authority"
+    assert "request_authority" in answer["problem"]
+    assert "ack" not in answer
