@@ -211,6 +211,7 @@ TESTED_ELSEWHERE = {
     "errors/line.py": ("test_errors.py", "names and attributes, nothing to run"),
     "errors/usage.py": ("test_errors.py", "names and attributes, nothing to run"),
     "cli/fleet_agent.py": ("cli/test_fleet.py", "what runs beside the pilots"),
+    "cli/fleet_watch.py": ("cli/test_fleet.py", "three more verbs of it"),
     "errors/fleet.py": ("test_errors.py", "names and attributes, nothing to run"),
     "station/fleet.py": ("cli/test_fleet.py", "a process that owns aircraft"),
     "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),

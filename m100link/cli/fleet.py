@@ -38,6 +38,8 @@ app = cyclopts.App(
 )
 app.command("m100link.cli.fleet_agent:agent", name="agent")
 app.command("m100link.cli.fleet_agent:router", name="router")
+for _verb in ("monitor", "watch", "lease"):
+    app.command(f"m100link.cli.fleet_watch:{_verb}", name=_verb)
 app.command("m100link.cli.fleet_show:app", name="show")
 app.command("m100link.cli.fleet_pki:acl", name="acl")
 app.command("m100link.cli.fleet_pki:pki", name="pki")

@@ -19,6 +19,8 @@ import pytest
 from m100link.cli.fleet import tell_results
 from m100link.errors import StaleLease
 from m100link.fleet.outcome import Result
+from m100link.protocol.items import BY_RECORD
+from m100link.protocol.records import Attitude
 from tests.waiting import PATIENCE
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
@@ -92,6 +94,33 @@ def test_all_take_off_and_land_and_one_that_is_not_there_is_named(site: Site) ->
     agent.send_signal(signal.SIGTERM)
     assert agent.wait(PATIENCE) == 0
     assert site.ask("list") == (0, [])
+
+
+def test_a_wall_one_in_full_and_a_lease_that_is_held(site: Site) -> None:
+    site.start("agent", "sim://", "--name", "a", "--count", "2")
+    site.listed(2)
+    status, told = site.ask("monitor", "--duration", "4")
+    assert status == 0
+    assert {one["name"] for one in told} == {"a1", "a2"}
+    last = told[-1]
+    assert last["age"] < 1.0
+    assert last["battery"] == {"percent": 100}
+    assert 5 <= last["received"] <= 60
+    status, packages = site.ask("watch", "a2", "--duration", "3")
+    assert status == 0
+    assert len(packages) > 100
+    assert sum(BY_RECORD[Attitude].name in one for one in packages) > 100
+    holder = site.start("lease", "a1", "--json")
+    assert holder.stdout is not None
+    fence = json.loads(holder.stdout.readline())["fence"]
+    status, [refused] = site.ask("takeoff", "a1")
+    assert (status, refused["outcome"], refused["code"]) == (1, "refused", "M100-LEASE-HELD")
+    second = site.start("lease", "a1", "--take-over", "--json")
+    assert second.stdout is not None
+    assert json.loads(second.stdout.readline())["fence"] > fence
+    assert holder.wait(PATIENCE) == 1
+    second.send_signal(signal.SIGINT)
+    assert second.wait(PATIENCE) == 0
 
 
 def test_a_name_that_is_taken_ends_the_second_agent(site: Site) -> None:
