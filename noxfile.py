@@ -128,6 +128,7 @@ OWN_SESSIONS = ("tests/interop", "tests/browser")
 CONSOLE = "tests/browser/long"
 MAVLINK = "tests/interop/mavlink"
 ROS2 = "tests/interop/ros2"
+FLEET = "tests/interop/fleet"
 # It takes off by a page that each message reaches a second late: minutes on a busy machine.
 SLOW_WAY = (
     "tests/browser/test_console.py::test_nobody_steers_with_a_second_each_way_and_the_page_says_why"
@@ -168,6 +169,7 @@ KINDS = {
                     "--ignore=tests/interop/test_rosbridge_library.py",
                     f"--ignore={MAVLINK}",
                     f"--ignore={ROS2}",
+                    f"--ignore={FLEET}",
                     "tests/interop",
                 )
             ]
@@ -264,6 +266,13 @@ def interop_ros2(session: nox.Session) -> None:
     """zenoh-ros2-sdk and plain zenoh fly the node, and are killed in flight; 10 min, real time."""
     install(session, PACKAGE, *group("test", "interop-ros2"))
     session.run(*pytest(ROS2, *session.posargs))
+
+
+@nox.session(name="interop-fleet", default=False)
+def interop_fleet(session: nox.Session) -> None:
+    """Plain zenoh sees a fleet, and its processes are killed and frozen in flight; real time."""
+    install(session, PACKAGE, *group("test"))
+    session.run(*pytest(FLEET, "tests/attacks/test_fleet.py", *session.posargs))
 
 
 @nox.session(default=False)

@@ -247,7 +247,12 @@ class Fleet:
 
     async def cards(self) -> dict[str, Card]:
         """Where the agents stand, by name: those that answered in time."""
-        return await cards(self.bus, self.keys)
+        found = await cards(self.bus, self.keys)
+        # A router with rules lets nobody ask all who may not ask each.
+        others = [Keys(self.keys.site, name) for name in await self.names() if name not in found]
+        for more in await asyncio.gather(*(cards(self.bus, keys) for keys in others)):
+            found |= more
+        return found
 
     # -- what they are asked ---------------------------------------------------------------------
 
