@@ -1,0 +1,191 @@
+"""Orders to a fleet in bad weather, counted by the aircraft.
+
+``python -m tests.faults.fleet_orders``
+
+Thirty pilots' tasks send messages to the app behind one aircraft, each with a number of its own,
+through a network that loses, repeats, delays and reorders; the agent loses its memory now and then,
+as if it had been killed, and keeps its ledger. The app counts how often each number arrived. What
+may not be: a number twice, ``ok`` for one that did not arrive, and one that arrived for which
+anything but ``ok`` or ``unknown`` was told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from collections import Counter, deque
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+
+from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.agent import Agent
+from m100link.agent.carriers.memory import memory_channels
+from m100link.agent.client import AgentClient
+from m100link.agent.connect import by_driver
+from m100link.agent.messages import Ask, LeaseAsk
+from m100link.agent.service import Service
+from m100link.bus.memory import MemoryNetwork, Weather
+from m100link.errors import M100Error
+from m100link.fleet.agent import FleetAgent
+from m100link.fleet.asking import Asker
+from m100link.fleet.client import Fleet
+from m100link.fleet.keys import Keys
+from m100link.fleet.ledger import MemoryLedger
+from m100link.fleet.outcome import Outcome, outcome_of
+from m100link.fleet.payloads import Reply
+from m100link.sim import VirtualClockEventLoop
+from m100link.sim.ports.driver import Driver
+from m100link.sim.virtual import VirtualAircraft
+
+__all__ = ["Counted", "run"]
+
+_TASKS = 30
+_KEYS = Keys("field", "a1")
+_WEATHER = Weather(loss=0.1, repeat=0.2, delay_s=0.005, jitter_s=0.2)
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What was seen.
+
+    Attributes:
+        outcomes: How often each was told.
+        restarts: How often the agent lost its memory.
+        twice: Numbers that arrived more than once.
+        false_ok: Numbers told as ``ok`` that did not arrive.
+        hidden: Numbers that arrived and were told as not done.
+    """
+
+    outcomes: Counter[Outcome]
+    restarts: int
+    twice: int
+    false_ok: int
+    hidden: int
+
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing was that may not be."""
+        return not (self.twice or self.false_ok or self.hidden)
+
+
+class Run:
+    """One aircraft, its agent, and who orders.
+
+    Args:
+        seed: Of the weather.
+        count: Orders.
+        restarts: How often the agent is to lose its memory.
+    """
+
+    def __init__(self, seed: int, count: int, restarts: int) -> None:
+        self._count, self._restarts = count, restarts
+        self.network = MemoryNetwork(seed)
+        self.aircraft = VirtualAircraft(seed=seed)
+        self.aircraft.vehicle.app.received = deque()
+        self.ledger = MemoryLedger()
+        self.told: dict[int, Outcome] = {}
+        self._lease: Reply | None = None
+        self._numbers = iter(range(count))
+
+    async def run(self) -> Counted:
+        """Send all orders."""
+        async with AsyncExitStack() as stack:
+            driver = Driver(self.aircraft)
+            stack.callback(driver.stop)
+            agent = await stack.enter_async_context(
+                Agent(by_driver(driver), credentials=self.aircraft.credentials)
+            )
+            service = Service(agent)
+            ours, its = memory_channels()
+            service.attach(its)
+            client = await stack.enter_async_context(AgentClient(ours, "fleet"))
+            async with asyncio.timeout(60.0):
+                while not client.is_connected:  # noqa: ASYNC110 - virtual time
+                    await asyncio.sleep(0.1)
+            await agent.activate()
+            agent_task = agent.background.spawn(self._agents(client), "agents")
+            fleet = Fleet(self.network.session(), site=_KEYS.site, patience=3.0)
+            await asyncio.sleep(0.1)
+            await stack.enter_async_context(fleet)
+            self.network.weather = _WEATHER
+            keeping = agent.background.spawn(self._keep(fleet["a1"].asker), "lease")
+            async with asyncio.TaskGroup() as group:
+                for _ in range(_TASKS):
+                    group.create_task(self._order(fleet["a1"].asker))
+            self.network.weather = Weather()
+            await asyncio.sleep(5.0)  # what was late has come
+            keeping.cancel()
+            agent_task.cancel()
+        return self._counted()
+
+    async def _agents(self, client: AgentClient) -> None:
+        """One agent after the other; each knows of the one before what is in its ledger."""
+        due = [self._count * n // (self._restarts + 1) for n in range(1, self._restarts + 1)]
+        while True:
+            bus = self.network.session()
+            one = FleetAgent(client, bus, _KEYS, self.ledger)
+            work = asyncio.ensure_future(one.run())
+            try:
+                while not (due and len(self.told) >= due[0]):  # noqa: ASYNC110 - virtual time
+                    await asyncio.sleep(0.05)
+                due.pop(0)
+            finally:
+                work.cancel()
+                await asyncio.gather(work, return_exceptions=True)
+                self.network.cut(bus)
+            self.ledger = MemoryLedger(self.ledger)
+
+    async def _keep(self, asker: Asker) -> None:
+        while True:
+            try:
+                if self._lease is None:
+                    self._lease = await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+                renewal = LeaseAsk(0, LeaseAction.RENEW, token=self._lease.token)
+                await asyncio.sleep(0.3)
+                await asker.try_once(renewal, within=0.5)
+            except M100Error:
+                self._lease = None  # it ended, or its agent did: another one is asked for
+                await asyncio.sleep(0.3)
+
+    async def _order(self, asker: Asker) -> None:
+        for number in self._numbers:
+            while self._lease is None:  # noqa: ASYNC110 - virtual time
+                await asyncio.sleep(0.1)
+            ask = Ask(0, Action.SEND_TO_MOBILE, data=b"%d" % number)
+            lease = self._lease
+            try:
+                await asker.ask(ask, fence=lease.number, token=lease.token)
+                self.told[number] = Outcome.OK
+            except M100Error as error:
+                self.told[number] = outcome_of(error)
+                if self.told[number] is Outcome.STALE_LEASE and self._lease is lease:
+                    self._lease = None
+
+    def _counted(self) -> Counted:
+        arrived = Counter(map(int, self.aircraft.vehicle.app.received))
+        good = (Outcome.OK, Outcome.UNKNOWN)
+        return Counted(
+            outcomes=Counter(self.told.values()),
+            restarts=self._restarts,
+            twice=sum(times > 1 for times in arrived.values()),
+            false_ok=sum(told is Outcome.OK and not arrived[n] for n, told in self.told.items()),
+            hidden=sum(told not in good and arrived[n] > 0 for n, told in self.told.items()),
+        )
+
+
+def run(seed: int, count: int, restarts: int) -> Counted:
+    """Send so many orders on virtual time."""
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        return runner.run(Run(seed, count, restarts).run())
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--orders", type=int, default=100_000)
+    parser.add_argument("--restarts", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    found = run(given.seed, given.orders, given.restarts)
+    sys.stdout.write(f"seed {given.seed}: {found}\n")
+    sys.exit(0 if found.is_good else 1)

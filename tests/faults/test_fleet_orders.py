@@ -1,0 +1,16 @@
+"""In bad weather an order is carried out at most once, and nothing is told that was not so."""
+
+from __future__ import annotations
+
+import pytest
+
+from m100link.fleet.outcome import Outcome
+from tests.faults.fleet_orders import run
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_at_most_once_and_never_a_lie(seed: int) -> None:
+    counted = run(seed, 400, restarts=3)
+    assert counted.is_good, f"seed {seed}: {counted}"
+    assert counted.outcomes[Outcome.OK] > 200, f"seed {seed}: {counted}"
+    assert counted.outcomes.total() == 400
