@@ -305,7 +305,7 @@ class FleetControl:
         """A task keeps sending a setpoint while the block runs, and the neutral at its end.
 
         Args:
-            setpoint: The first one; :meth:`FleetHold.set` gives another one.
+            setpoint: The first one; another one by :meth:`~m100link.fleet.control.FleetHold.set`.
             rate_hz: Times a second, at least 10 so that one may be lost.
 
         Raises: as :meth:`send`.
