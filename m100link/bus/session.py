@@ -28,6 +28,9 @@ LEASE_MS = 1500
 """Milliseconds after which a silent end of a connection counts as gone; zenoh's own 10 s would
 leave an aircraft on the wall that long after its cable was cut."""
 
+LARGEST = 1 << 20
+"""Bytes of the longest message that is taken."""
+
 FIRST_MS = 2000
 """Milliseconds in which a router has to answer the first time."""
 
@@ -103,7 +106,8 @@ def _unless_closed(send: Callable[..., object], *what: Any) -> None:
 
 
 def _bytes(data: zenoh.ZBytes | None) -> bytes:
-    return b"" if data is None else data.to_bytes()
+    """The bytes; of what is longer than anything of a fleet nothing, which nobody can read."""
+    return b"" if data is None or len(data) > LARGEST else data.to_bytes()
 
 
 def _question(query: zenoh.Query) -> Question:
@@ -250,6 +254,7 @@ def session_config(
         "scouting/multicast/enabled": "false",
         "scouting/gossip/enabled": "false",
         "transport/link/tx/lease": str(LEASE_MS),
+        "transport/link/rx/max_message_size": str(LARGEST),
     }
 
 

@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 from m100link.bus.network import Question
-from m100link.bus.session import FleetSession, open_session, session_config
+from m100link.bus.session import LARGEST, FleetSession, open_session, session_config
 from m100link.errors import UsageError
 from tests.waiting import PATIENCE
 
@@ -177,3 +177,17 @@ async def test_who_is_patient_waits_for_the_router() -> None:
             watcher.watch("m/*/live", lambda key, _: seen.append(key))
             await until(lambda: seen)
             done.set()
+
+
+async def test_what_is_too_long_is_not_taken(
+    sessions: tuple[FleetSession, FleetSession],
+) -> None:
+    one, other = sessions
+    found: list[int] = []
+    other.subscribe("m/x/a", lambda _, payload: found.append(len(payload)))
+    outlet = one.publish("m/x/a")
+    await until(outlet.is_wanted)
+    outlet.put(bytes(2 * LARGEST))
+    outlet.put(b"short")
+    await until(lambda: 5 in found)
+    assert max(found) == 5
