@@ -12,5 +12,5 @@ from tests.faults.fleet_orders import run
 def test_at_most_once_and_never_a_lie(seed: int) -> None:
     counted = run(seed, 400, restarts=3)
     assert counted.is_good, f"seed {seed}: {counted}"
-    assert counted.outcomes[Outcome.OK] > 200, f"seed {seed}: {counted}"
+    assert counted.outcomes[Outcome.OK] > 100, f"seed {seed}: {counted}"
     assert counted.outcomes.total() == 400
