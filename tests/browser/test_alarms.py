@@ -105,6 +105,8 @@ async def test_what_was_chosen_is_kept_by_the_browser(console: Console) -> None:
     await page.get_by_label("Höhen und Längen").click()
     await page.get_by_role("option", name="ft").click()
     await page.get_by_label("Ihr Name").fill("Anna")
+    # It goes by the station, which takes its time on a busy machine.
+    await page.wait_for_function("localStorage.getItem('m100link.settings')?.includes('Anna')")
     await banner(page, "nicht aktiviert")
     await page.reload()
     await banner(page, "nicht aktiviert")
