@@ -133,7 +133,7 @@ VERBS = {
         "Be a node of ROS 2, without a ROS installation, until Ctrl-C.",
     ),
     "fleet": (
-        "fleet:app",
+        "fleet_verbs:app",
         "Many aircraft on many machines: a router, agents on board, pilots, formations.",
     ),
     "console": (

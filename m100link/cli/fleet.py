@@ -29,21 +29,13 @@ from m100link.fleet.outcome import Result
 from m100link.fleet.payloads import Card
 from m100link.fleet.signing import read_signer, signing, tls_options
 
-__all__ = ["app"]
+__all__ = ["NO_OPTIONS", "ROUTER", "FleetOptions", "app", "until_told"]
 
 app = cyclopts.App(
     name="fleet",
     help="Many aircraft on many machines: a router, agents on board, pilots, formations.",
     version_flags=(),
 )
-app.command("m100link.cli.fleet_agent:agent", name="agent")
-app.command("m100link.cli.fleet_agent:router", name="router")
-for _verb in ("monitor", "watch", "lease"):
-    app.command(f"m100link.cli.fleet_watch:{_verb}", name=_verb)
-app.command("m100link.cli.fleet_show:app", name="show")
-app.command("m100link.cli.fleet_pki:acl", name="acl")
-app.command("m100link.cli.fleet_pki:pki", name="pki")
-
 ROUTER = "tcp/127.0.0.1:7447"
 
 Names = Annotated[str, Parameter(help="Names of aircraft.")]

@@ -22,7 +22,7 @@ def check_name(name: str, what: str = "aircraft") -> str:
     """
     if not _WORD.fullmatch(name):
         raise UsageError(
-            f"{name!r} cannot be the name of a {what}",
+            f"{name!r} is no name for {what}",
             remedy="use 1 to 32 letters, digits, - and _, and begin with a letter or a digit",
         )
     return name
