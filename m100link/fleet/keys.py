@@ -14,7 +14,7 @@ DEFAULT_SITE = "site"
 _WORD = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 
 
-def check_name(name: str, what: str = "aircraft") -> str:
+def check_name(name: str, what: str = "an aircraft") -> str:
     """The name, if it can be a word of a key.
 
     Raises:
@@ -47,7 +47,7 @@ class Keys:
     name: str = "*"
 
     def __post_init__(self) -> None:
-        check_name(self.site, "site")
+        check_name(self.site, "a site")
         if self.name != "*":
             check_name(self.name)
 

@@ -29,5 +29,5 @@ def test_what_cannot_be_a_name(name: str) -> None:
 
 
 def test_a_site_is_checked_as_well() -> None:
-    with pytest.raises(UsageError, match="name of a site"):
+    with pytest.raises(UsageError, match="is no name for a site"):
         Keys("**", "a1")
