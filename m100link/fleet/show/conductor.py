@@ -36,6 +36,7 @@ _PLACING_S = 180.0
 _ROUND_TRIPS = 12
 _COUNTDOWN_S = 5.0
 _LOOK_S = 0.5
+_ATTENDING_S = 2.0
 _GONE_S = 5.0
 _PIECE = 800
 """Bytes of a track that are sent at once: an order has room for 2048 with all that is around."""
@@ -107,6 +108,7 @@ class Conductor:
         Raises:
             M100Error: One of them could not begin; none has, and all that flew hover.
         """
+        attending = asyncio.create_task(self._attend(), name="m100link: conductor of a show")
         try:
             await self._each(self._load)
             self._tell("all have their tracks")
@@ -119,7 +121,16 @@ class Conductor:
         except BaseException:
             await asyncio.shield(self.leave())
             raise
+        finally:
+            attending.cancel()
         return dict(zip(self._tracks, await self._each(self._watch), strict=True))
+
+    async def _attend(self) -> None:
+        """Be heard by those that are ready while others are not: they would leave."""
+        while True:
+            await asyncio.sleep(_ATTENDING_S)
+            asked = (self._ask(track, {"do": "tell"}) for track in self._tracks.values())
+            await asyncio.gather(*asked, return_exceptions=True)
 
     async def leave(self) -> None:
         """Let all of them leave, wherever they are; who does not answer is not waited for."""

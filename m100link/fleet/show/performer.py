@@ -1,7 +1,8 @@
 """An aircraft of a fleet in a show: on board, beside its agent, which has control and the guards.
 
 It is loaded with a track, takes its place, is told when to begin, and flies by its own clock: the
-network is not needed any more from then on. When it has to leave (its tube, the clock, telemetry,
+network is not needed any more from then on; until then it leaves when whoever conducts falls
+silent. When it has to leave (its tube, the clock, telemetry,
 a guard) what was chosen follows, hover or land. When somebody else wants the aircraft (STOP, a
 take-over, the pilot) it lets go of it and does nothing more.
 """
@@ -19,7 +20,7 @@ from m100link.agent.lease import Lease
 from m100link.agent.messages import Event, Topic
 from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.fleet.show.clock import DRIFT
-from m100link.fleet.show.steering import TrackSteering
+from m100link.fleet.show.steering import LeftShow, TrackSteering, Why
 from m100link.fleet.show.track import BadShow, TimedTrack, Vector
 from m100link.flight.guards import MAX_COMMAND_M_S
 from m100link.flight.pacing import Ticker
@@ -28,9 +29,13 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude, FlightStatus, Position
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["ALLOWED", "Leave", "Order", "Performer", "Stage"]
+__all__ = ["ALLOWED", "ATTENDED_S", "Leave", "Order", "Performer", "Stage"]
 
 Leave = Literal["hover", "land"]
+
+ATTENDED_S = 10.0
+"""Seconds without a word of whoever conducts after which an aircraft that takes or has its place
+leaves: nobody waits for it there any more."""
 
 _FRESH_S = 0.5
 _STATUS_S = 2.5
@@ -95,6 +100,7 @@ class Performer:
         self._lease: Lease | None = None
         self._refused: M100Error | None = None  # why the last setpoint was not flown
         self._work: asyncio.Task[None] | None = None
+        self._heard_at = client.now  # whoever conducts, or asks where it stands
         client.on_event.append(self._hear)
         client.on_steer_refused.append(self._steer_refused)
         client.on_authority_taken.append(self._gave_way)
@@ -120,6 +126,10 @@ class Performer:
         if self.stage in _BUSY:
             self.fault = error
             self.leave()
+
+    def heard(self) -> None:
+        """Whoever conducts is there."""
+        self._heard_at = self._client.now
 
     # -- what it is told -------------------------------------------------------------------------
 
@@ -165,6 +175,7 @@ class Performer:
             UsageError: It is not loaded.
         """
         self._require(Order.PLACE)
+        self.heard()
         self.stage = Stage.PLACING
         self._do(lambda: self._place(who))
 
@@ -228,6 +239,7 @@ class Performer:
         first = track.points[0]
         height = first.height - track.ground_m
         keeping = client.background.spawn(self._keep(lease), "lease of a show")
+        attending = client.background.spawn(self._attend(), "conductor of a show")
         try:
             if status is None or not status.is_airborne:
                 await client.fly(lease, Task.TAKE_OFF)
@@ -237,7 +249,27 @@ class Performer:
             self.stage = Stage.READY
             await asyncio.Event().wait()  # it keeps the lease until it is told to begin
         finally:
+            attending.cancel()
             keeping.cancel()
+
+    async def _attend(self) -> None:
+        while True:
+            rest = self._heard_at + ATTENDED_S - self._client.now
+            if rest <= 0.0:
+                break
+            await asyncio.sleep(rest)
+        self._do(self._abandoned)
+
+    async def _abandoned(self) -> None:
+        raise LeftShow(
+            f"{self._name} left the show before it began: whoever conducts was silent for "
+            f"{ATTENDED_S:g} s",
+            why=Why.CONDUCTOR,
+            at=0.0,
+            measured=self._client.now - self._heard_at,
+            limit=ATTENDED_S,
+            cause="its program was ended, or the network between is cut",
+        )
 
     async def _keep(self, lease: Lease) -> None:
         while True:

@@ -64,6 +64,7 @@ class ShowService:
             identity = order.id
             if identity not in self._known:
                 self._admit(order)
+                self.performer.heard()
                 self._remember(identity, self._obey(order))
             fault = self._known[identity]
         except M100Error as error:

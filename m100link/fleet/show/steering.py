@@ -33,6 +33,7 @@ class Why(Enum):
     LATE = "late"
     PLACE = "place"
     TUBE = "tube"
+    CONDUCTOR = "conductor"
 
 
 class ShowRefused(

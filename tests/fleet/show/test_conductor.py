@@ -17,6 +17,7 @@ from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable
 from m100link.fleet.identity import Signer
 from m100link.fleet.keys import Keys
 from m100link.fleet.rights import Rights
+from m100link.fleet.show import performer
 from m100link.fleet.show.conductor import Conductor, Part
 from m100link.fleet.show.document import Show
 from m100link.fleet.show.performer import Stage
@@ -113,6 +114,17 @@ async def test_five_fly_a_show_and_land(rig: Rig) -> None:
         watching.cancel()
         assert await watching > 8.0
         assert sum("has flown its track" in text for text in made.told) == 5
+
+
+async def test_those_that_are_ready_wait_for_one_that_is_long_on_its_way(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(performer, "ATTENDED_S", 5.0)  # for nobody may climb much higher
+    async with company(rig, 2) as made:
+        high = points_track("a2", (0, 0, 10, 45), (4, 4, 10, 45))
+        made.show = Show("", (made.show.tracks[0], high))
+        parts = await made.conductor().fly()
+        assert stages(parts) == [Stage.FLOWN] * 2
 
 
 async def test_through_a_network_that_loses_and_delays_they_fly_all_the_same(rig: Rig) -> None:

@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from m100link.errors import M100Error, NoAuthority, UsageError
-from m100link.fleet.show.performer import ALLOWED, Leave, Order, Performer, Stage
+from m100link.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer, Stage
 from m100link.fleet.show.steering import LeftShow, ShowRefused, Why
 from m100link.fleet.show.track import BadShow
 from m100link.sim.vehicle.settings import AircraftSettings
@@ -43,7 +43,7 @@ class Stand:
         if stage is PLACING:
             await anyio.sleep(1.0)
             return performer
-        await self.rig.until(lambda: performer.stage is READY)
+        await self.rig.until(self.is_ready)
         if stage is READY:
             return performer
         if stage is LEFT:
@@ -53,6 +53,10 @@ class Stand:
         if stage is OVER:
             await self.rig.until(lambda: performer.stage is OVER)
         return performer
+
+    def is_ready(self) -> bool:
+        self.performer.heard()
+        return self.performer.stage is READY
 
     @property
     def off(self) -> float:
@@ -119,6 +123,23 @@ async def test_it_flies_its_track_and_lands(stand: Stand) -> None:
     assert stand.off < 0.5
     await stand.rig.until(lambda: stand.one.height == 0.0)
     await stand.rig.until(lambda: stand.one.client.holder.number == 0)
+
+
+@pytest.mark.parametrize("stage", [PLACING, READY])
+@pytest.mark.parametrize("leave", ["hover", "land"])
+async def test_who_conducts_is_missed_before_the_beginning(
+    stand: Stand, stage: Stage, leave: Leave
+) -> None:
+    performer = await stand.to(stage, leave=leave)
+    await anyio.sleep(ATTENDED_S - 2.0)
+    assert performer.stage is not LEFT
+    await anyio.sleep(3.0)
+    fault = performer.fault
+    assert isinstance(fault, LeftShow)
+    assert fault.why is Why.CONDUCTOR
+    await anyio.sleep(15.0)
+    assert (stand.one.height == 0.0) is (leave == "land")
+    assert stand.one.client.holder.number == 0
 
 
 async def test_no_network_is_needed_once_it_flies(stand: Stand) -> None:
