@@ -231,18 +231,18 @@ class Performer:
         client, track = self._client, self._loaded()
         TrackSteering(track, 1.0).require_below(self._here(track))
         self._lease = lease = await client.acquire(f"show of {who}")
-        if not client.state.is_activated:
-            await client.activate(lease)
-        await client.obtain(lease)
-        telemetry = client.telemetry
-        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
-        first = track.points[0]
-        height = first.height - track.ground_m
         keeping = client.background.spawn(self._keep(lease), "lease of a show")
         attending = client.background.spawn(self._attend(), "conductor of a show")
         try:
+            if not client.state.is_activated:
+                await client.activate(lease)
+            await client.obtain(lease)
+            telemetry = client.telemetry
+            status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
             if status is None or not status.is_airborne:
                 await client.fly(lease, Task.TAKE_OFF)
+            first = track.points[0]
+            height = first.height - track.ground_m
             await client.guide(lease, ChangeHeight(height))
             place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
             await client.guide(lease, FlyTo(*place, height, yaw_deg=track.heading_deg))

@@ -125,6 +125,14 @@ async def test_it_flies_its_track_and_lands(stand: Stand) -> None:
     await stand.rig.until(lambda: stand.one.client.holder.number == 0)
 
 
+async def test_an_activation_that_takes_longer_than_a_lease_lasts_is_waited_for(
+    stand: Stand,
+) -> None:
+    stand.one.aircraft.vehicle.activation._delay = 6.0
+    performer = await stand.to(READY)
+    assert performer.fault is None
+
+
 @pytest.mark.parametrize("stage", [PLACING, READY])
 @pytest.mark.parametrize("leave", ["hover", "land"])
 async def test_who_conducts_is_missed_before_the_beginning(
