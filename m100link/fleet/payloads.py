@@ -186,11 +186,10 @@ def pack(value: Value | Message) -> bytes:
     Raises:
         MessageError: It cannot be written.
     """
-    fields = _FIELDS.get(type(value))
-    if fields is None:
-        return bytes([VERSION]) + encode(value)  # type: ignore[arg-type] # all others are messages
+    if not isinstance(value, Order | Reply | Card):
+        return bytes([VERSION]) + encode(value)
     try:
-        text = json.dumps(fields.write(value), separators=(",", ":"))
+        text = json.dumps(_FIELDS[type(value)].write(value), separators=(",", ":"))
     except BadValue as error:
         raise MessageError(f"{type(value).__name__} cannot be sent: {error}") from None
     return bytes([VERSION]) + text.encode()
