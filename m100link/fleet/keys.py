@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from m100link.errors import UsageError
 
-__all__ = ["DEFAULT_SITE", "Keys", "check_name", "name_in"]
+__all__ = ["DEFAULT_SITE", "NAME", "Keys", "check_name", "name_in"]
 
 DEFAULT_SITE = "site"
 
-_WORD = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
+"""What may be a name in a fleet: of an aircraft, a site, an identity, a certificate."""
 
 
 def check_name(name: str, what: str = "an aircraft") -> str:
@@ -20,7 +21,7 @@ def check_name(name: str, what: str = "an aircraft") -> str:
     Raises:
         UsageError: It cannot.
     """
-    if not _WORD.fullmatch(name):
+    if not NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} is no name for {what}",
             remedy="use 1 to 32 letters, digits, - and _, and begin with a letter or a digit",

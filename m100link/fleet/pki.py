@@ -29,6 +29,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from m100link.errors import UsageError
 from m100link.fleet.identity import Signer
+from m100link.fleet.keys import NAME
 
 __all__ = ["AUTHORITY_DAYS", "ISSUED_DAYS", "BadAuthority", "Issued", "Kind", "init", "issue"]
 
@@ -36,7 +37,6 @@ ISSUED_DAYS = 30
 AUTHORITY_DAYS = 730
 _EARLY = timedelta(minutes=5)
 """Valid so long before it is made: clocks differ."""
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 _CA = "ca"
 
 
@@ -129,7 +129,7 @@ def issue(
         BadAuthority: There is no authority, it has ended, a file is there, or the name or the hosts
             cannot be.
     """
-    if not _NAME.fullmatch(name) or name == _CA:
+    if not NAME.fullmatch(name) or name == _CA:
         raise BadAuthority(
             f"{name!r} is no name for a certificate",
             remedy=f"1 to 32 letters, digits, - and _; not {_CA!r}",

@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from m100link.errors import UsageError
+from m100link.fleet.keys import NAME
 
 __all__ = ["BadRights", "Identity", "Right", "Rights"]
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
-_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}\*?|\*")
+_PATTERN = re.compile(rf"{NAME.pattern}\*?|\*")
 _KEY = re.compile(r"[0-9a-fA-F]{64}")
 _LARGEST = 1024 * 1024
 _FIELDS = ("common_name", "public_key", "watch", "stop", "fly")
@@ -136,7 +136,7 @@ class Rights:
             raise BadRights(f"the file of rights is not TOML: {error}") from error
         _refuse_unknown(found, ("site", "aircraft", "identity"), "the file")
         site = found.get("site", "site")
-        _require(_NAME, site, "site")
+        _require(NAME, site, "site")
         aircraft = dict(_aircraft(_table(found, "aircraft")))
         people = {name: _identity(name, table) for name, table in _table(found, "identity").items()}
         shared = [*aircraft.values(), *(one.common_name for one in people.values())]
@@ -159,18 +159,18 @@ def _table(found: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:
 
 def _aircraft(tables: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     for name, table in tables.items():
-        _require(_NAME, name, "aircraft")
+        _require(NAME, name, "aircraft")
         _refuse_unknown(table, ("common_name",), f"aircraft {name}")
         common_name = table.get("common_name", name)
-        _require(_NAME, common_name, f"common_name of {name}")
+        _require(NAME, common_name, f"common_name of {name}")
         yield name, common_name
 
 
 def _identity(name: str, table: Mapping[str, Any]) -> Identity:
-    _require(_NAME, name, "identity")
+    _require(NAME, name, "identity")
     _refuse_unknown(table, _FIELDS, f"identity {name}")
     common_name = table.get("common_name", name)
-    _require(_NAME, common_name, f"common_name of {name}")
+    _require(NAME, common_name, f"common_name of {name}")
     key = table.get("public_key")
     if key is not None:
         _require(_KEY, key, f"public_key of {name}", "64 hex digits, as `fleet pki issue` tells")
