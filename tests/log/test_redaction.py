@@ -98,6 +98,14 @@ def test_an_echo_that_ends_anywhere_does_not_show_it() -> None:
             assert FRAME[-4:-1] not in echo
 
 
+def test_a_last_package_keeps_its_checksum_though_its_last_byte_may_begin_a_secret() -> None:
+    redaction = Redaction()
+    redaction.sent(FRAME, 0.0)
+    for byte in {FRAME[0], 0, *APP_ID, *FRAME[-4:]}:
+        assert redaction.last(bytes([7, byte]), 0.1) == bytes([7, byte])
+    assert redaction.last(b"\7" + APP_ID[:2], 0.1) == bytes([7, 0, 0])
+
+
 def test_telemetry_long_after_it_stays_as_it_is_even_if_it_has_the_same_number() -> None:
     redaction = Redaction()
     redaction.sent(FRAME, 0.0)
