@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from m100link.agent.fault import agent_gone
+from m100link.agent.fault import agent_gone, agent_lost
 from m100link.agent.lease import Lease, TakeOver
 from m100link.agent.messages import (
     LeaseGranted,
@@ -48,7 +48,8 @@ class Answers:
 
         Raises:
             M100Error: What the agent tells.
-            LinkError: It has gone.
+            LinkError: It has gone; nothing was asked.
+            LinkLost: It goes meanwhile, and may have done it.
         """
         if self.gone is not None:
             raise agent_gone(self.gone)
@@ -74,7 +75,7 @@ class Answers:
         waiting, self._waiting = list(self._waiting.values()), {}
         for answer in waiting:
             if not answer.done():
-                answer.set_exception(agent_gone(reason))
+                answer.set_exception(agent_lost(reason))
 
     # -- what comes in ---------------------------------------------------------------------------
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from m100link import errors
 from m100link.agent.lease import LeaseHeld, LeaseRefused
-from m100link.errors import LinkError, M100Error
+from m100link.errors import LinkError, LinkLost, M100Error
 
-__all__ = ["Fault", "MessageError", "agent_gone", "fault_of"]
+__all__ = ["Fault", "MessageError", "agent_gone", "agent_lost", "fault_of"]
 
 
 class MessageError(
@@ -85,4 +85,14 @@ def agent_gone(reason: str) -> LinkError:
     return LinkError(
         f"the agent that owns the aircraft has gone{why}",
         remedy="start it again; until then nothing here is up to date",
+    )
+
+
+def agent_lost(reason: str) -> LinkLost:
+    """What is raised when the agent goes before it has said what became of a question."""
+    gone = agent_gone(reason)
+    return LinkLost(
+        f"{gone.seen}; it had been asked, and may have done it",
+        cause="it was ended or killed, or the way to it was cut",
+        remedy="look at the aircraft, and start the agent again",
     )

@@ -52,9 +52,9 @@ class OnBoard:
                     leases_before=self.ledger.leases_before,
                 )
             )
-            service = Service(self.agent)
+            self.service = Service(self.agent)
             ours, its = memory_channels(as_bytes=True)
-            service.attach(its)
+            self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "fleet"))
             self.fleet_agent = FleetAgent(
                 self.client,

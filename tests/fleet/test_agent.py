@@ -150,6 +150,23 @@ async def test_after_a_restart_what_had_begun_is_unknown_and_not_done_again(rig:
     assert unpack(Reply, answer.payload).outcome is Outcome.UNKNOWN
 
 
+async def test_what_the_owner_of_the_aircraft_takes_with_it_is_unknown(rig: Rig) -> None:
+    """Not refused: the take-off had begun, and the aircraft goes on with it."""
+    one = await rig.aircraft("a1")
+    got = await lease(rig)
+    for action in (Action.ACTIVATE, Action.OBTAIN):
+        assert (await send(rig, order(Ask(0, action), got.number, got.token))).outcome is Outcome.OK
+    take_off = order(Ask(0, Action.TAKE_OFF), got.number, got.token)
+    await rig.network.session().ask(KEYS.command, pack(take_off), timeout=2.0)
+    one.service.close()
+    reply = await send(rig, take_off)
+    assert reply.outcome is Outcome.UNKNOWN
+    assert reply.fault is not None
+    assert "may have done it" in reply.fault.seen
+    after = await send(rig, order(Ask(0, Action.STOP)))
+    assert after.outcome is Outcome.REFUSED, "nothing was asked any more"
+
+
 async def test_what_was_never_heard_is_told_as_that(rig: Rig) -> None:
     await rig.aircraft("a1")
     [answer] = await rig.network.session().ask(KEYS.status("ab" * 16), timeout=1.0)
