@@ -33,6 +33,10 @@ Sign = Callable[[Order], Order]
 """Signs an order."""
 
 
+class _Unreadable(OutcomeUnknown):
+    """Whoever answered may well have done it, and what he says cannot be read."""
+
+
 def _unsigned(order: Order) -> Order:
     """Without an identity the router alone decides who may ask."""
     return order
@@ -124,13 +128,16 @@ class Asker:
             within: Seconds.
 
         Returns:
-            The answer; None when none came in time, which says nothing.
+            The answer; None when none came in time that can be read, which says nothing.
 
         Raises:
             M100Error: As :meth:`ask`.
         """
         order = self._order(message)
-        reply = await self._one(self._key(message), pack(order), order.id, within)
+        try:
+            reply = await self._one(self._key(message), pack(order), order.id, within)
+        except _Unreadable:
+            return None  # anybody may answer nonsense: it ends nothing that silence would not
         return None if reply is None or reply.progress is not Progress.DONE else _raised(reply)
 
     def _key(self, message: Message) -> str:
@@ -214,8 +221,7 @@ class Asker:
             )
         if not ours:
             if unread is not None:
-                # Whoever answers may well have done it.
-                raise OutcomeUnknown(unread.seen, cause=unread.cause, remedy=unread.remedy)
+                raise _Unreadable(unread.seen, cause=unread.cause, remedy=unread.remedy)
             return None
         self.heard_at, self.its_clock = self._clock(), ours[0].clock
         return ours[0]

@@ -95,3 +95,32 @@ async def test_what_cannot_be_asked(rig: Rig) -> None:
         pilot["a1"].control(stop="dive")  # type: ignore[arg-type] # that is the test
     with pytest.raises(StaleLease):
         pilot["a1"].control().send(NORTH)
+
+
+async def test_nonsense_in_the_place_of_a_renewal_ends_nothing_but_silence_does(rig: Rig) -> None:
+    """What answers beside the agent, or is damaged on the way, is no word of the agent."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    silent_since = 0.0
+    with pytest.raises(OutcomeUnknown, match="the lease has ended"):
+        async with pilot["a1"].control() as control:
+            await control.take_off()
+            real = next(o for o in rig.network.takers("serve", "m100/field/a1/lease"))
+            answers = b"\x09{}", b"\x01{", b"", b"\x01" + b"[" * 60_000
+            nonsense = iter(answers * 1000)
+            serve = rig.network.session().serve
+            other = serve(
+                real.key, lambda question: question.answer("m100/x/a1/lease", next(nonsense))
+            )
+            await anyio.sleep(5.0)  # both answer
+            take, real.take = real.take, None
+            await anyio.sleep(1.5)  # nonsense alone, for less than the lease lasts
+            real.take = take
+            await anyio.sleep(5.0)
+            assert one.client.holder.name == "pilot"
+            assert control.fence == one.client.holder.number
+            real.take = None
+            silent_since = anyio.current_time()
+            await anyio.sleep(60.0)
+    other.close()
+    assert 2.0 < anyio.current_time() - silent_since < 5.0
+    assert one.height > 1.0
