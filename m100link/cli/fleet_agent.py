@@ -26,7 +26,12 @@ from m100link.fleet.lost import LostAction, LostPlan
 from m100link.fleet.rights import Rights
 from m100link.fleet.signing import tls_options, verifying
 from m100link.station.config import ENVIRONMENT, ONLY_NAME, Settings
-from m100link.station.fleet import FleetSettings, default_ledgers, serving_fleet
+from m100link.station.fleet import (
+    FleetSettings,
+    default_ledgers,
+    recorded_apart,
+    serving_fleet,
+)
 
 __all__ = ["agent", "router"]
 
@@ -35,6 +40,7 @@ _FromSettings: Any = options_of(
     (
         *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
         *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+        *("record", "record_keep", "record_keep_mb"),
     ),
     environment=ENVIRONMENT,
     called={"baud_rate": "--baud"},
@@ -45,12 +51,16 @@ _FromSettings: Any = options_of(
 @Parameter(name="*")
 @dataclass(frozen=True)
 class AgentOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
-    """Where the aircraft is, and how far it may fly.
+    """Where the aircraft is, how far it may fly, and where its flights are recorded.
+
+    Each aircraft has a folder of its name in that of the logs.
 
     Attributes:
+        no_record: Record nothing.
         run: How the agent is run and told of.
     """
 
+    no_record: Annotated[bool | None, Parameter(negative=())] = None
     run: RunOptions = AS_USUAL
 
 
@@ -141,6 +151,7 @@ def agent(
     aircraft = aircraft_of(options, words)
     if ONLY_NAME in aircraft:
         aircraft = {name: aircraft[ONLY_NAME]}
+    aircraft = {called: recorded_apart(one, called) for called, one in aircraft.items()}
     if options.run.show_config:
         for settings in aircraft.values():
             show(settings)

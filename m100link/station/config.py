@@ -100,8 +100,8 @@ class Settings:
         ros2_remap: Call something otherwise, from:=to, such as ~/imu:=/imu; may be repeated.
         ros2_dji_names: Publish by the names and types of DJI's node, too: dji_sdk/imu and so on.
         record: Folder for a flight log of each connection; nothing in it is ever removed. By
-            default `serve` and `console` keep them in m100link/flights of the user's state folder
-            (~/.local/state).
+            default `serve`, `console` and `fleet agent` keep them in m100link/flights of the user's
+            state folder (~/.local/state).
         no_record: Record nothing.
         record_keep: Flight logs that are kept there; older ones that this program wrote are
             removed, 0 for none.

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from m100link.agent.carriers.memory import memory_channels
@@ -15,7 +15,7 @@ from m100link.agent.messages import Event
 from m100link.bus.network import Bus
 from m100link.bus.session import open_session, session_config
 from m100link.fleet.agent import FleetAgent, Verify
-from m100link.fleet.keys import DEFAULT_SITE, Keys
+from m100link.fleet.keys import DEFAULT_SITE, Keys, check_name
 from m100link.fleet.ledger import FileLedger, Ledger, MemoryLedger
 from m100link.fleet.lost import LostPlan
 from m100link.fleet.show.service import ShowService
@@ -23,12 +23,22 @@ from m100link.log.folder import state_folder
 from m100link.station.config import Settings
 from m100link.station.run import owning
 
-__all__ = ["FleetSettings", "default_ledgers", "serving_fleet"]
+__all__ = ["FleetSettings", "default_ledgers", "recorded_apart", "serving_fleet"]
 
 
 def default_ledgers() -> Path:
     """Where ledgers are kept, in the user's folder for the state of programs."""
     return state_folder() / "fleet"
+
+
+def recorded_apart(settings: Settings, name: str) -> Settings:
+    """The settings with a folder of its own for the logs of this aircraft.
+
+    Whoever may watch one aircraft may fetch its logs, and those of no other.
+    """
+    if settings.record is None:
+        return settings
+    return replace(settings, record=settings.record / check_name(name))
 
 
 @dataclass(frozen=True)

@@ -141,7 +141,8 @@ def _flights(settings: Settings, tell: Callable[[str, str], None]) -> Flights | 
     """Where connections are recorded; None for nowhere."""
     if settings.record is None or settings.no_record:
         return None
-    is_ours = settings.record == default_folder()  # in a folder of theirs nothing is removed
+    # In a folder of theirs nothing is removed. In ours an aircraft of a fleet has its own.
+    is_ours = default_folder() in (settings.record, settings.record.parent)
     keep, keep_mb = (settings.record_keep, settings.record_keep_mb) if is_ours else (0, 0)
     return Flights(settings.record, keep=keep, keep_mb=keep_mb, tell=tell)
 

@@ -1,0 +1,72 @@
+"""``m100link fleet agent`` records as other stations do: a folder for each aircraft."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from m100link.cli.fleet_agent import AgentOptions
+from m100link.cli.station import settings_of
+from m100link.log import read
+from m100link.log.folder import default_folder
+from m100link.station.config import Settings
+from m100link.station.fleet import recorded_apart
+from m100link.station.run import _flights
+from tests.cli.test_fleet import Site, site
+
+__all__ = ["site"]
+
+pytest.importorskip("zenoh", reason="the extra fleet is not installed")
+
+
+def test_every_aircraft_has_a_folder_of_its_own() -> None:
+    settings = recorded_apart(settings_of(AgentOptions()), "a1")
+    assert settings.record == default_folder() / "a1"
+    assert recorded_apart(settings_of(AgentOptions(no_record=True)), "a1").record is None
+
+
+@pytest.mark.parametrize("is_ours", [True, False])
+def test_logs_make_room_in_our_folder_and_in_no_other(tmp_path: Path, is_ours: bool) -> None:
+    folder = default_folder() if is_ours else tmp_path
+    settings = recorded_apart(Settings(record=folder, record_keep=1), "a1")
+    flights = _flights(settings, lambda text, level: None)
+    assert flights is not None
+    flights.folder.mkdir(parents=True, exist_ok=True)
+    paths = [flights.folder / f"m100link-20260101-00000{n}.mcap" for n in range(3)]
+    for path in paths:
+        with path.open("wb") as stream:
+            header = b"\0\0\0\0" + (13).to_bytes(4, "little") + b"m100link 1.23"
+            stream.write(b"\x89MCAP0\r\n\x01" + len(header).to_bytes(8, "little") + header)
+    flights.make_room()
+    assert sum(path.exists() for path in paths) == (1 if is_ours else 3)
+    for path in paths:
+        path.unlink(missing_ok=True)
+
+
+@pytest.mark.pty
+def test_each_connection_leaves_a_log_that_is_whole(site: Site, tmp_path: Path) -> None:
+    agent = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
+    assert agent.stdout is not None
+    assert json.loads(agent.stdout.readline())["agents"] == ["a1", "a2"]
+    assert [card["connection"] for card in site.listed(2)] == ["connected"] * 2
+    assert site.ask("takeoff", "a2")[0] == 0
+    agent.send_signal(signal.SIGTERM)
+    assert agent.wait(60) == 0
+    for name in ("a1", "a2"):
+        [path] = (tmp_path / "m100link/flights" / name).iterdir()
+        assert read(path).summary().is_whole
+
+
+@pytest.mark.pty
+def test_where_nothing_can_be_written_it_flies_all_the_same(site: Site, tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.touch()
+    site.start("agent", "sim://", "--name", "a1", "--record", str(taken))
+    site.start("agent", "sim://", "--name", "a2", "--no-record")
+    site.listed(2)
+    status, told = site.ask("takeoff", "--all")
+    assert (status, [one["outcome"] for one in told]) == (0, ["ok", "ok"])
+    assert not (tmp_path / "m100link/flights").exists()
