@@ -1,4 +1,4 @@
-"""What an agent must know after it was killed: ids of orders that were begun, and its fence.
+"""What an agent must know after it was killed: orders that were begun, its fence, who was flying.
 
 One line of JSON for each in a file that only grows while the agent runs, written through to the
 disk before what it says happens, in a thread: a disk that hangs holds up no setpoint.
@@ -11,17 +11,32 @@ import fcntl
 import json
 import os
 import tempfile
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from m100link.errors import UsageError
 from m100link.fleet.book import KEPT_S
 
-__all__ = ["FENCES_AT_ONCE", "FileLedger", "Ledger", "MemoryLedger"]
+__all__ = ["FENCES_AT_ONCE", "FileLedger", "Ledger", "LeftAloft", "MemoryLedger", "since_boot"]
 
 FENCES_AT_ONCE = 1000
 """Numbers of leases that are reserved at once: an agent that begins anew starts above them."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftAloft:
+    """The agent before ended while somebody of the fleet flew.
+
+    Attributes:
+        fence: Number of the lease that it was flown under.
+        ago_s: Seconds since it said so last; None when no clock tells.
+    """
+
+    fence: int
+    ago_s: float | None
 
 
 class Ledger(Protocol):
@@ -30,10 +45,12 @@ class Ledger(Protocol):
     Attributes:
         begun: Orders that were begun lately, and when, POSIX time, s.
         leases_before: The greatest number that a lease may have had.
+        aloft: How the agent before ended, if somebody flew then.
     """
 
     begun: dict[str, float]
     leases_before: int
+    aloft: LeftAloft | None
 
     async def begin(self, identity: str, at: float) -> None:
         """Keep that an order begins; done when it is kept.
@@ -49,6 +66,25 @@ class Ledger(Protocol):
             UsageError: It cannot be kept.
         """
 
+    async def flies(self, fence: int) -> None:
+        """Keep under which lease the aircraft is flown now; done when it is kept.
+
+        Args:
+            fence: Its number; 0: nobody of the fleet flies.
+
+        Raises:
+            UsageError: It cannot be kept.
+        """
+
+
+def since_boot() -> tuple[str, float]:
+    """Which run of this computer it is, and its age in s: no clock that is set changes that."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+    except OSError:
+        boot = ""  # no two of these are taken for the same
+    return boot, time.clock_gettime(time.CLOCK_BOOTTIME)
+
 
 class MemoryLedger:
     """Kept as long as the process lives: for virtual aircraft and tests.
@@ -60,6 +96,10 @@ class MemoryLedger:
     def __init__(self, before: MemoryLedger | None = None) -> None:
         self.begun: dict[str, float] = {} if before is None else before.begun
         self.leases_before: int = 0 if before is None else before.leases_before + FENCES_AT_ONCE
+        self.flown_under: int = 0 if before is None else before.flown_under
+        self.aloft: LeftAloft | None = None
+        if self.flown_under:
+            self.aloft = LeftAloft(self.flown_under, 0.0)
 
     async def begin(self, identity: str, at: float) -> None:
         """Keep that an order begins."""
@@ -68,6 +108,10 @@ class MemoryLedger:
     async def granted(self, fence: int) -> None:
         """Whoever takes this over begins above what was reserved."""
 
+    async def flies(self, fence: int) -> None:
+        """Keep who flies."""
+        self.flown_under = fence
+
 
 class FileLedger:
     """Kept in a file, of which one process at a time is the owner.
@@ -75,13 +119,23 @@ class FileLedger:
     Args:
         path: The file; its folder is made.
         utc: POSIX time, s.
+        up: Which run of this computer it is, and for how long, s.
 
     Raises:
         UsageError: It cannot be read or written, or another agent has it.
     """
 
-    def __init__(self, path: Path, utc: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        utc: Callable[[], float],
+        up: Callable[[], tuple[str, float]] = since_boot,
+    ) -> None:
         self._path = path
+        self._utc, self._up = utc, up
+        # The line that says who flies, as it was written.
+        self._flown: dict[str, object] = {}
+        self.aloft: LeftAloft | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             self._lock = path.with_suffix(".lock").open("a")
@@ -118,18 +172,36 @@ class FileLedger:
                 kept = json.loads(line)
             except ValueError:
                 continue  # cut off by the loss of power as it was written: it had not begun
-            if isinstance(kept, dict) and type(kept.get("fence")) is int:
+            if isinstance(kept, dict) and type(kept.get("flies")) is int:
+                self._flown = kept
+            elif isinstance(kept, dict) and type(kept.get("fence")) is int:
                 fence = max(fence, kept["fence"])
             elif isinstance(kept, dict) and isinstance(kept.get("at"), int | float):
                 begun[str(kept.get("id"))] = float(kept["at"])
+        self.aloft = self._left_aloft(now)
         # A clock that was set back must not make them young again; one that jumped forgets none
         # that a caller still asks for, for callers go by clocks of their own.
         return {one: at for one, at in begun.items() if now - at < KEPT_S}, fence
+
+    def _left_aloft(self, now: float) -> LeftAloft | None:
+        kept = self._flown
+        fence, up, at = kept.get("flies"), kept.get("up"), kept.get("at")
+        if not isinstance(fence, int) or fence <= 0:
+            return None
+        boot, seconds = self._up()
+        if boot and kept.get("boot") == boot and isinstance(up, int | float):
+            ago = seconds - up
+        elif isinstance(at, int | float):
+            ago = now - at  # the computer began anew: its calendar is all there is
+        else:
+            return LeftAloft(fence, None)
+        return LeftAloft(fence, ago if ago >= 0 else None)
 
     def _rewrite(self) -> None:
         """What is still needed, and the numbers that this run may give to leases."""
         lines = [json.dumps({"fence": self._reserved})]
         lines += [json.dumps({"id": one, "at": at}) for one, at in self.begun.items()]
+        lines += [json.dumps(self._flown)] if self._flown else []
         folder = self._path.parent
         with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="ascii") as new:
             new.write("".join(f"{line}\n" for line in lines))
@@ -160,6 +232,15 @@ class FileLedger:
         if fence >= self._reserved:
             self._reserved = fence + FENCES_AT_ONCE
             await self._write({"fence": self._reserved})
+
+    async def flies(self, fence: int) -> None:
+        """Keep who flies; done when the disk has it.
+
+        Raises:
+            UsageError: The disk does not take it.
+        """
+        boot, seconds = self._up()
+        await self._write({"flies": fence, "at": self._utc(), "boot": boot, "up": seconds})
 
     async def _write(self, kept: dict[str, object]) -> None:
         async with self._writing:

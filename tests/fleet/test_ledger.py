@@ -8,7 +8,7 @@ import pytest
 
 from m100link.errors import UsageError
 from m100link.fleet.book import KEPT_S
-from m100link.fleet.ledger import FENCES_AT_ONCE, FileLedger, MemoryLedger
+from m100link.fleet.ledger import FENCES_AT_ONCE, FileLedger, LeftAloft, MemoryLedger, since_boot
 
 pytestmark = pytest.mark.anyio
 
@@ -80,3 +80,51 @@ async def test_one_in_memory_does_the_same_for_a_virtual_aircraft() -> None:
     second = MemoryLedger(first)
     assert second.begun == {"one": 0.0}
     assert second.leases_before >= 17
+
+
+async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+
+    def opened(utc: float, boot: str, up: float) -> FileLedger:
+        return FileLedger(path, lambda: utc, lambda: (boot, up))
+
+    first = opened(1000.0, "one", 50.0)
+    assert first.aloft is None
+    await first.flies(17)
+    first.close()
+    for utc, boot, up, ago in (
+        (1009.0, "one", 60.0, 10.0),
+        (9999.0, "one", 60.0, 10.0),  # the clock was set
+        (1.0, "one", 60.0, 10.0),
+        (1030.0, "two", 5.0, 30.0),  # the computer began anew
+        (900.0, "two", 5.0, None),  # and has lost its calendar
+        (1030.0, "", 60.0, 30.0),  # it does not say which run this is
+    ):
+        again = opened(utc, boot, up)
+        assert again.aloft == LeftAloft(17, ago), (utc, boot, up)
+        again.close()
+    last = opened(1000.0, "one", 70.0)
+    await last.flies(0)
+    last.close()
+    again = opened(1000.0, "one", 70.0)
+    assert again.aloft is None
+    again.close()
+
+
+@pytest.mark.parametrize("line", ['{"flies": "17"}', '{"flies": -1}', '{"flies": true}', "{}"])
+def test_a_line_of_nonsense_lands_nobody(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "a1.jsonl"
+    path.write_text(f"{line}\n")
+    ledger = FileLedger(path, lambda: 0.0)
+    assert ledger.aloft is None
+    ledger.close()
+    path.write_text('{"flies": 17, "at": "x", "up": "y", "boot": 3}\n')
+    ledger = FileLedger(path, lambda: 0.0)
+    assert ledger.aloft == LeftAloft(17, None)
+    ledger.close()
+
+
+def test_a_run_of_this_computer_has_a_name_and_an_age() -> None:
+    (boot, before), (same, after) = since_boot(), since_boot()
+    assert boot == same
+    assert 0.0 < before <= after
