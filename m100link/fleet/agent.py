@@ -26,6 +26,7 @@ from m100link.agent.messages import Event, Message, Telemetry
 from m100link.bus.network import Bus, Held, Question
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
 from m100link.fleet.age import OrderAges
+from m100link.fleet.aloft import Aloft
 from m100link.fleet.book import OrderBook
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger
@@ -102,7 +103,9 @@ class FleetAgent:
         self._book = OrderBook(ledger.begun)
         self._ages = OrderAges()
         self._orders = Orders(client, ledger)
-        self._lost = Lost(client, self._lost_plan, partial(self._orders.descend, take_over=False))
+        self._aloft = Aloft(client, ledger)
+        descend = partial(self._orders.descend, take_over=False)
+        self._lost = Lost(client, self._lost_plan, descend, self._aloft)
         self._ended: dict[str, asyncio.Event] = {}
         self._stream = SetpointStream()
         client.on_steer_refused.append(self._steer_refused)
@@ -126,8 +129,10 @@ class FleetAgent:
             hold(bus.subscribe(keys.setpoint, self._on_setpoint))
             self.client.on_event.append(self._on_event)
             hold(bus.declare(keys.live))
+            self._lost.inherit(self._ledger.aloft)
             try:
                 async with asyncio.TaskGroup() as group:
+                    group.create_task(self._aloft.keep())
                     group.create_task(self._tell_telemetry())
                     group.create_task(self._tell_state())
             finally:

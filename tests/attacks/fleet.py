@@ -62,7 +62,8 @@ class Loss:
     Attributes:
         who: ``router``, ``agent`` or ``pilot``.
         how: The signal.
-        lands: Whether ``--lost land`` can follow: somebody has to be left who does it.
+        lands: Whether ``--lost land`` can follow: somebody has to be left who does it, or come
+            after him.
     """
 
     who: str
@@ -75,7 +76,7 @@ LOSSES = (
     Loss("pilot", signal.SIGSTOP, True),
     Loss("router", signal.SIGKILL, True),
     Loss("router", signal.SIGSTOP, True),
-    Loss("agent", signal.SIGKILL, False),
+    Loss("agent", signal.SIGKILL, True),  # by the next one
     Loss("agent", signal.SIGSTOP, False),
 )
 
@@ -201,6 +202,9 @@ async def lose(loss: Loss, seed: int = 1) -> Measured:
         lost_at = time.monotonic()
         still = await site.still_since(lost_at)
         landed = None
+        if loss.how is signal.SIGKILL and loss.who == "agent":
+            await process.wait()
+            await site.start(loss.who)
         if loss.lands:
             await until(lambda: site.aircraft.height < 0.1)
             landed = time.monotonic() - lost_at
@@ -208,7 +212,7 @@ async def lose(loss: Loss, seed: int = 1) -> Measured:
             await until(lambda: bool(gone))
         if loss.how is signal.SIGSTOP:
             process.send_signal(signal.SIGCONT)
-        elif loss.who != "pilot":
+        elif loss.who == "router":
             await process.wait()
             await site.start(loss.who)
         moved = await site.fastest(3.0)

@@ -20,8 +20,8 @@ def anyio_backend() -> str:
 
 @pytest.mark.parametrize(
     "loss",
-    [loss for loss in LOSSES if loss.how is signal.SIGSTOP],
-    ids=lambda loss: loss.who,
+    [loss for loss in LOSSES if loss.how is signal.SIGSTOP or loss.who == "agent"],
+    ids=lambda loss: f"{loss.who} {loss.how.name}",
 )
 async def test_it_hovers_then_does_what_was_configured(loss: Loss) -> None:
     measured = await lose(loss)

@@ -14,6 +14,7 @@ from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver
 from m100link.agent.service import Service
+from m100link.aircraft import Aircraft
 from m100link.bus.memory import MemoryBus, MemoryNetwork
 from m100link.fleet.agent import FleetAgent
 from m100link.fleet.client import Fleet
@@ -39,15 +40,23 @@ class OnBoard:
 
     def __init__(self, rig: Rig, name: str, aircraft: VirtualAircraft, ledger: Ledger) -> None:
         self.rig, self.name, self.aircraft, self.ledger = rig, name, aircraft, ledger
+        self._is_killed = False
 
     @asynccontextmanager
     async def running(self, **options: Any) -> AsyncIterator[OnBoard]:
-        driver = Driver(self.aircraft)
+        self._driver = driver = Driver(self.aircraft)
+        connect = by_driver(driver)
+
+        async def plugged_in() -> Aircraft:
+            if self._is_killed:
+                await anyio.sleep_forever()
+            return await connect()
+
         self.bus: MemoryBus = self.rig.network.session()
         async with AsyncExitStack() as stack:
             self.agent = await stack.enter_async_context(
                 Agent(
-                    by_driver(driver),
+                    plugged_in,
                     credentials=self.aircraft.credentials,
                     leases_before=self.ledger.leases_before,
                 )
@@ -69,6 +78,19 @@ class OnBoard:
             yield self
             self.work.cancel()
         driver.stop()
+
+    def kill(self) -> None:
+        """From now on not a byte of this agent leaves, to the network or to the aircraft."""
+        self._is_killed = True
+        self.rig.network.cut(self.bus)
+        self._driver.stop()
+        self.work.cancel()
+
+    async def next(self, **options: Any) -> OnBoard:
+        """The agent after the one that was killed, with the same aircraft and ledger."""
+        assert isinstance(self.ledger, MemoryLedger)
+        ledger = MemoryLedger(self.ledger)
+        return await self.rig.aircraft(self.name, virtual=self.aircraft, ledger=ledger, **options)
 
     @property
     def height(self) -> float:
