@@ -11,7 +11,10 @@ import math
 
 from m100link.errors import GuardRefused
 
-__all__ = ["MOST_AGE_S", "OrderAges"]
+__all__ = ["MOST_AGE_S", "ORDER_AGE", "OrderAges", "require_young"]
+
+ORDER_AGE = "order_age"
+"""Name of the guard: what it refuses was not carried out."""
 
 MOST_AGE_S = 5.0
 """Seconds after which nobody waits for an order; its asker has told that the outcome is unknown."""
@@ -55,16 +58,29 @@ class OrderAges:
         Raises:
             GuardRefused: It is not to be carried out.
         """
-        if now - made_at > MOST_AGE_S:
-            raise _late("nobody waits for it any more", made_at, now)
+        require_young(made_at, now)
         if made_at < self.not_before:
             raise _late("stop, hover or landing was asked for after it was made", made_at, now)
+
+
+def require_young(made_at: float, now: float) -> None:
+    """Whether somebody still waits for an order, whatever else was asked for since.
+
+    Args:
+        made_at: When it was made at the earliest, s.
+        now: s.
+
+    Raises:
+        GuardRefused: Nobody does.
+    """
+    if not now - made_at <= MOST_AGE_S:  # NaN is no time
+        raise _late("nobody waits for it any more", made_at, now)
 
 
 def _late(why: str, made_at: float, now: float) -> GuardRefused:
     return GuardRefused(
         f"an order of {now - made_at:.1f} s ago was not carried out: {why}",
-        guard="order_age",
+        guard=ORDER_AGE,
         measured=now - made_at,
         limit=MOST_AGE_S,
         cause="the way here takes long, or the agent stood still",

@@ -25,13 +25,13 @@ from m100link.agent.message_bytes import decode
 from m100link.agent.messages import Event, Message, Telemetry
 from m100link.bus.network import Bus, Held, Question
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
-from m100link.fleet.age import OrderAges
+from m100link.fleet.age import OrderAges, require_young
 from m100link.fleet.aloft import Aloft
 from m100link.fleet.book import OrderBook
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger
 from m100link.fleet.lost import Lost, LostPlan
-from m100link.fleet.orders import Done, Orders, is_kept, revokes
+from m100link.fleet.orders import Done, Orders, is_kept, lands, revokes
 from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import (
     Card,
@@ -231,7 +231,8 @@ class FleetAgent:
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
-            question.answer(key, pack(self._reply("", error)))
+            refused = replace(self._reply("", error), clock=self.client.now)
+            question.answer(key, pack(refused))
             return
         await self._wait(order.id)
         question.answer(key, pack(self._told(order.id, is_repeated=is_repeated)))
@@ -258,6 +259,8 @@ class FleetAgent:
             self._orders.require_lease(order)  # before a stranger's words are worth a disk's time
             self._ages.hear(order.fence, order.clock, self.client.now)
         elif revokes(message):
+            if lands(message):
+                require_young(order.clock, self.client.now)
             self._ages.revoke(self.client.now)
         self._book.begin(order.id, self.client.now)
         self._ended[order.id] = asyncio.Event()

@@ -20,6 +20,7 @@ from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
 from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import Order, Progress, Reply, pack, unpack
+from m100link.fleet.show.clock import DRIFT
 
 __all__ = ["PATIENCE_S", "Asker", "Sign"]
 
@@ -102,8 +103,8 @@ class Asker:
             message: What: a question of the agent's messages.
             fence: Number of the lease it is asked under; 0 for none.
             token: Proof of that lease.
-            clock: The agent's own clock, at the earliest, s; by default that of its last answer.
-                What moves has to say it, and is not carried out when it is old.
+            clock: The agent's own clock, at the earliest, s; by default what follows from its last
+                answer. What moves has to say it, and is not carried out when it is old.
             identity: Of the order; a new one by default.
             patience: Seconds without any answer after which the outcome is unknown.
 
@@ -116,7 +117,7 @@ class Asker:
         """
         if not await self.is_there():
             raise Unreachable(f"no agent named {self._keys.name} is there; nothing was sent")
-        order = self._order(message, fence, token, clock or self.its_clock, identity)
+        order = self._order(message, fence, token, clock or self._its_at_least(), identity)
         key = self._key(message)
         return _raised(await self._answered(key, order, patience or self._patience))
 
@@ -139,6 +140,12 @@ class Asker:
         except _Unreadable:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
         return None if reply is None or reply.progress is not Progress.DONE else _raised(reply)
+
+    def _its_at_least(self) -> float:
+        """What the agent's clock shows by now, at the earliest; 0: nobody knows."""
+        if self.heard_at is None:
+            return 0.0
+        return self.its_clock + (self._clock() - self.heard_at) * (1 - DRIFT)
 
     def _key(self, message: Message) -> str:
         return self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command

@@ -16,7 +16,8 @@ from m100link.agent.fault import MessageError, fault_of
 from m100link.agent.messages import Ask
 from m100link.bus.network import Bus, Held
 from m100link.bus.session import open_session, session_config
-from m100link.errors import M100Error
+from m100link.errors import GuardRefused, M100Error
+from m100link.fleet.age import ORDER_AGE
 from m100link.fleet.asking import PATIENCE_S, Asker, Sign
 from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import DEFAULT_SITE, Keys, name_in
@@ -103,9 +104,16 @@ class FleetAircraft:
         """Land in place, whoever has control: it is taken over for that long. Needs no lease.
 
         Raises:
+            GuardRefused: It came there more than 5 s after it was asked for, and was not begun.
             M100Error: As :meth:`m100link.Control.land`, and :class:`m100link.errors.FleetError`.
         """
-        await self._asker.ask(Ask(0, Action.LAND))
+        try:
+            await self._asker.ask(Ask(0, Action.LAND))
+        except GuardRefused as error:
+            if error.guard != ORDER_AGE:
+                raise
+            # It was not begun, and the answer told what time it is there: that is known now.
+            await self._asker.ask(Ask(0, Action.LAND))
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, task. Needs no lease.

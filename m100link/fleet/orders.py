@@ -23,7 +23,7 @@ from m100link.fleet.payloads import Order
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = ["Done", "Orders", "is_kept", "revokes"]
+__all__ = ["Done", "Orders", "is_kept", "lands", "revokes"]
 
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
@@ -60,6 +60,11 @@ def is_kept(message: Message) -> bool:
 def revokes(message: Message) -> bool:
     """Whether what was asked for before, and comes later, is not wanted any more."""
     return isinstance(message, Ask) and message.action in (Action.STOP, Action.HALT, Action.LAND)
+
+
+def lands(message: Message) -> bool:
+    """Whether it brings the aircraft down: that nobody may be surprised by, minutes later."""
+    return isinstance(message, Ask) and message.action is Action.LAND
 
 
 class Orders:

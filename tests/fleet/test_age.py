@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from m100link.errors import GuardRefused
-from m100link.fleet.age import MOST_AGE_S, OrderAges
+from m100link.fleet.age import MOST_AGE_S, OrderAges, require_young
 
 
 @pytest.fixture
@@ -43,3 +43,11 @@ def test_of_one_asker_the_newer_one_counts_and_a_later_lease_begins_anew(ages: O
     with pytest.raises(GuardRefused, match="later was heard before"):
         ages.hear(1, 9.9, 10.1)
     ages.hear(2, 9.9, 10.1)
+
+
+def test_a_landing_is_asked_for_its_age_alone(ages: OrderAges) -> None:
+    ages.revoke(20.0)
+    require_young(16.0, 20.5)  # STOP came between: both want it to be safe
+    for made_at in (10.0, 0.0, float("nan"), -1.0):
+        with pytest.raises(GuardRefused, match="nobody waits"):
+            require_young(made_at, 20.5)

@@ -242,6 +242,32 @@ async def test_an_order_that_was_overtaken_is_not_carried_out(
     assert one.speed > 1.0, "what is asked for now flies"
 
 
+async def test_a_landing_that_nobody_waits_for_is_not_begun_but_any_stop_is_done(rig: Rig) -> None:
+    """Both waited before a frozen agent; meanwhile another pilot flies."""
+    one = await rig.aircraft("a1")
+    late = {action: order(Ask(0, action)) for action in (Action.LAND, Action.STOP, Action.HALT)}
+    unknown = replace(order(Ask(0, Action.LAND)), clock=0.0)
+    await anyio.sleep(120.0)
+    got = await in_the_air(rig, one)
+    for landing in (late[Action.LAND], unknown):
+        reply = await send(rig, landing)
+        assert reply.outcome is Outcome.REFUSED
+        assert reply.fault is not None
+        assert reply.fault.details["guard"] == "order_age"
+    flying = one.agent.background.spawn(fly(one, got, 6.0), "setpoints")
+    await anyio.sleep(5.0)
+    assert one.speed > 2.5, "what is refused revokes nothing"
+    for action in (Action.HALT, Action.STOP):
+        assert (await send(rig, late[action])).outcome is Outcome.OK
+    await flying
+    await anyio.sleep(3.0)
+    assert one.speed < 0.3
+    assert one.height > 1.0
+    assert one.client.holder.number == got.number
+    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK
+    assert one.height < 0.1
+
+
 async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: Rig) -> None:
     class Slow(MemoryLedger):
         async def begin(self, identity: str, at: float) -> None:

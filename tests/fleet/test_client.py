@@ -5,6 +5,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
+from m100link.bus.memory import Weather
+from m100link.errors import OutcomeUnknown
 from m100link.fleet.client import Change
 from m100link.fleet.outcome import Outcome
 from tests.fleet.conftest import Rig
@@ -39,3 +41,40 @@ async def test_who_appears_and_who_is_gone(rig: Rig) -> None:
     change = await anext(changes)
     assert (change.name, change.is_there) == ("a1", False)
     assert anyio.current_time() - began < 2.0
+
+
+async def test_who_was_never_told_the_time_lands_all_the_same(rig: Rig) -> None:
+    """The first word of a program: its age is not known, and asked for."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    await pilot["a1"].take_off()
+    assert (await (await rig.pilot("another")).land())["a1"].is_ok
+    assert one.height < 0.1
+
+
+async def test_who_was_told_the_time_long_ago_lands_all_the_same(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    aircraft = pilot["a1"]
+    await aircraft.take_off()
+    await anyio.sleep(600.0)
+    await aircraft.land()
+    assert one.height < 0.1
+
+
+@pytest.mark.parametrize("has_asked_before", [True, False])
+async def test_a_landing_that_was_given_up_does_not_end_the_flight_of_another(
+    rig: Rig, has_asked_before: bool
+) -> None:
+    """It is on its way for a minute, and was told as unknown after five seconds."""
+    one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
+    aircraft = pilot["a1"]
+    if has_asked_before:
+        await aircraft.stop()
+    rig.network.weather = Weather(delay_s=60.0)
+    with pytest.raises(OutcomeUnknown):
+        await aircraft.land()
+    rig.network.weather = Weather()
+    async with other["a1"].control() as control:
+        await control.take_off()
+        await anyio.sleep(90.0)
+        assert one.height > 1.0
+        assert one.client.holder.name == "other"
