@@ -213,6 +213,8 @@ TESTED_ELSEWHERE = {
     "cli/fleet_agent.py": ("cli/test_fleet.py", "what runs beside the pilots"),
     "cli/fleet_watch.py": ("cli/test_fleet.py", "three more verbs of it"),
     "errors/fleet.py": ("test_errors.py", "names and attributes, nothing to run"),
+    "fleet/sending.py": ("fleet/test_control.py", "what a pilot sends, and a front far away"),
+    "fleet/told.py": ("fleet/test_carrier.py", "the other end of that way"),
     "station/fleet.py": ("cli/test_fleet.py", "a process that owns aircraft"),
     "flight/guidance.py": ("flight/test_loops.py", "seen in what the closed loops do"),
     "log/dissector.py": ("interop/test_wireshark.py", "what it makes runs inside tshark"),

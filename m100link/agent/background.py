@@ -38,8 +38,12 @@ class BackgroundTasks:
         if error is not None and not isinstance(error, M100Error):
             _logger.error("%s ended by an error", task.get_name(), exc_info=error)
 
-    async def end(self) -> None:
-        """Cancel every task and wait for its end."""
+    def cancel(self) -> None:
+        """Cancel every task, and wait for none."""
         for task in list(self._tasks):
             task.cancel()
+
+    async def end(self) -> None:
+        """Cancel every task and wait for its end."""
+        self.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

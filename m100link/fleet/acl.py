@@ -15,8 +15,8 @@ from m100link.fleet.rights import Identity, Right, Rights
 
 __all__ = ["explain", "router_config"]
 
-_TOLD = ("tel", "tel/**", "state", "event")
-_WATCHED = ("state", "log")  # asked by who watches
+_TOLD = ("tel", "tel/**", "state", "event", "told")
+_WATCHED = ("state", "told", "log")  # asked by who watches
 _CARDS = ("state",)  # and of all at once
 _ORDERED = ("cmd", "status/**")  # by who may stop; of who flies besides:
 _FLOWN = ("lease", "show")

@@ -19,6 +19,7 @@ from m100link.bus.session import open_session, session_config
 from m100link.errors import GuardRefused, M100Error
 from m100link.fleet.age import ORDER_AGE
 from m100link.fleet.asking import PATIENCE_S, Asker, Sign
+from m100link.fleet.carrier import FleetChannel, reach
 from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import DEFAULT_SITE, Keys, name_in
 from m100link.fleet.outcome import Result
@@ -270,15 +271,35 @@ class Fleet:
         Raises:
             UsageError: That cannot be a name.
         """
-        keys = Keys(self.keys.site, name)
-        asker = Asker(
+        return FleetAircraft(self.bus, Keys(self.keys.site, name), self.asker(name), self._name)
+
+    def asker(self, name: str, by: str = "") -> Asker:
+        """What asks one aircraft.
+
+        Args:
+            name: Of the aircraft.
+            by: Who of those that ask by this end, for people.
+
+        Raises:
+            UsageError: That cannot be a name.
+        """
+        return Asker(
             self.bus,
-            keys,
-            self._name,
+            Keys(self.keys.site, name),
+            f"{self._name}: {by}" if by else self._name,
             is_known=lambda: name in self._present,
             **self._options,
         )
-        return FleetAircraft(self.bus, keys, asker, self._name)
+
+    async def reach(self, name: str) -> FleetChannel:
+        """A way for a front to the agent of one aircraft: what a console flies it by.
+
+        Raises:
+            LinkError: It is not there, or it is older than this front.
+            UsageError: That cannot be a name.
+        """
+        keys = Keys(self.keys.site, name)
+        return await reach(self.bus, keys, lambda by: self.asker(name, by))
 
     async def each(
         self,

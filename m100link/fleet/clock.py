@@ -18,6 +18,7 @@ class AgentClock:
 
     def __init__(self) -> None:
         self._exchanges: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._made_at = 0.0
 
     def heard(self, asked_at: float, its: float, answered_at: float) -> None:
         """An exchange.
@@ -52,3 +53,19 @@ class AgentClock:
             ValueError: Nothing was heard yet.
         """
         return self.its(own) - min(self._exchanges)[0]
+
+    def made_at(self, own: float, answered: float) -> float:
+        """When an order that is made now was made at the earliest, by that clock, s.
+
+        What is asked for after an answer was made after it, however well the clock is known; and no
+        order was made before the one before it.
+
+        Args:
+            own: Own time, s.
+            answered: What that clock showed in its agent's last answer, s.
+
+        Raises:
+            ValueError: Nothing was heard yet.
+        """
+        self._made_at = max(self._made_at, answered, self.its_at_least(own))
+        return self._made_at

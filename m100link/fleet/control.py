@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -18,7 +17,7 @@ from typing import Literal, Self
 from m100link.agent.actions import Action, LeaseAction
 from m100link.agent.guided import FlyTo
 from m100link.agent.lease import LeaseHeld
-from m100link.agent.messages import Ask, LeaseAsk, Message, Steer
+from m100link.agent.messages import Ask, LeaseAsk, Message
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.bus.network import Bus
 from m100link.errors import (
@@ -31,18 +30,13 @@ from m100link.errors import (
 from m100link.fleet.asking import Asker
 from m100link.fleet.clock import AgentClock
 from m100link.fleet.keys import Keys
-from m100link.fleet.payloads import Reply, pack_steer
+from m100link.fleet.payloads import Reply
+from m100link.fleet.sending import SetpointSender
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["MOST_CLOCK_BOUND_S", "FleetControl", "FleetHold"]
+__all__ = ["FleetControl", "FleetHold"]
 
 _logger = logging.getLogger(__name__)
-
-MOST_CLOCK_BOUND_S = 0.1
-"""Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
-
-_PAUSE_S = 0.5
-"""Seconds after which a program that sends again has decided so anew."""
 
 _RENEWAL_S = 0.5
 _LEASE_S = 3.0
@@ -81,9 +75,6 @@ class FleetControl:
         self._agent_clock = AgentClock()
         self._lease: Reply | None = None
         self._renewed_at = 0.0
-        self._sent_at = -math.inf
-        # When the last order was made at the earliest, by the agent's clock.
-        self._asked_at = 0.0
         self._renewing: asyncio.Task[None] | None = None
         self._owner: asyncio.Task[object] | None = None
         self._lost: M100Error | None = None
@@ -104,7 +95,7 @@ class FleetControl:
     async def __aenter__(self) -> Self:
         lease = await self._ask_lease(LeaseAction.ACQUIRE)
         self._lease, self._renewed_at = lease, self._clock()
-        self._setpoints = self._bus.publish(self._keys.setpoint)
+        self._setpoints = SetpointSender(self._bus, self._keys, self._agent_clock)
         self._owner = asyncio.current_task()
         self._renewing = asyncio.create_task(self._renew(), name="m100link: lease of a fleet")
         try:
@@ -207,15 +198,8 @@ class FleetControl:
     async def ask(self, message: Message) -> Reply:
         """Ask for something under this lease; see :meth:`m100link.fleet.asking.Asker.ask`."""
         lease = self._held()
-        # What is asked for after an answer was made after it, however well the clock is known.
-        self._asked_at = max(
-            self._asked_at,
-            self._asker.its_clock,
-            self._agent_clock.its_at_least(self._clock()),
-        )
-        return await self._asker.ask(
-            message, fence=lease.number, token=lease.token, clock=self._asked_at
-        )
+        clock = self._agent_clock.made_at(self._clock(), self._asker.its_clock)
+        return await self._asker.ask(message, fence=lease.number, token=lease.token, clock=clock)
 
     async def _do(self, action: Action, *, number: int = 0, data: bytes = b"") -> Reply:
         return await self.ask(Ask(0, action, self.fence, number, data))
@@ -281,24 +265,14 @@ class FleetControl:
             GuardRefused, NoAuthority, UsageError: The agent did not fly one of those before.
             UsageError: The agent's clock is not known well enough to say how old a setpoint is.
         """
-        now = self._clock()
-        self._send(setpoint, lifetime, begins=now - self._sent_at > _PAUSE_S)
-        self._sent_at = now
+        self._send(setpoint, lifetime)
 
-    def _send(self, setpoint: Setpoint, lifetime: float, *, begins: bool) -> None:
+    def _send(self, setpoint: Setpoint, lifetime: float, *, begins: bool | None = None) -> None:
         lease = self._held()
         refused, self._refused = self._refused, None
         if refused is not None:
             raise refused
-        bound = self._agent_clock.bound_s
-        if bound is None or bound > MOST_CLOCK_BOUND_S:
-            raise UsageError(
-                f"the clock of {self._keys.name} is not known to {MOST_CLOCK_BOUND_S:g} s",
-                cause="the way there and back takes too long for setpoints",
-                remedy="fly by tasks and fly_to(), whose loops are closed on board",
-            )
-        steer = Steer(lease.number, self._agent_clock.its(self._clock()), lifetime, setpoint)
-        self._setpoints.put(pack_steer(steer, lease.token, begins=begins))
+        self._setpoints.send(lease.number, lease.token, setpoint, lifetime, begins=begins)
 
     @asynccontextmanager
     async def hold(self, setpoint: Setpoint, *, rate_hz: float = 20.0) -> AsyncIterator[FleetHold]:

@@ -82,6 +82,11 @@ class Keys:
         return self.of("event")
 
     @property
+    def told(self) -> str:
+        """What fronts of the agent hear; sent while somebody listens."""
+        return self.of("told")
+
+    @property
     def command(self) -> str:
         """Orders are asked here."""
         return self.of("cmd")

@@ -19,6 +19,7 @@ from m100link.fleet.keys import DEFAULT_SITE, Keys, check_name
 from m100link.fleet.ledger import FileLedger, Ledger, MemoryLedger
 from m100link.fleet.lost import LostPlan
 from m100link.fleet.show.service import ShowService
+from m100link.fleet.told import AgentTold
 from m100link.log.folder import state_folder
 from m100link.station.config import Settings
 from m100link.station.run import owning
@@ -94,6 +95,13 @@ async def serving_fleet(
         async with asyncio.TaskGroup() as group:
             running = [
                 group.create_task(one.run(), name=f"m100link fleet: {name}")
+                for name, one in agents.items()
+            ]
+            running += [
+                group.create_task(
+                    AgentTold(one.client, bus, keys[name], one.boot).run(),
+                    name=f"m100link fleet fronts: {name}",
+                )
                 for name, one in agents.items()
             ]
             running += [

@@ -1,0 +1,373 @@
+"""The way of a front to an agent of a fleet: a console on the ground flies what is far away.
+
+A front says what it would say to an agent on its own machine. Here that becomes orders of the
+fleet, with ids, signatures and the age that the agent looks at, and setpoints stamped by its clock.
+What the agent tells comes back with its times by the front's own clock: nobody takes what is old
+for new because two clocks differ.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from m100link.agent.actions import LeaseAction, Stage
+from m100link.agent.background import BackgroundTasks
+from m100link.agent.client import MAX_SILENCE
+from m100link.agent.fault import Fault, MessageError, agent_gone
+from m100link.agent.guided import GuidedOrder
+from m100link.agent.lease import TAKE_OVER_LIFETIME, LeaseRefused
+from m100link.agent.messages import (
+    VERSION,
+    Ask,
+    Event,
+    Goodbye,
+    Hello,
+    LeaseAsk,
+    LeaseChanged,
+    LeaseGranted,
+    LinkCounted,
+    Message,
+    Note,
+    Outcome,
+    State,
+    Steer,
+    SteerRefused,
+    TakeOverOffered,
+    Telemetry,
+)
+from m100link.bus.network import Bus, Held
+from m100link.errors import M100Error, UsageError
+from m100link.fleet.asking import Asker
+from m100link.fleet.clock import AgentClock
+from m100link.fleet.keys import Keys
+from m100link.fleet.payloads import Reply, unpack_message
+from m100link.fleet.sending import SetpointSender
+
+__all__ = ["FleetChannel", "reach"]
+
+_logger = logging.getLogger(__name__)
+
+_GREETING_S = 1.5
+_CLOCK_S = 2.0
+"""Seconds between two looks at the agent's clock."""
+
+_RENEWAL_S = 0.4
+"""A tab renews with each beat; that often it goes over the network."""
+
+_LET_GO_S = 1.0
+_MOST_ASKS = 64
+
+
+async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetChannel:
+    """A way to the agent of one aircraft.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        asker: What asks it, in the name of somebody.
+
+    Raises:
+        LinkError: It is not there, or it is older than this front.
+    """
+    channel = FleetChannel(bus, keys, asker)
+    if not await channel.look_at_clock():
+        channel.close()
+        raise agent_gone(f"{keys.name} does not answer, or has an older release")
+    return channel
+
+
+class FleetChannel:
+    """A front's end; see :class:`m100link.agent.carriers.Channel`.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        asker: What asks it, in the name of somebody.
+
+    Attributes:
+        unread: Messages that this version cannot read.
+        old: Messages that were too long on their way to say anything.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> None:
+        self._bus, self._keys, self._asker_of = bus, keys, asker
+        self._asker = asker("")
+        self._clock = asyncio.get_running_loop().time
+        self._agent_clock = AgentClock()
+        self._setpoints = SetpointSender(bus, keys, self._agent_clock)
+        self._background = BackgroundTasks()
+        self._on_message: Callable[[Message], None] | None = None
+        self._on_closed: Callable[[str], None] | None = None
+        self._held: list[Held] = []
+        self._telemetry: Held | None = None
+        self._is_full = False
+        self._boot = ""
+        self._is_closed = False
+        # By the agent's clock: how new the word on the lease is that comes next, and when a lease
+        # was granted to this front, whose answer overtakes what was told before.
+        self._told_at = self._granted_at = 0.0
+        self._holder = LeaseChanged(0, "")
+        self._tokens: dict[int, str] = {}
+        self._renewing: asyncio.Task[None] | None = None
+        self._renewed_at = -_RENEWAL_S
+        self._asks = 0
+        self.unread = self.old = 0
+        self._sending: dict[type[Any], Callable[[Any], None]] = {
+            LeaseAsk: self._send_lease_ask,
+            Ask: self._send_ask,
+            Steer: self._steer,
+            **dict.fromkeys(GuidedOrder.__args__, self._send_ask),
+        }
+
+    # -- the channel -----------------------------------------------------------------------------
+
+    def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
+        """Begin to receive."""
+        self._on_message, self._on_closed = on_message, on_closed
+        bus, keys = self._bus, self._keys
+        self._deliver(Hello(VERSION, self._boot, self._clock()))
+        self._held += [
+            bus.subscribe(keys.told, self._hear),
+            bus.subscribe(keys.event, self._hear),
+            bus.watch(keys.live, self._token),
+        ]
+        self.watch(full=self._is_full)
+        self._background.spawn(self._keep_clock(), "clock of an agent")
+
+    def send(self, message: Message) -> None:
+        """Send a message; never waits. On a closed channel nothing happens."""
+        if self._is_closed or isinstance(message, Hello | Goodbye):
+            return
+        if isinstance(message, Note):  # the journal on board takes none from the network
+            _logger.info("%s: %s", self._keys.name, message.text)
+            return
+        sending = self._sending.get(type(message))
+        if sending is None:
+            raise MessageError(f"a front does not send {type(message).__name__}")
+        sending(message)
+
+    def close(self, reason: str = "") -> None:
+        """Close it. Leases that were granted here end by silence; see :meth:`let_go`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        for one in (*self._held, self._setpoints, self._telemetry):
+            if one is not None:
+                one.close()
+        self._background.cancel()
+
+    def _end(self, reason: str) -> None:
+        is_new, on_closed = not self._is_closed, self._on_closed
+        self.close()
+        if is_new and on_closed is not None:
+            on_closed(reason)
+
+    async def let_go(self) -> None:
+        """Give back what was granted here: it hovers, and authority goes back. Before the close."""
+        token = self._tokens.get(self._holder.number)
+        if token is not None and not self._is_closed:
+            try:
+                await self._asker.ask(
+                    LeaseAsk(0, LeaseAction.RELEASE, token=token), patience=_LET_GO_S
+                )
+            except M100Error as error:
+                _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def watch(self, *, full: bool) -> None:
+        """Hear every package of telemetry, or what suffices for a wall."""
+        if self._telemetry is not None and full is self._is_full:
+            return
+        before, self._is_full = self._telemetry, full
+        key = self._keys.telemetry if full else self._keys.thinned
+        self._telemetry = self._bus.subscribe(key, self._hear)
+        if before is not None:
+            before.close()
+
+    def _token(self, _key: str, is_there: bool) -> None:
+        if not is_there:
+            self._end(f"{self._keys.name} is not there any more")
+
+    async def _keep_clock(self) -> None:
+        while True:
+            await asyncio.sleep(_CLOCK_S)
+            await self.look_at_clock()
+
+    async def look_at_clock(self) -> bool:
+        """Ask the agent what time it is there; whether it answered."""
+        asked_at = self._clock()
+        answers = await self._bus.ask(self._keys.told, timeout=_GREETING_S)
+        answered_at = self._clock()
+        for answer in answers:
+            message = self._read(answer.payload)
+            if isinstance(message, Hello) and self._greeted(message):
+                self._agent_clock.heard(asked_at, message.at, answered_at)
+                return True
+        return False
+
+    def _greeted(self, hello: Hello) -> bool:
+        """Whether it is still the agent that it was."""
+        self._boot = self._boot or hello.name
+        if hello.version != VERSION:
+            self._end(f"it speaks version {hello.version}, this front {VERSION}")
+        elif hello.name != self._boot:
+            self._end(f"the agent of {self._keys.name} was started anew")
+        return not self._is_closed
+
+    def _read(self, payload: bytes) -> Message | None:
+        try:
+            return unpack_message(payload)
+        except MessageError:
+            self.unread += 1
+            return None
+
+    def _hear(self, _key: str, payload: bytes) -> None:
+        message = self._read(payload)
+        if message is None or self._is_closed:
+            return
+        if isinstance(message, Hello):
+            self._told_at = message.at if self._greeted(message) else self._told_at
+        elif isinstance(message, LeaseChanged):
+            self._lease_changed(message)
+        else:
+            self._deliver_in_time(message)
+
+    def _deliver_in_time(self, message: Message) -> None:
+        """Hand over what was told, with its time by this side's clock."""
+        now = self._clock()
+        if isinstance(message, Telemetry):
+            at = self._ours(message.received_at, now)
+            message = replace(message, received_at=at)
+        elif isinstance(message, State | LinkCounted | Event):
+            at = self._ours(message.at, now)
+            message = replace(message, at=at)
+        else:
+            at = now
+        # What waited in the network does not make a silent agent one that is heard.
+        if now - at > MAX_SILENCE and not isinstance(message, Event):
+            self.old += 1
+        else:
+            self._deliver(message)
+
+    def _ours(self, its: float, now: float) -> float:
+        return min(now, its - (self._agent_clock.its(now) - now))
+
+    def _lease_changed(self, change: LeaseChanged) -> None:
+        is_overtaken = change.number < self._holder.number and self._told_at < self._granted_at
+        if change.number == self._holder.number or is_overtaken:
+            return
+        self._holder = change
+        self._tokens = {one: token for one, token in self._tokens.items() if one == change.number}
+        self._deliver(change)
+
+    def _deliver(self, message: Message) -> None:
+        if self._on_message is None or self._is_closed:
+            return
+        try:
+            self._on_message(message)
+        except Exception:
+            # As with a socket: what goes wrong at one end does not happen to the other.
+            _logger.exception("a %s was not taken", type(message).__name__)
+
+    # -- what goes out ---------------------------------------------------------------------------
+
+    def _answer(self, identity: int, reply: Reply | None, error: M100Error | None = None) -> None:
+        if error is not None and not identity:
+            _logger.warning("%s: %s", self._keys.name, error.seen)
+        if not identity:
+            return
+        if error is not None:
+            self._deliver(Outcome(identity, Stage.FAILED, Fault.of(error)))
+        elif reply is not None:
+            self._deliver(Outcome(identity, Stage.DONE, None, reply.text, reply.number))
+
+    def _spawn(self, message: Any, doing: Callable[[], Any], name: str) -> None:
+        if self._asks >= _MOST_ASKS:
+            error = UsageError(f"{self._asks} questions of this front wait already")
+            self._answer(message.id, None, error)
+            return
+
+        async def carry_out() -> None:
+            self._asks += 1
+            try:
+                await doing()
+            except M100Error as error:
+                self._answer(message.id, None, error)
+            finally:
+                self._asks -= 1
+
+        self._background.spawn(carry_out(), f"{name} of {self._keys.name}")
+
+    def _send_ask(self, message: Ask | GuidedOrder) -> None:
+        # Stamped as it is said, not as its turn comes.
+        asker, fence = self._asker, message.fence
+        clock = self._agent_clock.made_at(self._clock(), asker.its_clock)
+
+        async def ask() -> None:
+            token = self._tokens.get(fence, "")
+            plain = replace(message, id=0)
+            self._answer(message.id, await asker.ask(plain, fence=fence, token=token, clock=clock))
+
+        self._spawn(message, ask, type(message).__name__)
+
+    def _steer(self, steer: Steer) -> None:
+        try:
+            token = self._tokens.get(steer.fence)
+            if token is None:
+                raise LeaseRefused(f"lease {steer.fence} is not in force")
+            self._setpoints.send(
+                steer.fence, token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
+            )
+        except M100Error as error:
+            self._deliver(SteerRefused(steer.fence, Fault.of(error)))
+
+    # -- the lease -------------------------------------------------------------------------------
+
+    def _send_lease_ask(self, ask: LeaseAsk) -> None:
+        if ask.action is LeaseAction.RENEW and not ask.id:
+            self._keep(ask)
+            return
+        self._spawn(ask, lambda: self._ask_lease(ask), f"{ask.action.value} lease")
+
+    def _keep(self, ask: LeaseAsk) -> None:
+        is_under_way = self._renewing is not None and not self._renewing.done()
+        if is_under_way or self._clock() - self._renewed_at < _RENEWAL_S:
+            return
+        self._renewed_at = self._clock()
+        self._renewing = self._background.spawn(self._renew(ask), "renewal of a lease")
+
+    async def _renew(self, ask: LeaseAsk) -> None:
+        asked_at, fence = self._clock(), self._holder.number
+        try:
+            reply = await self._asker.try_once(ask, within=_RENEWAL_S)
+        except M100Error as error:
+            _logger.info("%s: %s", self._keys.name, error.seen)  # who has it is told by the agent
+            return
+        if reply is not None:
+            self._agent_clock.heard(asked_at, reply.clock, self._clock())
+            if reply.fault is not None:
+                self._deliver(SteerRefused(fence, reply.fault))
+
+    async def _ask_lease(self, ask: LeaseAsk) -> None:
+        asked_at = self._clock()
+        reply = await self._asker_of(ask.name).ask(replace(ask, id=0))
+        now = self._clock()
+        self._agent_clock.heard(asked_at, reply.clock, now)
+        if ask.action in (LeaseAction.ACQUIRE, LeaseAction.CONFIRM):
+            self._tokens[reply.number] = reply.token
+            self._granted_at = self._told_at = reply.clock
+            self._lease_changed(LeaseChanged(reply.number, reply.text))
+        if ask.action is LeaseAction.TAKE_OVER:
+            until = now + TAKE_OVER_LIFETIME
+            offer = (ask.id, ask.name, reply.text, reply.token, reply.number, until)
+            self._deliver(TakeOverOffered(*offer))
+        elif ask.action is LeaseAction.RELEASE:
+            self._answer(ask.id, reply)
+        else:
+            token = reply.token or ask.token
+            self._deliver(LeaseGranted(ask.id, reply.text, token, reply.number))

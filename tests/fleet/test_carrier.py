@@ -1,0 +1,189 @@
+"""A console far away: a front of an agent over the network of a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import anyio
+import pytest
+
+from m100link.agent.client import AgentClient
+from m100link.agent.guided import FlyTo
+from m100link.agent.lease import Lease, LeaseHeld
+from m100link.agent.messages import LeaseChanged
+from m100link.errors import LinkError, M100Error, StaleLease
+from m100link.fleet.client import Fleet
+from m100link.fleet.keys import Keys
+from m100link.fleet.told import AgentTold
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Position
+from m100link.protocol.setpoint import Setpoint
+from tests.fleet.conftest import SITE, OnBoard, Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+def place(client: AgentClient) -> Position:
+    """Where it is now."""
+    found = None if client.telemetry is None else client.telemetry.fresh(Position, within=0.5)
+    assert found is not None
+    return found
+
+
+async def served(rig: Rig, name: str = "a1") -> OnBoard:
+    """An aircraft whose agent tells fronts far away."""
+    one = await rig.aircraft(name)
+    told = AgentTold(one.client, one.bus, Keys(SITE, name), one.fleet_agent.boot)
+    one.agent.background.spawn(told.run(), "fronts")
+    await anyio.sleep(0.01)  # it begins
+    return one
+
+
+@asynccontextmanager
+async def front(rig: Rig, fleet: Fleet, name: str = "a1") -> AsyncIterator[AgentClient]:
+    async with AgentClient(await fleet.reach(name), "console") as client:
+        await rig.until(lambda: client.is_connected)
+        yield client
+
+
+async def test_it_sees_what_a_front_on_board_sees(rig: Rig) -> None:
+    one = await served(rig)
+    async with front(rig, await rig.pilot()) as far:
+        await rig.until(lambda: far.telemetry is not None and far.link is not None)
+        assert far.state.firmware == one.client.state.firmware
+        await anyio.sleep(1.0)
+        assert place(far).latitude_deg == pytest.approx(place(one.client).latitude_deg, abs=1e-6)
+        assert abs(far.heard_at - far.now) < 0.5
+
+
+async def test_it_takes_off_flies_to_a_place_and_lands(rig: Rig) -> None:
+    one = await served(rig)
+    async with front(rig, await rig.pilot("anna")) as far:
+        lease = await far.acquire("console 1")
+        assert far.holds(lease)
+        assert one.client.holder.name == "anna: console 1"
+        far.background.spawn(kept(far, lease), "page")
+        await far.activate(lease)
+        await far.obtain(lease)
+        await far.fly(lease, Task.TAKE_OFF)
+        assert one.height > 1.0
+        here = place(far)
+        await far.guide(lease, FlyTo(here.latitude_deg, here.longitude_deg, 6.0))
+        assert one.height == pytest.approx(6.0, abs=0.5)
+        await far.fly(lease, Task.LAND)
+        assert one.height < 0.1
+        await far.release_lease(lease.token)
+        await rig.until(lambda: far.holder.number == 0, within=3.0)
+        assert one.client.holder.number == 0
+
+
+async def kept(far: AgentClient, lease: Lease) -> None:
+    while True:  # as a page does, that is heard
+        far.keep(lease)
+        await anyio.sleep(0.05)
+
+
+async def flying(far: AgentClient) -> Lease:
+    lease = await far.acquire("console 1")
+    far.background.spawn(kept(far, lease), "page")
+    await far.activate(lease)
+    await far.obtain(lease)
+    await far.fly(lease, Task.TAKE_OFF)
+    return lease
+
+
+async def test_setpoints_fly_and_expire_when_they_stop(rig: Rig) -> None:
+    one = await served(rig)
+    async with front(rig, await rig.pilot()) as far:
+        lease = await flying(far)
+        for _ in range(60):
+            far.steer(lease, NORTH)
+            await anyio.sleep(0.05)
+        assert one.speed > 2.0
+        await anyio.sleep(2.0)
+        assert one.speed < 0.3
+
+
+async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> None:
+    one = await served(rig)
+    pilot = await rig.pilot()
+    async with front(rig, pilot) as far:
+        lease = await flying(far)
+        for _ in range(40):
+            far.steer(lease, NORTH)
+            await anyio.sleep(0.05)
+        rig.network.weather.presence_s = 60.0  # nobody is told that it is gone
+        rig.network.cut(one.bus)
+        for _ in range(60):
+            far.steer(lease, NORTH)
+            await anyio.sleep(0.05)
+        assert one.speed < 0.3
+        assert far.is_silent
+        assert not far.is_connected
+        rig.network.join(one.bus)
+        for _ in range(60):
+            far.steer(lease, NORTH)
+            await anyio.sleep(0.05)
+        assert one.speed < 0.3, "a stream that was cut goes on"
+
+
+async def test_stop_and_landing_need_no_lease(rig: Rig) -> None:
+    one = await served(rig)
+    async with front(rig, await rig.pilot("anna")) as far:
+        lease = await flying(far)
+        async with front(rig, await rig.pilot("bert")) as other:
+            await rig.until(lambda: other.holder.number == lease.number)
+            with pytest.raises(LeaseHeld):
+                await other.acquire("console 1")
+            with pytest.raises(StaleLease):
+                await other.fly(None, Task.TAKE_OFF)
+            await other.stop()
+            offer = await other.ask_take_over("console 1")
+            assert offer.from_name == "anna: console 1"
+            taken = await other.confirm(offer.token)
+            await rig.until(lambda: far.holder.number == taken.number)
+            assert not far.holds(lease)
+            assert other.holds(taken)
+        assert one.height > 1.0
+
+
+async def test_old_words_do_not_make_a_silent_agent_one_that_is_heard(rig: Rig) -> None:
+    await served(rig)
+    pilot = await rig.pilot()
+    channel = await pilot.reach("a1")
+    async with AgentClient(channel, "console") as far:
+        await rig.until(lambda: far.is_connected)
+        rig.network.weather.delay_s = 3.0
+        await anyio.sleep(6.0)
+        assert far.is_silent
+        assert channel.old > 0
+
+
+async def test_a_lease_that_ended_before_it_was_granted_again_does_not_take_it(rig: Rig) -> None:
+    await served(rig)
+    async with front(rig, await rig.pilot()) as far:
+        changes: list[LeaseChanged] = []
+        far.on_lease.append(changes.append)
+        for _ in range(5):
+            lease = await far.acquire("console 1")
+            assert far.holds(lease)
+            await anyio.sleep(1.3)
+            assert far.holds(lease)
+            await far.release_lease(lease.token)
+            await rig.until(lambda: not far.holder.number, within=2.0)
+        assert [bool(one.number) for one in changes] == [True, False] * 5
+
+
+async def test_an_agent_that_is_not_there_and_one_that_goes(rig: Rig) -> None:
+    pilot = await rig.pilot()
+    with pytest.raises(LinkError, match="a1 does not answer"):
+        await pilot.reach("a1")
+    one = await served(rig)
+    async with front(rig, pilot) as far:
+        one.work.cancel()
+        await rig.until(lambda: far.is_gone, within=2.0)
+        with pytest.raises(M100Error):
+            await far.stop()
