@@ -8,14 +8,27 @@ from __future__ import annotations
 
 import asyncio
 import random
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
-from m100link.bus.network import DEPTH, Answer, Held, Outlet, Question, fits
+from m100link.bus.network import (
+    DEPTH,
+    Answer,
+    Held,
+    Inbox,
+    Outlet,
+    Question,
+    Received,
+    TokenChange,
+    fits,
+)
 
 __all__ = ["MemoryBus", "MemoryNetwork", "Weather"]
+
+T = TypeVar("T")
 
 _TICK_S = 1e-9
 
@@ -52,23 +65,81 @@ class _Declared:
             self.session.network.forget(self)
 
 
-class _Outlet(Outlet):
-    def __init__(self, session: MemoryBus, key: str) -> None:
-        self._session, self._key = session, key
+class _Inbox(Inbox[T]):
+    """What waits to be taken; of too much the oldest is lost."""
 
-    def put(self, payload: bytes) -> None:
+    def __init__(self, depth: int) -> None:
+        self._waiting: deque[T] = deque(maxlen=depth)
+        self.put = self._waiting.append
+
+    def take(self) -> list[T]:
+        found = list(self._waiting)
+        self._waiting.clear()
+        return found
+
+
+class _Outlet(Outlet):
+    def __init__(self, session: MemoryBus, key: str, *, is_kept: bool) -> None:
+        self._session, self._key, self._is_kept = session, key, is_kept
+
+    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         network, sender = self._session.network, self._session
+        what = Received(payload, attachment or b"")
         for one in network.takers("subscribe", self._key):
-            network.carry(sender, one.session, partial(one.session.hand, one, self._key, payload))
+            network.carry(sender, one.session, partial(one.session.hand, one, self._key, what))
 
     def is_wanted(self) -> bool:
-        return any(
+        return self._is_kept or any(
             not self._session.network.is_cut(self._session, one.session)
             for one in self._session.network.takers("subscribe", self._key)
         )
 
     def close(self) -> None:
         """Nothing is held."""
+
+
+class _Asking:
+    """A question on its way to each who serves its key, and what they answer on its way back.
+
+    Args:
+        asker: Who asks.
+        key: What.
+        payload: The bytes of the question.
+        hear: Called with each answer.
+
+    Attributes:
+        ended: Set when nobody is waited for any more.
+    """
+
+    def __init__(
+        self, asker: MemoryBus, key: str, payload: bytes, hear: Callable[[Answer], None]
+    ) -> None:
+        network = self._network = asker.network
+        self._asker, self._hear = asker, hear
+        asked = [
+            one for one in network.takers("serve", key) if not network.is_cut(asker, one.session)
+        ]
+        self._asked = set(asked)
+        self.ended = asyncio.Event()
+        if not asked:
+            self.ended.set()
+        for one in asked:
+            question = Question(key, payload, partial(self._answer, one), partial(self._end, one))
+            network.carry(asker, one.session, partial(one.session.hand, one, question))
+
+    def _answer(
+        self, one: _Declared, key: str, payload: bytes, _attachment: bytes | None = None
+    ) -> None:
+        def arrive() -> None:
+            self._hear(Answer(key, payload))
+            self._end(one)
+
+        self._network.carry(one.session, self._asker, arrive)
+
+    def _end(self, one: _Declared) -> None:
+        self._asked.discard(one)
+        if not self._asked:
+            self.ended.set()
 
 
 class MemoryNetwork:
@@ -85,14 +156,15 @@ class MemoryNetwork:
         self._declared: dict[str, list[_Declared]] = {
             kind: [] for kind in ("subscribe", "serve", "token", "watch")
         }
-        self._count = 0
+        self._count = self._sessions = 0
         self._cut: set[MemoryBus] = set()
         # Who is known to be gone by those who are not: after a while, as by a real network.
         self._missed: set[MemoryBus] = set()
 
     def session(self) -> MemoryBus:
         """Another session."""
-        return MemoryBus(self)
+        self._sessions += 1
+        return MemoryBus(self, self._sessions)
 
     def seed(self, seed: int) -> None:
         """Begin the weather of a seed."""
@@ -184,66 +256,82 @@ class MemoryNetwork:
 
 
 class MemoryBus:
-    """A session; see :class:`m100link.bus.network.Bus`.
+    """A session: a :class:`m100link.bus.network.Bus` and a :class:`m100link.bus.network.PolledBus`.
 
     Args:
         network: Of which network.
+        number: Which session of it.
     """
 
-    def __init__(self, network: MemoryNetwork) -> None:
+    def __init__(self, network: MemoryNetwork, number: int = 0) -> None:
         self.network = network
+        self._number = number
+
+    @property
+    def session(self) -> str:
+        """Id of the session."""
+        return f"{self._number:032x}"
 
     def hand(self, taker: _Declared, *what: Any) -> None:
         """Hand something over, unless its taker has gone."""
         if taker.is_open and taker.take is not None:
             taker.take(*what)
 
-    def publish(self, key: str) -> Outlet:
-        """Offer messages under a key."""
-        return _Outlet(self, key)
+    def publish(self, key: str, *, kept: int = 0) -> Outlet:
+        """Offer messages under a key; who comes late gets none of them here."""
+        return _Outlet(self, key, is_kept=bool(kept))
 
     def subscribe(
         self, pattern: str, take: Callable[[str, bytes], None], *, depth: int = DEPTH
     ) -> Held:
         """Hear messages."""
-        return self.network.add("subscribe", self, pattern, take)
+
+        def heard(key: str, what: Received) -> None:
+            take(key, what.payload)
+
+        return self.network.add("subscribe", self, pattern, heard)
 
     def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
         """Hear questions."""
         return self.network.add("serve", self, key, take)
 
+    def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
+        """Hear messages."""
+        inbox = _Inbox[Received](depth)
+        self.network.add("subscribe", self, pattern, lambda _, what: inbox.put(what))
+        return inbox
+
+    def questions(self, key: str, depth: int) -> Inbox[Question]:
+        """Hear questions."""
+        inbox = _Inbox[Question](depth)
+        self.serve(key, inbox.put)
+        return inbox
+
+    def changes(self, pattern: str) -> Inbox[TokenChange]:
+        """See tokens come and go."""
+        inbox = _Inbox[TokenChange](DEPTH)
+        self.watch(pattern, lambda key, is_there: inbox.put(TokenChange(key, is_there)))
+        return inbox
+
+    def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
+        """Ask whether anybody answers."""
+        inbox = _Inbox[bool](DEPTH)
+        _Asking(self, key, b"", lambda _: inbox.put(True))
+        return inbox
+
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
         """Ask everybody who serves it."""
-        network = self.network
-        asked = [
-            one for one in network.takers("serve", key) if not network.is_cut(self, one.session)
-        ]
         answers: dict[str, Answer] = {}
-        ended: set[_Declared] = set()
-        done = asyncio.Event()
 
-        def end(one: _Declared) -> None:
-            ended.add(one)
-            if len(ended) == len(asked):
-                done.set()
+        def hear(answer: Answer) -> None:
+            answers[answer.key] = answer
 
-        for one in asked:
-
-            def answer(its_key: str, its: bytes, one: _Declared = one) -> None:
-                def arrive() -> None:
-                    answers[its_key] = Answer(its_key, its)
-                    end(one)
-
-                network.carry(one.session, self, arrive)
-
-            question = Question(key, payload, answer, partial(end, one))
-            network.carry(self, one.session, partial(one.session.hand, one, question))
-        if asked:
-            try:
-                async with asyncio.timeout(timeout):
-                    await done.wait()
-            except TimeoutError:
-                pass  # those who have not answered are not in the list
+        asking = _Asking(self, key, payload, hear)
+        try:
+            async with asyncio.timeout(timeout):
+                await asking.ended.wait()
+        except TimeoutError:
+            pass  # those who have not answered are not in the list
         return list(answers.values())
 
     def declare(self, token: str) -> Held:

@@ -1,19 +1,56 @@
-"""What a fleet needs of a network.
+"""What fleets and nodes of ROS 2 need of a network.
 
 Keys are words with ``/`` between them; in a pattern ``*`` stands for one word and ``**`` for any
-number. Whatever is handed over is called in the event loop that opened the session.
+number. There are two ways to hear. On a :class:`Bus` whatever comes is handed over in the event
+loop that opened the session: who asks an agent is answered at once. On a :class:`PolledBus` it
+waits in rings outside of Python until a step takes it: nothing of the process runs for a flood.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-__all__ = ["DEPTH", "Answer", "Bus", "Held", "Outlet", "Question", "fits"]
+__all__ = [
+    "DEPTH",
+    "Answer",
+    "Answering",
+    "Bus",
+    "Held",
+    "Inbox",
+    "Outlet",
+    "PolledBus",
+    "Question",
+    "Received",
+    "TokenChange",
+    "fits",
+]
+
+T = TypeVar("T")
 
 DEPTH = 1024
 """What waits at most for one taker; of more than that the oldest is lost."""
+
+
+class Answering(Protocol):
+    """Takes key, payload and attachment of an answer."""
+
+    def __call__(self, key: str, payload: bytes, attachment: bytes | None = None, /) -> None:
+        """Answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message.
+
+    Attributes:
+        payload: The bytes; none of what is longer than its taker reads.
+        attachment: What goes beside them; empty where there is none.
+    """
+
+    payload: bytes
+    attachment: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,16 +59,18 @@ class Question:
 
     Attributes:
         key: What was asked, which may be a pattern.
-        payload: The bytes of the question.
-        answer: Takes key and payload of the answer, once. A key of one's own: of two answers under
-            one key the network hands over one.
+        payload: The bytes of the question, as in :class:`Received`.
+        answer: Takes the answer, once. Under a key of one's own: of two answers under one key the
+            network hands over one.
         drop: Ends it without an answer.
+        attachment: As in :class:`Received`.
     """
 
     key: str
     payload: bytes
-    answer: Callable[[str, bytes], None]
+    answer: Answering
     drop: Callable[[], None]
+    attachment: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +86,19 @@ class Answer:
     payload: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class TokenChange:
+    """A token appeared, or is gone.
+
+    Attributes:
+        key: The token.
+        is_there: Which of both.
+    """
+
+    key: str
+    is_there: bool
+
+
 class Held(Protocol):
     """Something that is declared as long as it is held."""
 
@@ -57,16 +109,24 @@ class Held(Protocol):
 class Outlet(Held, Protocol):
     """Where messages under one key go."""
 
-    def put(self, payload: bytes) -> None:
+    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         """Send one; never waits, and what the network does not take is lost."""
 
     def is_wanted(self) -> bool:
-        """Whether anybody is known to listen."""
+        """Whether anybody is known to listen; what is kept is wanted by who comes late."""
+        ...
+
+
+class Inbox(Protocol[T]):
+    """What has come and waits."""
+
+    def take(self) -> list[T]:
+        """All of it, oldest first; never waits."""
         ...
 
 
 class Bus(Protocol):
-    """One session."""
+    """One session, which hands over."""
 
     def publish(self, key: str) -> Outlet:
         """Offer messages under a key."""
@@ -106,6 +166,44 @@ class Bus(Protocol):
 
     async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
         """The tokens that are there."""
+        ...
+
+
+class PolledBus(Protocol):
+    """One session, in which what comes waits to be taken."""
+
+    @property
+    def session(self) -> str:
+        """Id of the session."""
+        ...
+
+    def publish(self, key: str, *, kept: int = 0) -> Outlet:
+        """Offer messages under a key.
+
+        Args:
+            key: Where.
+            kept: How many messages are kept for who comes late.
+        """
+        ...
+
+    def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
+        """Hear messages; of what is not taken in time the newest ``depth`` stay."""
+        ...
+
+    def questions(self, key: str, depth: int) -> Inbox[Question]:
+        """Hear questions; what is too much is not answered."""
+        ...
+
+    def declare(self, token: str) -> Held:
+        """Show a token as long as the session is there, and no longer."""
+        ...
+
+    def changes(self, pattern: str) -> Inbox[TokenChange]:
+        """See tokens come and go, those first that are there; :data:`DEPTH` of them wait."""
+        ...
+
+    def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
+        """Ask whether anybody answers, for so many seconds: true for each who does."""
         ...
 
 

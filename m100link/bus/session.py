@@ -1,7 +1,9 @@
-"""A session of zenoh for a fleet.
+"""The one place that knows zenoh: a session, what goes out and what comes in by it.
 
-zenoh calls back on threads of its own: what comes is put into a bounded queue there, and taken in
-the event loop. Nothing here blocks them, and a flood costs the oldest.
+zenoh runs on threads of its own. What comes for a :class:`~m100link.bus.network.Bus` is put into a
+bounded queue there, and taken in the event loop; what comes for a
+:class:`~m100link.bus.network.PolledBus` waits in rings of zenoh's own, outside of Python. Nothing
+here blocks those threads, and a flood costs the oldest.
 """
 
 from __future__ import annotations
@@ -12,31 +14,62 @@ import logging
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from m100link.bus.network import DEPTH, Answer, Held, Outlet, Question
+from m100link.bus.network import (
+    DEPTH,
+    Answer,
+    Held,
+    Inbox,
+    Outlet,
+    Question,
+    Received,
+    TokenChange,
+)
 from m100link.errors import UsageError
 
 if TYPE_CHECKING:
     import zenoh
 
-__all__ = ["LEASE_MS", "FleetSession", "open_session", "session_config"]
+__all__ = ["LARGEST", "Opening", "ZenohBus", "open_session"]
 
 _logger = logging.getLogger(__name__)
 
-LEASE_MS = 1500
-"""Milliseconds after which a silent end of a connection counts as gone; zenoh's own 10 s would
-leave an aircraft on the wall that long after its cable was cut."""
+T = TypeVar("T")
 
 LARGEST = 1 << 20
-"""Bytes of the longest message that is taken."""
-
-FIRST_MS = 2000
-"""Milliseconds in which a router has to answer the first time."""
+"""Bytes of the longest message that a session puts together: zenoh's own limit is a gigabyte."""
 
 _AGAIN_S = 0.5
 _AT_ONCE = 256
 """What is taken from one queue before others have their turn."""
+
+_MOST_ANSWERS = 256
+"""Of one probe: more of them would wait in zenoh until the question ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """How a session is opened, and in whose words it is refused.
+
+    Attributes:
+        purpose: What needs it, such as ``a fleet``.
+        extra: The extra of this package that brings zenoh.
+        options: Of zenoh, by name, as JSON: where it differs from the default or the file.
+        file: Configuration that is read first, and what told of it; none by default.
+        largest: Bytes of the longest payload that is read.
+        is_patient: A client waits for its first router as long as it takes.
+        remedies: What to do where no session can be, by the mode; ``""`` for all others.
+    """
+
+    purpose: str
+    extra: str
+    options: Mapping[str, str]
+    file: tuple[str, str] | None = None
+    largest: int = LARGEST
+    is_patient: bool = False
+    remedies: Mapping[str, str] = field(default_factory=dict)
 
 
 class _Queue:
@@ -74,6 +107,26 @@ class _Queue:
             self._loop.call_soon(self._empty)
 
 
+class _Ring(Inbox[T]):
+    """A channel of zenoh's with room for ``depth``, and what is made of each thing in it."""
+
+    def __init__(self, declared: Any, make: Callable[[Any], T], depth: int) -> None:
+        import zenoh
+
+        self._declared, self._make, self._depth = declared, make, depth
+        self._ended = zenoh.ZError
+
+    def take(self) -> list[T]:
+        found: list[T] = []
+        try:
+            # A flood fills it as fast as it is emptied: what comes meanwhile waits.
+            while len(found) < self._depth and (one := self._declared.try_recv()) is not None:
+                found.append(self._make(one))
+        except self._ended:
+            pass  # the session is closed: nothing comes any more
+        return found
+
+
 class _Declared:
     """Something of zenoh's that is declared until it is closed."""
 
@@ -87,56 +140,111 @@ class _Declared:
 
 
 class _Outlet(_Declared, Outlet):
-    def put(self, payload: bytes) -> None:
-        if self._declared is not None:
-            _unless_closed(self._declared.put, payload)
+    def __init__(self, declared: Any, *, is_kept: bool) -> None:
+        import zenoh
+
+        super().__init__(declared)
+        self._is_kept = is_kept
+        self._ended = zenoh.ZError
+
+    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
+        if self._declared is None:
+            return
+        # Hundreds of times a second: what _unless_closed does, without what it costs.
+        try:
+            self._declared.put(payload, attachment=attachment)
+        except self._ended as error:
+            _logger.debug("not sent: %s", error)
 
     def is_wanted(self) -> bool:
-        return self._declared is not None and bool(self._declared.matching_status.matching)
+        if self._declared is None or self._is_kept:
+            return self._declared is not None
+        return bool(self._declared.matching_status.matching)  # no bool, whatever its stub says
 
 
-def _unless_closed(send: Callable[..., object], *what: Any) -> None:
+def _unless_closed(send: Callable[..., object], *what: Any, **more: Any) -> None:
     """Send; on a session that has ended, or to who has gone, nothing happens."""
     import zenoh
 
     try:
-        send(*what)
+        send(*what, **more)
     except zenoh.ZError as error:
         _logger.debug("not sent: %s", error)
 
 
-def _bytes(data: zenoh.ZBytes | None) -> bytes:
-    """The bytes; of what is longer than anything of a fleet nothing, which nobody can read."""
-    return b"" if data is None or len(data) > LARGEST else data.to_bytes()
-
-
-def _question(query: zenoh.Query) -> Question:
-    drop: Callable[[], None] = query.drop
-
-    def answer(key: str, payload: bytes) -> None:
-        _unless_closed(query.reply, key, payload)
-        drop()
-
-    return Question(str(query.key_expr), _bytes(query.payload), answer, drop)
-
-
-class FleetSession:
-    """A session; see :class:`m100link.bus.network.Bus`.
+class ZenohBus:
+    """A session; see :class:`m100link.bus.network.Bus` and :class:`m100link.bus.network.PolledBus`.
 
     Args:
         session: Of zenoh.
+        largest: Bytes of the longest payload that is read.
     """
 
-    def __init__(self, session: zenoh.Session) -> None:
-        self._session = session
+    def __init__(self, session: zenoh.Session, largest: int = LARGEST) -> None:
+        self._session, self._largest = session, largest
         self._loop = asyncio.get_running_loop()
 
-    def publish(self, key: str) -> Outlet:
-        """Offer messages under a key."""
+    @property
+    def session(self) -> str:
+        """Id of the session."""
+        return str(self._session.zid())
+
+    def _bytes(self, data: zenoh.ZBytes | None) -> bytes:
+        """The bytes; of what is longer than anything that is meant nothing, which none can read."""
+        return b"" if data is None or len(data) > self._largest else data.to_bytes()
+
+    # -- what goes out ---------------------------------------------------------------------------
+
+    def publish(self, key: str, *, kept: int = 0) -> Outlet:
+        """Offer messages under a key.
+
+        Raises:
+            UsageError: They are to be kept, and this session cannot.
+        """
         import zenoh
 
         drop = zenoh.CongestionControl.DROP
-        return _Outlet(self._session.declare_publisher(key, congestion_control=drop))
+        if not kept:
+            publisher = self._session.declare_publisher(key, congestion_control=drop)
+            return _Outlet(publisher, is_kept=False)
+        import zenoh.ext  # which the package does not load by itself
+
+        try:
+            # rmw_zenoh asks for what was kept by zenoh's advanced subscriber.
+            latched: Any = zenoh.ext.declare_advanced_publisher(
+                self._session,
+                key,
+                congestion_control=drop,
+                cache=zenoh.ext.CacheConfig(max_samples=kept),
+                publisher_detection=True,
+            )
+        except zenoh.ZError as error:
+            raise UsageError(
+                f"this session of zenoh keeps nothing for who comes late: {error}",
+                remedy="let its configuration enable timestamping, as rmw_zenoh's own does",
+            ) from error
+        return _Outlet(latched, is_kept=True)
+
+    def declare(self, token: str) -> Held:
+        """Show a token."""
+        return _Declared(self._session.liveliness().declare_token(token))
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def _received(self, sample: zenoh.Sample) -> Received:
+        return Received(self._bytes(sample.payload), self._bytes(sample.attachment))
+
+    def _question(self, query: zenoh.Query) -> Question:
+        drop: Callable[[], None] = query.drop
+
+        def answer(key: str, payload: bytes, attachment: bytes | None = None) -> None:
+            _unless_closed(query.reply, key, payload, attachment=attachment)
+            drop()
+
+        payload, attachment = self._bytes(query.payload), self._bytes(query.attachment)
+        return Question(str(query.key_expr), payload, answer, drop, attachment)
+
+    # -- handed over -----------------------------------------------------------------------------
 
     def subscribe(
         self, pattern: str, take: Callable[[str, bytes], None], *, depth: int = DEPTH
@@ -145,7 +253,7 @@ class FleetSession:
         queue = _Queue(self._loop, take, depth)
 
         def heard(sample: zenoh.Sample) -> None:
-            queue.put(str(sample.key_expr), _bytes(sample.payload))
+            queue.put(str(sample.key_expr), self._bytes(sample.payload))
 
         return _Declared(self._session.declare_subscriber(pattern, heard))
 
@@ -154,9 +262,65 @@ class FleetSession:
         queue = _Queue(self._loop, take, depth)
 
         def heard(query: zenoh.Query) -> None:
-            queue.put(_question(query))
+            queue.put(self._question(query))
 
         return _Declared(self._session.declare_queryable(key, heard))
+
+    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
+        """See tokens come and go."""
+        import zenoh
+
+        queue = _Queue(self._loop, take, DEPTH)
+        put = zenoh.SampleKind.PUT
+
+        def heard(sample: zenoh.Sample) -> None:
+            queue.put(str(sample.key_expr), sample.kind == put)
+
+        return _Declared(
+            self._session.liveliness().declare_subscriber(pattern, heard, history=True)
+        )
+
+    # -- taken in steps --------------------------------------------------------------------------
+
+    def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
+        """Hear messages."""
+        import zenoh
+
+        ring: Any = zenoh.handlers.RingChannel(depth)
+        return _Ring(self._session.declare_subscriber(pattern, ring), self._received, depth)
+
+    def questions(self, key: str, depth: int) -> Inbox[Question]:
+        """Hear questions."""
+        import zenoh
+
+        ring: Any = zenoh.handlers.RingChannel(depth)
+        # Complete: a client of rmw_zenoh asks those alone that answer for the whole key.
+        declared = self._session.declare_queryable(key, ring, complete=True)
+        return _Ring(declared, self._question, depth)
+
+    def changes(self, pattern: str) -> Inbox[TokenChange]:
+        """See tokens come and go."""
+        import zenoh
+
+        ring: Any = zenoh.handlers.RingChannel(DEPTH)
+        declared = self._session.liveliness().declare_subscriber(pattern, ring, history=True)
+        put = zenoh.SampleKind.PUT
+
+        def change(one: zenoh.Sample) -> TokenChange:
+            return TokenChange(str(one.key_expr), one.kind == put)
+
+        return _Ring(declared, change, DEPTH)
+
+    def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
+        """Ask whether anybody answers."""
+        import zenoh
+
+        # No ring, which is emptied when the question has ended.
+        queue: Any = zenoh.handlers.FifoChannel(_MOST_ANSWERS)
+        asked = self._session.get(key, queue, timeout=timeout)
+        return _Ring(asked, lambda reply: reply.ok is not None, _MOST_ANSWERS)
+
+    # -- waited for ------------------------------------------------------------------------------
 
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
         """Ask everybody who serves it."""
@@ -173,9 +337,17 @@ class FleetSession:
             )
 
         return [
-            Answer(str(one.key_expr), _bytes(one.payload))
+            Answer(str(one.key_expr), self._bytes(one.payload))
             for one in await self._replies(get, timeout)
         ]
+
+    async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
+        """The tokens that are there."""
+
+        def get(handler: Any) -> None:
+            self._session.liveliness().get(pattern, handler, timeout=timeout)
+
+        return [str(one.key_expr) for one in await self._replies(get, timeout)]
 
     async def _replies(self, get: Callable[[Any], None], timeout: float) -> list[zenoh.Sample]:
         """What is answered until zenoh says that no more comes, or the time is over."""
@@ -206,122 +378,74 @@ class FleetSession:
             _logger.warning("zenoh did not end a question in its time")
         return found
 
-    def declare(self, token: str) -> Held:
-        """Show a token."""
-        return _Declared(self._session.liveliness().declare_token(token))
-
-    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
-        """See tokens come and go."""
-        import zenoh
-
-        queue = _Queue(self._loop, take, DEPTH)
-        put = zenoh.SampleKind.PUT
-
-        def heard(sample: zenoh.Sample) -> None:
-            queue.put(str(sample.key_expr), sample.kind == put)
-
-        return _Declared(
-            self._session.liveliness().declare_subscriber(pattern, heard, history=True)
-        )
-
-    async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
-        """The tokens that are there."""
-
-        def get(handler: Any) -> None:
-            self._session.liveliness().get(pattern, handler, timeout=timeout)
-
-        return [str(one.key_expr) for one in await self._replies(get, timeout)]
-
-
-def session_config(
-    mode: str, *, connect: tuple[str, ...] = (), listen: tuple[str, ...] = ()
-) -> dict[str, str]:
-    """How a session of a fleet differs from zenoh's default: names of options, and JSON.
-
-    Nobody is looked for by multicast or gossip: who is not named is not met.
-
-    Args:
-        mode: ``client`` or ``router``.
-        connect: Where to connect to, such as ``tcp/127.0.0.1:7447``.
-        listen: Where to be connected to.
-    """
-    return {
-        "mode": json.dumps(mode),
-        "connect/endpoints": json.dumps(list(connect)),
-        # Of the first connection; a router that is lost later is looked for without end.
-        "connect/timeout_ms": str(FIRST_MS),
-        "listen/endpoints": json.dumps(list(listen)),
-        "scouting/multicast/enabled": "false",
-        "scouting/gossip/enabled": "false",
-        "transport/link/tx/lease": str(LEASE_MS),
-        "transport/link/rx/max_message_size": str(LARGEST),
-    }
-
 
 @asynccontextmanager
-async def open_session(
-    options: Mapping[str, str], *, is_patient: bool = False
-) -> AsyncIterator[FleetSession]:
+async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
     """A session while the block runs; a router that is lost meanwhile is found again.
 
     Args:
-        options: Of :func:`session_config`, and more of zenoh's.
-        is_patient: Wait for the first router as long as it takes.
+        opening: How.
 
     Raises:
-        UsageError: The package is missing, an option cannot be, a port is taken, or no router
-            answered.
+        UsageError: The package is missing, the file or an option cannot be, a port is taken, or
+            no router answered.
     """
     try:
         import zenoh
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"a fleet needs {error.name}, which is not installed",
-            remedy="pip install 'm100link[fleet]'",
+            f"{opening.purpose} needs {error.name}, which is not installed",
+            remedy=f"pip install 'm100link[{opening.extra}]'",
         ) from None
-    config = zenoh.Config()
-    for name, value in options.items():
+    config = _config(opening)
+    mode = str(json.loads(config.get_json("mode") or "null") or "peer")
+    is_told = False
+    while True:
         try:
-            config.insert_json5(name, value)
+            session = await asyncio.to_thread(zenoh.open, config)
+            break
         except zenoh.ZError as error:
-            raise UsageError(f"{name}={value} cannot be in a session: {error}") from error
-    session = await _opened(config, options, is_patient=is_patient)
+            if not (mode == "client" and opening.is_patient):
+                raise _refused(error, mode, opening) from error
+            if not is_told:
+                places = config.get_json("connect/endpoints")
+                _logger.warning("no router answers yet at %s", places)
+            is_told = True
+        await asyncio.sleep(_AGAIN_S)
     try:
-        yield FleetSession(session)
+        yield ZenohBus(session, opening.largest)
     finally:
         await asyncio.to_thread(session.close)
 
 
-async def _opened(
-    config: zenoh.Config, options: Mapping[str, str], *, is_patient: bool
-) -> zenoh.Session:
+def _config(opening: Opening) -> zenoh.Config:
     import zenoh
 
-    is_client = options.get("mode") == '"client"'
-    is_told = False
-    while True:
+    path, told_by = opening.file or ("", "")
+    try:
+        config = zenoh.Config.from_file(path) if path else zenoh.Config()
+    except (zenoh.ZError, OSError) as error:
+        raise UsageError(f"{told_by}: {path} cannot be read: {error}") from error
+    for name, value in opening.options.items():
         try:
-            return await asyncio.to_thread(zenoh.open, config)
+            config.insert_json5(name, value)
         except zenoh.ZError as error:
-            if not (is_client and is_patient):
-                raise _refused(error, options, is_client=is_client) from error
-            if not is_told:
-                _logger.warning("no router answers yet at %s", options["connect/endpoints"])
-            is_told = True
-        await asyncio.sleep(_AGAIN_S)
+            raise UsageError(f"{name}={value} cannot be in a session: {error}") from error
+    return config
 
 
-def _refused(error: Exception, options: Mapping[str, str], *, is_client: bool) -> UsageError:
+_NO_SESSION = {
+    "client": (
+        "no router answered",
+        "none runs there, a firewall is between, or it wants a certificate: nobody tells which",
+    ),
+    "router": ("no router can be here", ""),
+}
+
+
+def _refused(error: Exception, mode: str, opening: Opening) -> UsageError:
     # What zenoh says ends with the place in its source.
     seen = str(error).partition(" at /")[0].strip()
-    if not is_client:
-        return UsageError(
-            f"no router can be here: {seen}",
-            remedy="check where it listens, and that the port is free",
-        )
-    return UsageError(
-        f"no router answered: {seen}",
-        cause="none runs there, a firewall is between, or it asks for a certificate: the "
-        "network does not say which",
-        remedy="m100link fleet router --listen tcp/127.0.0.1:7447",
-    )
+    what, cause = _NO_SESSION.get(mode, ("no session of zenoh", ""))
+    remedy = opening.remedies.get(mode, opening.remedies.get("", ""))
+    return UsageError(f"{what}: {seen}", cause=cause, remedy=remedy)

@@ -11,7 +11,6 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from m100link.agent.messages import Event
-from m100link.bus.session import open_session, session_config
 from m100link.cli.common import err, out, places, run_async
 from m100link.cli.fleet import ROUTER, until_told
 from m100link.cli.logs import AS_IT_IS, LogOptions
@@ -24,6 +23,7 @@ from m100link.fleet.acl import router_config
 from m100link.fleet.keys import DEFAULT_SITE
 from m100link.fleet.lost import LostAction, LostPlan
 from m100link.fleet.rights import Rights
+from m100link.fleet.session import open_fleet
 from m100link.fleet.signing import tls_options, verifying
 from m100link.station.config import ENVIRONMENT, ONLY_NAME, Settings
 from m100link.station.fleet import (
@@ -98,7 +98,7 @@ def router(
 
     async def run() -> None:
         ended = until_told()
-        async with open_session(session_config("router", listen=listen) | options):
+        async with open_fleet("router", listen=listen, options=options):
             if json_output:
                 print_json({"listen": list(listen)})
             else:

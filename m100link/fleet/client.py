@@ -15,7 +15,6 @@ from m100link.agent.actions import Action
 from m100link.agent.fault import MessageError, fault_of
 from m100link.agent.messages import Ask
 from m100link.bus.network import Bus, Held
-from m100link.bus.session import open_session, session_config
 from m100link.errors import GuardRefused, M100Error
 from m100link.fleet.age import ORDER_AGE
 from m100link.fleet.asking import PATIENCE_S, Asker, Sign
@@ -24,6 +23,7 @@ from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import DEFAULT_SITE, Keys, name_in
 from m100link.fleet.outcome import Result
 from m100link.fleet.payloads import Card, unpack
+from m100link.fleet.session import open_fleet
 
 __all__ = ["Change", "Fleet", "FleetAircraft", "connect"]
 
@@ -360,9 +360,8 @@ async def connect(
         UsageError: The package is missing, an endpoint or option cannot be, or no router answered
             within 2 s.
     """
-    config = session_config("client", connect=endpoints) | (options or {})
     async with (
-        open_session(config) as bus,
+        open_fleet("client", connect=endpoints, options=options) as bus,
         Fleet(bus, site=site, name=name, sign=sign, patience=patience) as fleet,
     ):
         yield fleet

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.agent.background import BackgroundTasks
+from m100link.bus.network import Held, Inbox, Outlet, PolledBus, Question, Received
 from m100link.errors import M100Error
 from m100link.log.cdr import decode, encode
-from m100link.ros2.bus import Bus, Inbox, Outlet, Received, Request
 from m100link.ros2.graph import (
     GID_SIZE,
     Attachment,
@@ -104,6 +104,7 @@ class _Service:
     Attributes:
         topic: Its full name.
         kind: Its type.
+        key: Where it is asked.
         requests: What was asked.
         call: Answers.
         at_once: How many requests are carried out at once.
@@ -112,7 +113,8 @@ class _Service:
 
     topic: str
     kind: str
-    requests: Inbox[Request]
+    key: str
+    requests: Inbox[Question]
     call: Call
     at_once: int
     calls: int = 0
@@ -134,7 +136,7 @@ class Ends:
     """
 
     def __init__(
-        self, bus: Bus, name: NodeName, background: BackgroundTasks, utc: Callable[[], float]
+        self, bus: PolledBus, name: NodeName, background: BackgroundTasks, utc: Callable[[], float]
     ) -> None:
         self._bus, self._name, self._background, self._utc = bus, name, background, utc
         self._count = name.number * 1000  # an end has a number of its own in the session
@@ -142,11 +144,13 @@ class Ends:
         self.inputs: dict[str, Input] = {}
         self._services: list[_Service] = []
         self.refused = 0
-        bus.declare(name.token)
+        # Tokens end when nobody holds them.
+        self._tokens: list[Held] = [bus.declare(name.token)]
 
     def _show(self, end: End, topic: str, kind: str, qos: Qos) -> None:
         self._count += 1
-        self._bus.declare(self._name.token_of(self._count, end, topic, kind, qos))
+        token = self._name.token_of(self._count, end, topic, kind, qos)
+        self._tokens.append(self._bus.declare(token))
 
     def publish(self, topic: str, kind: str, qos: Qos) -> Topic:
         """Offer a topic.
@@ -164,7 +168,7 @@ class Ends:
 
     def subscribe(self, topic: str, kind: str) -> Input:
         """Listen to a topic."""
-        inbox = self._bus.subscribe(data_key(self._name.domain, topic, kind), _DEPTH)
+        inbox = self._bus.inbox(data_key(self._name.domain, topic, kind), _DEPTH)
         made = Input(inbox, kind)
         self.inputs[f"{topic} {kind}"] = made
         self._show(End.SUBSCRIBER, topic, kind, Qos())
@@ -179,8 +183,9 @@ class Ends:
             call: Answers a request.
             at_once: How many requests are carried out at once; what is more is not answered.
         """
-        requests = self._bus.serve(data_key(self._name.domain, topic, kind), _DEPTH)
-        self._services.append(_Service(topic, kind, requests, call, at_once))
+        key = data_key(self._name.domain, topic, kind)
+        requests = self._bus.questions(key, _DEPTH)
+        self._services.append(_Service(topic, kind, key, requests, call, at_once))
         self._show(End.SERVER, topic, kind, Qos())
 
     @property
@@ -203,8 +208,10 @@ class Ends:
             for request in service.requests.take():
                 self._take(service, request, is_deaf)
 
-    def _take(self, service: _Service, request: Request, is_deaf: bool) -> None:
+    def _take(self, service: _Service, request: Question, is_deaf: bool) -> None:
         try:
+            if request.key != service.key:
+                raise ValueError("a wildcard would take off, land and disarm at once")
             attachment = read_attachment(request.attachment)
             message = decode(f"{service.kind}_Request", request.payload)
             if is_deaf or service.calls >= service.at_once:
@@ -222,7 +229,7 @@ class Ends:
         service: _Service,
         message: dict[str, Any],
         attachment: Attachment,
-        request: Request,
+        request: Question,
     ) -> None:
         try:
             answer = encode(f"{service.kind}_Response", await service.call(message))
@@ -237,4 +244,4 @@ class Ends:
             service.calls -= 1
         at_ns = round(self._utc() * 1e9)
         ours = Attachment(attachment.sequence, at_ns, attachment.gid)
-        request.answer(answer, bytes(ours))
+        request.answer(request.key, answer, bytes(ours))

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
-from m100link.ros2.bus import Inbox
+from m100link.bus.network import Inbox, PolledBus
 
 __all__ = ["ASK_S", "SILENCE_S", "Heartbeat"]
 
@@ -21,6 +21,9 @@ ASK_S = 0.5
 
 SILENCE_S = 1.5
 """Seconds without an answer after which a session that had answered counts as gone."""
+
+_ANSWER_S = 2.0
+"""Seconds for which an answer of a session is waited for."""
 
 _WAITING = 3
 """Questions whose answers are still looked for, beside the newest."""
@@ -47,11 +50,11 @@ class Heartbeat:
     """Asks those sessions that something depends on.
 
     Args:
-        ask: Asks a session; its answer comes where that says.
+        bus: Where they are.
     """
 
-    def __init__(self, ask: Callable[[str], Inbox[bool]]) -> None:
-        self._ask = ask
+    def __init__(self, bus: PolledBus) -> None:
+        self._bus = bus
         self._sessions: dict[str, _Session] = {}
         self._asks_at = -math.inf
 
@@ -74,5 +77,6 @@ class Heartbeat:
         if now >= self._asks_at:
             self._asks_at = now + ASK_S
             for name, one in self._sessions.items():
-                one.asked = [*one.asked[-_WAITING:], self._ask(name)]
+                asked = self._bus.probe(f"@/{name}/*", timeout=_ANSWER_S)  # its admin space
+                one.asked = [*one.asked[-_WAITING:], asked]
         return any(-math.inf < one.answered_at < now - SILENCE_S for one in self._sessions.values())

@@ -9,13 +9,13 @@ from typing import Any
 
 from m100link.agent.client import AgentClient
 from m100link.agent.messages import Action
+from m100link.bus.network import PolledBus
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.ros2.actions import Actions
 from m100link.ros2.answers import answering, trigger
-from m100link.ros2.bus import Bus
 from m100link.ros2.descriptions import serve_descriptions
 from m100link.ros2.dji import DJI_OUTPUTS
 from m100link.ros2.ends import Call, Ends, Input
@@ -85,7 +85,7 @@ class Node:
     def __init__(
         self,
         agent: AgentClient,
-        bus: Bus,
+        bus: PolledBus,
         names: Names,
         *,
         domain: int = 0,
@@ -98,7 +98,7 @@ class Node:
         self.name = NodeName(domain, bus.session, names.namespace, names.node, number)
         self.ends = Ends(bus, self.name, agent.background, utc)
         self.helm = Helm(agent)
-        self._presence = Presence(lambda: bus.watch(f"{ADMIN}/{domain}/**"))
+        self._presence = Presence(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
         self._looked_at = self._ran_at = self._deaf_until = agent.now
         self._told: dict[str, float] = {}
         self._waiting: asyncio.Future[None] | None = None
@@ -131,7 +131,7 @@ class Node:
             self.ends,
             names,
             self._presence,
-            Heartbeat(bus.ask),
+            Heartbeat(bus),
             self.teller.time_now,
         )
         Parameters(agent, self.teller, self.ends, names)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from m100link.ros2.bus import MOST_TOKENS, Inbox, TokenChange
+from m100link.bus.network import DEPTH, Inbox, TokenChange
 from m100link.ros2.graph import End, Seen, read_token
 
 __all__ = ["Presence"]
 
-_MOST = 4 * MOST_TOKENS
+_MOST = 4 * DEPTH
 """Tokens that are known: a graph of hundreds of nodes has fewer."""
 
 
@@ -28,7 +28,7 @@ class Presence:
     def look(self) -> None:
         """Take what has changed. Of a flood some is lost: then all of them count as gone."""
         changes = self._inbox.take()
-        if len(changes) >= MOST_TOKENS:
+        if len(changes) >= DEPTH:
             self._seen.clear()
             self._inbox = self._watch()
             return

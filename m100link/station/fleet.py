@@ -13,11 +13,11 @@ from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.client import AgentClient
 from m100link.agent.messages import Event
 from m100link.bus.network import Bus
-from m100link.bus.session import open_session, session_config
 from m100link.fleet.agent import FleetAgent, Verify
 from m100link.fleet.keys import DEFAULT_SITE, Keys, check_name
 from m100link.fleet.ledger import FileLedger, Ledger, MemoryLedger
 from m100link.fleet.lost import LostPlan
+from m100link.fleet.session import open_fleet
 from m100link.fleet.show.service import ShowService
 from m100link.fleet.told import AgentTold
 from m100link.log.folder import state_folder
@@ -80,9 +80,10 @@ async def serving_fleet(
         UsageError: A name is taken or cannot be, a ledger cannot be written, no session can be.
     """
     keys = {name: Keys(fleet.site, name) for name in aircraft}  # before anything is opened
-    config = session_config("client", connect=fleet.connect) | fleet.options
     async with AsyncExitStack() as stack:
-        bus = await stack.enter_async_context(open_session(config, is_patient=True))
+        bus = await stack.enter_async_context(
+            open_fleet("client", connect=fleet.connect, options=fleet.options, is_patient=True)
+        )
         agents = {}
         for place, (name, settings) in enumerate(aircraft.items()):
             ledger = _ledger(stack, fleet, keys[name])

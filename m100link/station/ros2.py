@@ -9,10 +9,10 @@ from importlib.util import find_spec
 
 from m100link.agent.client import AgentClient
 from m100link.errors import UsageError
-from m100link.ros2.bus import open_bus
 from m100link.ros2.flights import FLIGHTS
 from m100link.ros2.graph import Names
 from m100link.ros2.node import Node
+from m100link.ros2.session import open_ros2
 from m100link.ros2.topics import INPUTS, SERVICES
 from m100link.station.config import Settings, namespace_of
 
@@ -84,7 +84,7 @@ async def serving_ros2(
         UsageError: The session cannot be.
     """
     names = nodes_of(settings, list(agents))
-    async with open_bus() as bus:
+    async with open_ros2() as bus:
         nodes = [
             Node(
                 agent,

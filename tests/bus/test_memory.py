@@ -104,3 +104,33 @@ async def test_a_cut_is_silence_and_tokens_go_after_a_while() -> None:
     await anyio.sleep(0.01)
     assert seen[3:] == [("a/live", False)]
     assert await other.tokens("**", timeout=1.0) == []
+
+
+async def test_what_is_taken_in_steps_waits_in_what_it_has_room_for() -> None:
+    network = MemoryNetwork(1)
+    one, other = network.session(), network.session()
+    assert one.session != other.session
+    inbox, questions, tokens = (
+        other.inbox("a/*", 2),
+        other.questions("a/service", 2),
+        other.changes("live/**"),
+    )
+    outlet = one.publish("a/b")
+    for number in range(5):
+        outlet.put(b"%d" % number, b"beside")
+    held = one.declare("live/one")
+    probes = [one.probe(key, timeout=1.0) for key in ("a/service", "a/nobody")]
+    await anyio.sleep(0.1)
+    assert [(got.payload, got.attachment) for got in inbox.take()] == [
+        (b"3", b"beside"),
+        (b"4", b"beside"),
+    ]
+    assert inbox.take() == []
+    [question] = questions.take()
+    question.answer("a/service", b"")
+    held.close()
+    await anyio.sleep(0.1)
+    assert [(c.key, c.is_there) for c in tokens.take()] == [("live/one", True), ("live/one", False)]
+    assert [probe.take() for probe in probes] == [[True], []]
+    assert one.publish("a/nobody", kept=1).is_wanted()
+    assert not one.publish("b/nobody").is_wanted()

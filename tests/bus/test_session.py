@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
@@ -11,8 +10,9 @@ import anyio
 import pytest
 
 from m100link.bus.network import Question
-from m100link.bus.session import LARGEST, FleetSession, open_session, session_config
+from m100link.bus.session import LARGEST, Opening, ZenohBus, open_session
 from m100link.errors import UsageError
+from tests.bus.pair import free_place, opening, until
 from tests.waiting import PATIENCE
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
@@ -25,35 +25,20 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-def free_place() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
-async def until(predicate: Callable[[], object]) -> None:
-    with anyio.fail_after(PATIENCE):
-        while not predicate():  # noqa: ASYNC110 - other threads bring it
-            await anyio.sleep(0.01)
-
-
 @pytest.fixture
-async def sessions() -> AsyncIterator[tuple[FleetSession, FleetSession]]:
-    place = free_place()
+async def sessions() -> AsyncIterator[tuple[ZenohBus, ZenohBus]]:
+    place = [free_place()]
     async with AsyncExitStack() as stack:
-        await stack.enter_async_context(open_session(session_config("router", listen=(place,))))
+        await stack.enter_async_context(open_session(opening("router", listen_endpoints=place)))
+        client = opening("client", connect_endpoints=place)
         yield (
-            await stack.enter_async_context(
-                open_session(session_config("client", connect=(place,)))
-            ),
-            await stack.enter_async_context(
-                open_session(session_config("client", connect=(place,)))
-            ),
+            await stack.enter_async_context(open_session(client)),
+            await stack.enter_async_context(open_session(client)),
         )
 
 
 async def test_messages_arrive_in_the_event_loop(
-    sessions: tuple[FleetSession, FleetSession],
+    sessions: tuple[ZenohBus, ZenohBus],
 ) -> None:
     one, other = sessions
     found: list[tuple[str, bytes]] = []
@@ -77,7 +62,7 @@ async def test_messages_arrive_in_the_event_loop(
 
 
 async def test_each_answers_under_its_own_key(
-    sessions: tuple[FleetSession, FleetSession],
+    sessions: tuple[ZenohBus, ZenohBus],
 ) -> None:
     one, other = sessions
 
@@ -100,7 +85,7 @@ async def test_each_answers_under_its_own_key(
 
 
 async def test_a_question_that_is_held_is_answered_later(
-    sessions: tuple[FleetSession, FleetSession],
+    sessions: tuple[ZenohBus, ZenohBus],
 ) -> None:
     one, other = sessions
     waiting: list[Question] = []
@@ -120,7 +105,7 @@ async def test_a_question_that_is_held_is_answered_later(
     assert answers == [b"late"]
 
 
-async def test_tokens_come_and_go(sessions: tuple[FleetSession, FleetSession]) -> None:
+async def test_tokens_come_and_go(sessions: tuple[ZenohBus, ZenohBus]) -> None:
     one, other = sessions
     token = one.declare("m/a1/live")
     found: list[str] = []
@@ -135,52 +120,8 @@ async def test_tokens_come_and_go(sessions: tuple[FleetSession, FleetSession]) -
     await until(lambda: seen[-1] == ("m/a1/live", False))
 
 
-async def test_no_router_is_told_with_what_to_do() -> None:
-    with pytest.raises(UsageError, match="no router answered") as caught:
-        async with open_session(session_config("client", connect=(free_place(),))):
-            pass
-    assert "fleet router" in caught.value.remedy
-
-
-async def test_a_port_that_is_taken_and_an_option_that_cannot_be() -> None:
-    place = free_place()
-    async with open_session(session_config("router", listen=(place,))):
-        with pytest.raises(UsageError, match="no router can be here"):
-            async with open_session(session_config("router", listen=(place,))):
-                pass
-    with pytest.raises(UsageError, match="cannot be in a session"):
-        async with open_session({"mode": '"captain"'}):
-            pass
-
-
-async def test_who_is_patient_waits_for_the_router() -> None:
-    place = free_place()
-    async with AsyncExitStack() as stack:
-
-        async def late() -> None:
-            async with open_session(
-                session_config("client", connect=(place,)), is_patient=True
-            ) as session:
-                session.declare("m/late/live")
-                await until(done.is_set)
-
-        done = anyio.Event()
-        async with anyio.create_task_group() as group:
-            group.start_soon(late)
-            await anyio.sleep(0.2)
-            config = session_config("router", listen=(place,))
-            await stack.enter_async_context(open_session(config))
-            watcher = await stack.enter_async_context(
-                open_session(session_config("client", connect=(place,)))
-            )
-            seen: list[str] = []
-            watcher.watch("m/*/live", lambda key, _: seen.append(key))
-            await until(lambda: seen)
-            done.set()
-
-
 async def test_what_is_too_long_is_not_taken(
-    sessions: tuple[FleetSession, FleetSession],
+    sessions: tuple[ZenohBus, ZenohBus],
 ) -> None:
     one, other = sessions
     found: list[int] = []
@@ -191,3 +132,34 @@ async def test_what_is_too_long_is_not_taken(
     outlet.put(b"short")
     await until(lambda: 5 in found)
     assert max(found) == 5
+
+
+@pytest.mark.parametrize(
+    ("mode", "told", "done"),
+    [
+        ("client", "no router answered", "start one"),
+        ("router", "no router can be here", "look at the port"),
+        ("peer", "no session of zenoh", "look at the port"),
+    ],
+)
+async def test_what_cannot_be_opened_is_told_in_the_words_of_who_needs_it(
+    mode: str, told: str, done: str
+) -> None:
+    place = [free_place()]
+    async with open_session(opening("router", listen_endpoints=place)):
+        made = opening(mode, listen_endpoints=place)
+        if mode == "client":
+            made = opening(mode, connect_endpoints=[free_place()])
+        options = dict(made.options) | {"connect/timeout_ms": "100"}
+        remedies = {"client": "start one", "": "look at the port"}
+        with pytest.raises(UsageError, match=told) as caught:
+            async with open_session(Opening("a test", "x", options, remedies=remedies)):
+                pass
+    assert caught.value.remedy == done
+    assert " at /" not in str(caught.value)  # a place in zenoh's source helps nobody
+
+
+async def test_an_option_that_cannot_be() -> None:
+    with pytest.raises(UsageError, match="cannot be in a session"):
+        async with open_session(Opening("a test", "x", {"mode": '"captain"'})):
+            pass

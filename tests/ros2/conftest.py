@@ -15,8 +15,8 @@ from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver
 from m100link.agent.service import Service
+from m100link.bus.network import Held, Inbox, Outlet, Question, Received, TokenChange
 from m100link.log.cdr import decode, encode
-from m100link.ros2.bus import Inbox, Outlet, Received, Request, TokenChange
 from m100link.ros2.graph import Attachment, Names, data_key, read_attachment
 from m100link.ros2.node import Node
 from m100link.ros2.topics import INPUTS, OUTPUTS, SERVICES
@@ -48,11 +48,14 @@ class MemoryOutlet(Outlet):
         self.sent: list[tuple[bytes, bytes]] = []
         self.has_listeners = True
 
-    def put(self, payload: bytes, attachment: bytes) -> None:
-        self.sent.append((payload, attachment))
+    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
+        self.sent.append((payload, attachment or b""))
 
     def is_wanted(self) -> bool:
         return self.has_listeners
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
 class MemoryBus:
@@ -64,27 +67,30 @@ class MemoryBus:
         self.outlets: dict[str, MemoryOutlet] = {}
         self.inboxes: dict[str, MemoryInbox] = {}
         self.tokens: list[str] = []
-        self.changes = MemoryInbox(1024)
+        self.changed = MemoryInbox(1024)
         self.asked: list[str] = []
         self.answering: set[str] = set()
 
     def publish(self, key: str, *, kept: int = 0) -> Outlet:
         return self.outlets.setdefault(key, MemoryOutlet())
 
-    def subscribe(self, key: str, depth: int) -> Inbox[Received]:
+    def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
+        return self.inboxes.setdefault(pattern, MemoryInbox(depth))
+
+    def questions(self, key: str, depth: int) -> Inbox[Question]:
         return self.inboxes.setdefault(key, MemoryInbox(depth))
 
-    def serve(self, key: str, depth: int) -> Inbox[Request]:
-        return self.inboxes.setdefault(key, MemoryInbox(depth))
-
-    def declare(self, token: str) -> None:
+    def declare(self, token: str) -> Held:
         self.tokens.append(token)
+        return MemoryOutlet()
 
-    def watch(self, pattern: str) -> Inbox[TokenChange]:
-        return self.changes
+    def changes(self, pattern: str) -> Inbox[TokenChange]:
+        return self.changed
 
-    def ask(self, session: str) -> Inbox[bool]:
+    def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         inbox = MemoryInbox(1)
+        at, session, every = key.split("/")
+        assert (at, every) == ("@", "*")
         self.asked.append(session)
         if session in self.answering:
             inbox.waiting.append(True)
@@ -133,19 +139,27 @@ class Program:
     async def call(self, name: str, kind: str = "", **request: Any) -> dict[str, Any]:
         """Ask a service of the table, or any other one whose type is given."""
         kind = kind or SERVICES[name].kind
+        key = data_key(0, self.rig.names.full(name), kind)
+        return await self.ask(key, name, kind, request) or {"success": None}
+
+    async def ask(
+        self, key: str, name: str, kind: str, request: dict[str, Any] | None = None
+    ) -> dict[str, Any] | None:
+        """Ask a service by a key, or a pattern; None when there is no answer."""
         answers: list[tuple[bytes, bytes]] = []
         attachment = self.attachment()
-        asked = Request(
-            encode(f"{kind}_Request", request),
-            attachment,
-            lambda payload, its: answers.append((payload, its)),
+        asked = Question(
+            key,
+            encode(f"{kind}_Request", request or {}),
+            lambda _, payload, its=b"": answers.append((payload, its or b"")),
             lambda: answers.append((b"", b"")),
+            attachment,
         )
         self.rig.inbox(name, kind).waiting.append(asked)
         await self.rig.until(lambda: bool(answers))
         payload, its = answers[0]
         if not payload:
-            return {"success": None}
+            return None
         ours, theirs = read_attachment(attachment), read_attachment(its)
         assert (theirs.sequence, theirs.gid) == (ours.sequence, ours.gid)
         return decode(f"{kind}_Response", payload)

@@ -8,11 +8,11 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.bus.network import TokenChange
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import decode
 from m100link.log.ros2_definitions import ACTIONS
 from m100link.ros2.actions import GoalStatus
-from m100link.ros2.bus import TokenChange
 from m100link.ros2.flights import FLIGHTS
 from m100link.ros2.graph import End, NodeName, Qos, data_key
 from tests.ros2.conftest import Program, Rig
@@ -37,14 +37,14 @@ class Client(Program):
             for place, name in enumerate(FLIGHTS)
         ]
         for token in self.tokens:
-            rig.bus.changes.waiting.append(TokenChange(token, True))
+            rig.bus.changed.waiting.append(TokenChange(token, True))
         self.count = 0
         self.last = b""
 
     def leave(self) -> None:
         """As after kill -9."""
         for token in self.tokens:
-            self.rig.bus.changes.waiting.append(TokenChange(token, False))
+            self.rig.bus.changed.waiting.append(TokenChange(token, False))
 
     def inner(self, name: str, part: str) -> str:
         return f"{self.rig.names.full(name)}/_action/{part}"

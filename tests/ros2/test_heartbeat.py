@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from m100link.bus.network import Inbox
 from m100link.ros2.heartbeat import ASK_S, SILENCE_S, Heartbeat
-from tests.ros2.conftest import MemoryBus
+from tests.ros2.conftest import MemoryBus, MemoryInbox
 
 STEP_S = 0.02
 
@@ -13,7 +14,7 @@ STEP_S = 0.02
 class Clock:
     def __init__(self, bus: MemoryBus, *sessions: str) -> None:
         self.now = 0.0
-        self.heartbeat = Heartbeat(bus.ask)
+        self.heartbeat = Heartbeat(bus)
         self.heartbeat.follow(sessions)
 
     def until_missing(self, seconds: float) -> float | None:
@@ -63,16 +64,17 @@ def test_a_late_answer_is_one(bus: MemoryBus) -> None:
     assert clock.until_missing(2.0) is None
     waiting = []
 
-    def ask(session: str) -> object:
-        waiting.append((clock.now, inbox := bus.ask("nobody")))
-        return inbox
+    class Slow(MemoryBus):
+        def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
+            waiting.append((clock.now, inbox := MemoryInbox(1)))
+            return inbox
 
-    clock.heartbeat._ask = ask  # type: ignore[assignment]
+    clock.heartbeat._bus = Slow()
     for _ in range(500):
         assert clock.until_missing(STEP_S) is None
         for at, inbox in waiting:
             if clock.now - at >= 0.9:
-                inbox.waiting.append(True)  # type: ignore[attr-defined]
+                inbox.waiting.append(True)
         waiting = [one for one in waiting if clock.now - one[0] < 0.9]
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from random import Random
 
 import anyio
 import pytest
 
+from m100link.bus.network import Question, Received, TokenChange
 from m100link.log.cdr import encode
-from m100link.ros2.bus import Received, Request, TokenChange
-from m100link.ros2.graph import End, Names, NodeName, read_token
+from m100link.ros2.graph import End, Names, NodeName, data_key, read_token
 from m100link.ros2.helm import IDLE_S
 from m100link.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from tests.ros2.conftest import Program, Rig
@@ -78,13 +79,13 @@ async def test_control_of_somebody_else_is_not_taken(rig: Rig, program: Program)
 
 async def test_of_two_nodes_of_one_name_none_is_flown(rig: Rig, program: Program) -> None:
     other = NodeName(0, "anotherone", "/", "m100").token
-    rig.bus.changes.waiting.append(TokenChange(rig.node.name.token, True))
-    rig.bus.changes.waiting.append(TokenChange(other, True))
+    rig.bus.changed.waiting.append(TokenChange(rig.node.name.token, True))
+    rig.bus.changed.waiting.append(TokenChange(other, True))
     await anyio.sleep(0.1)
     answer = await program.call("~/obtain_control")
     assert not answer["success"]
     assert "two nodes are called /m100" in answer["message"]
-    rig.bus.changes.waiting.append(TokenChange(other, False))
+    rig.bus.changed.waiting.append(TokenChange(other, False))
     await anyio.sleep(0.1)
     assert (await program.call("~/obtain_control"))["success"]
 
@@ -248,8 +249,10 @@ async def test_junk_is_counted_and_moves_nothing(rig: Rig, program: Program) -> 
             await anyio.sleep(0.02)
     dropped: list[int] = []
     for name, service in SERVICES.items():
+        key = data_key(0, rig.names.full(name), service.kind)
         for data in (b"", b"\1\1\0\0", random.randbytes(20)):
-            asked = Request(data, program.attachment(), print, lambda: dropped.append(1))
+            end = partial(dropped.append, 1)
+            asked = Question(key, data, print, end, program.attachment())
             rig.inbox(name, service.kind).waiting.append(asked)
             await anyio.sleep(0.02)
     assert len(dropped) >= 2 * len(SERVICES)
@@ -257,6 +260,15 @@ async def test_junk_is_counted_and_moves_nothing(rig: Rig, program: Program) -> 
     assert rig.speed < 1.0
     assert not rig.work.done()
     assert (await program.call("~/land"))["success"]
+
+
+async def test_who_asks_all_services_at_once_asks_none(rig: Rig, program: Program) -> None:
+    assert (await program.call("~/obtain_control"))["success"]
+    for pattern in ("0/m100/**", "0/*/takeoff/**"):
+        assert await program.ask(pattern, "~/takeoff", SERVICES["~/takeoff"].kind) is None
+    await anyio.sleep(3.0)
+    assert rig.height < 0.5
+    assert rig.node.ends.junk == 2
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from m100link.ros2.bus import MOST_TOKENS, TokenChange
+from m100link.bus.network import DEPTH, TokenChange
 from m100link.ros2.graph import End, NodeName, Qos
 from m100link.ros2.presence import Presence
 from tests.ros2.conftest import MemoryInbox
@@ -47,23 +47,23 @@ def test_who_went_and_is_back_within_a_step_was_gone() -> None:
 
 
 def test_a_flood_of_tokens_is_not_kept() -> None:
-    inbox = MemoryInbox(MOST_TOKENS)
+    inbox = MemoryInbox(DEPTH)
     presence = Presence(lambda: inbox)
-    for number in range(10 * MOST_TOKENS):
+    for number in range(10 * DEPTH):
         inbox.waiting.append(TokenChange(token(str(number)), True))
         if number % 1000 == 0:
             presence.look()
-    assert len(presence.clients(TOPIC)) <= 4 * MOST_TOKENS
+    assert len(presence.clients(TOPIC)) <= 4 * DEPTH
 
 
 def test_of_a_flood_some_is_lost_and_then_all_count_as_gone() -> None:
-    inboxes = [MemoryInbox(MOST_TOKENS), MemoryInbox(MOST_TOKENS)]
+    inboxes = [MemoryInbox(DEPTH), MemoryInbox(DEPTH)]
     waiting = iter(inboxes)
     presence = Presence(lambda: next(waiting))
     inboxes[0].waiting.append(TokenChange(token("a"), True))
     presence.look()
     clients = presence.clients(TOPIC)
-    for number in range(2 * MOST_TOKENS):
+    for number in range(2 * DEPTH):
         inboxes[0].waiting.append(TokenChange(token(str(number)), True))
     presence.look()
     assert presence.missing(clients)

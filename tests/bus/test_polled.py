@@ -1,36 +1,30 @@
-"""zenoh itself, over loopback: what goes out comes in, and floods cost the oldest."""
+"""zenoh itself, over loopback: what waits to be taken, and floods that cost the oldest."""
 
 from __future__ import annotations
 
-import json
-import socket
-from collections.abc import Callable
 from contextlib import AsyncExitStack
-from pathlib import Path
 from time import monotonic
 from typing import Any
 
 import anyio
 import pytest
 
+from m100link.bus.network import Inbox
+from m100link.bus.session import Opening, ZenohBus, open_session
 from m100link.errors import UsageError
-from m100link.ros2.bus import MOST_BYTES, Inbox, ZenohBus, open_bus
+from tests.bus.pair import opening, two, until
 from tests.waiting import PATIENCE
 
 zenoh: Any = pytest.importorskip("zenoh", reason="the extra ros2 is not installed")
 
 pytestmark = pytest.mark.anyio
 
+MOST_BYTES = 32768
+
 
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
-
-
-async def until(predicate: Callable[[], object]) -> None:
-    with anyio.fail_after(PATIENCE):
-        while not predicate():  # noqa: ASYNC110 - other threads bring it
-            await anyio.sleep(0.01)
 
 
 async def some(inbox: Inbox[Any]) -> list[Any]:
@@ -44,27 +38,16 @@ async def some(inbox: Inbox[Any]) -> list[Any]:
     return found
 
 
-async def two(stack: AsyncExitStack, *, second: str = "") -> tuple[ZenohBus, ZenohBus]:
-    """Two sessions, one of which listens where the other one connects."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        place = json.dumps([f"tcp/127.0.0.1:{probe.getsockname()[1]}"])
-    first = {"ZENOH_CONFIG_OVERRIDE": f"listen/endpoints={place};connect/endpoints=[]"}
-    other = {"ZENOH_CONFIG_OVERRIDE": f"connect/endpoints={place};{second}"}
-    return (
-        await stack.enter_async_context(open_bus(first)),
-        await stack.enter_async_context(open_bus(other)),
-    )
-
-
 async def test_what_goes_out_comes_in() -> None:
     async with AsyncExitStack() as stack:
         one, other = await two(stack)
         assert one.session != other.session
-        tokens = other.watch("@ros2_lv/**")
-        one.declare("@ros2_lv/0/here")
+        tokens = other.changes("@ros2_lv/**")
+        token = one.declare("@ros2_lv/0/here")
         assert [(c.key, c.is_there) for c in await some(tokens)] == [("@ros2_lv/0/here", True)]
-        outlet, inbox = one.publish("0/a"), other.subscribe("0/a", 8)
+        token.close()
+        assert [(c.key, c.is_there) for c in await some(tokens)] == [("@ros2_lv/0/here", False)]
+        outlet, inbox = one.publish("0/a"), other.inbox("0/a", 8)
         await until(outlet.is_wanted)
         outlet.put(b"payload", b"attachment")
         assert [(r.payload, r.attachment) for r in await some(inbox)] == [
@@ -84,8 +67,8 @@ async def test_what_goes_out_comes_in() -> None:
 
 async def test_what_is_too_long_is_not_read() -> None:
     async with AsyncExitStack() as stack:
-        one, other = await two(stack)
-        outlet, inbox = one.publish("0/a"), other.subscribe("0/a", 8)
+        one, other = await two(stack, largest=MOST_BYTES)
+        outlet, inbox = one.publish("0/a"), other.inbox("0/a", 8)
         await until(outlet.is_wanted)
         seen: list[int] = []
 
@@ -108,7 +91,7 @@ async def test_what_is_too_long_is_not_read() -> None:
 async def test_a_ring_that_is_filled_meanwhile_has_an_end() -> None:
     async with AsyncExitStack() as stack:
         one, other = await two(stack)
-        outlet, inbox = one.publish("0/a"), other.subscribe("0/a", 8)
+        outlet, inbox = one.publish("0/a"), other.inbox("0/a", 8)
         await until(outlet.is_wanted)
         ends_at = anyio.current_time() + 2.0
 
@@ -142,7 +125,7 @@ async def test_who_comes_late_gets_what_was_latched() -> None:
 async def test_a_request_is_answered_or_dropped() -> None:
     async with AsyncExitStack() as stack:
         one, other = await two(stack)
-        inbox = one.serve("0/service", 4)
+        inbox = one.questions("0/service", 4)
         querier: Any = other._session.declare_querier("0/service", timeout=1000.0 * PATIENCE)
         await until(lambda: querier.matching_status.matching)
 
@@ -152,7 +135,7 @@ async def test_a_request_is_answered_or_dropped() -> None:
         answers = ask(b"question")
         [request] = await some(inbox)
         assert (request.payload, request.attachment) == (b"question", b"a")
-        request.answer(b"answer", b"b")
+        request.answer(request.key, b"answer", b"b")
         [reply] = await anyio.to_thread.run_sync(list, answers)
         assert (bytes(reply.ok.payload), bytes(reply.ok.attachment)) == (b"answer", b"b")
         answers = ask(b"junk")
@@ -161,29 +144,33 @@ async def test_a_request_is_answered_or_dropped() -> None:
         assert await anyio.to_thread.run_sync(list, answers) == []
 
 
-async def test_who_asks_all_services_at_once_asks_none() -> None:
+async def test_a_question_by_a_pattern_says_so() -> None:
     async with AsyncExitStack() as stack:
         one, other = await two(stack)
-        inbox = one.serve("0/service", 4)
+        inbox = one.questions("0/service", 4)
         querier: Any = other._session.declare_querier("0/service", timeout=1000.0 * PATIENCE)
         await until(lambda: querier.matching_status.matching)
         ring = zenoh.handlers.FifoChannel(8)
         answers = other._session.get("0/*", ring, payload=b"question", timeout=PATIENCE)
         [request] = await some(inbox)
-        assert request.payload == b""
+        assert (request.key, request.payload) == ("0/*", b"question")
         request.drop()
         assert await anyio.to_thread.run_sync(list, answers) == []
 
 
-async def test_a_session_with_an_admin_space_answers_and_no_other_one() -> None:
+async def test_a_probe_is_answered_by_who_has_what_it_asks_for() -> None:
     async with AsyncExitStack() as stack:
-        one, other = await two(stack, second="adminspace/enabled=true")
-        nobody = [other.ask(one.session), one.ask("abcdef")]
+        one, other = await two(stack, adminspace_enabled=True)
+
+        def probe(by: ZenohBus, session: str) -> Inbox[bool]:
+            return by.probe(f"@/{session}/*", timeout=2.0)
+
+        nobody = [probe(other, one.session), probe(one, "abcdef")]
         asked: list[Inbox[bool]] = []
 
         def answers() -> bool:
-            asked.append(one.ask(other.session))
-            nobody.append(other.ask(one.session))
+            asked.append(probe(one, other.session))
+            nobody.append(probe(other, one.session))
             return any(any(inbox.take()) for inbox in asked)
 
         await until(answers)
@@ -191,33 +178,17 @@ async def test_a_session_with_an_admin_space_answers_and_no_other_one() -> None:
 
 
 async def test_nothing_is_raised_when_the_session_has_ended() -> None:
-    async with open_bus({"ZENOH_CONFIG_OVERRIDE": "connect/endpoints=[]"}) as bus:
+    async with open_session(opening("peer")) as bus:
         outlet = bus.publish("0/a")
-        inbox = bus.ask("abcdef")
+        inbox = bus.probe("@/abcdef/*", timeout=2.0)
     outlet.put(b"", b"")
     assert inbox.take() == []
 
 
-@pytest.mark.parametrize(
-    ("variable", "value"),
-    [
-        ("ZENOH_SESSION_CONFIG_URI", "/nowhere/session.json5"),
-        ("ZENOH_CONFIG_OVERRIDE", "mode"),
-        ("ZENOH_CONFIG_OVERRIDE", 'mode="nonsense"'),
-        ("ZENOH_CONFIG_OVERRIDE", "connect/endpoints=[7]"),
-        ("ZENOH_CONFIG_OVERRIDE", 'listen/endpoints=["tcp/127.0.0.1:1:2"]'),
-    ],
-)
-async def test_a_configuration_that_cannot_be_is_told(variable: str, value: str) -> None:
-    with pytest.raises(UsageError) as refusal:
-        async with open_bus({variable: value}):
-            pass
-    assert variable in str(refusal.value) or value.partition("=")[0] in str(refusal.value)
-
-
-async def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
-    path = tmp_path / "session.json5"
-    path.write_text('{mode: "client", connect: {endpoints: ["tcp/127.0.0.1:1"], timeout_ms: 100}}')
-    with pytest.raises(UsageError, match="no session"):  # as a client it needs a router at once
-        async with open_bus({"ZENOH_SESSION_CONFIG_URI": str(path)}):
-            pass
+async def test_what_is_kept_needs_a_session_with_stamps() -> None:
+    plain = dict(opening("peer").options) | {"timestamping/enabled": "false"}
+    async with open_session(Opening("a test", "x", plain)) as bus:
+        bus.publish("0/a").close()
+        with pytest.raises(UsageError, match="keeps nothing") as caught:
+            bus.publish("0/a", kept=1)
+    assert "timestamping" in caught.value.remedy

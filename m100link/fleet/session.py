@@ -1,0 +1,64 @@
+"""A session of a fleet: how it differs from zenoh's default."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import AbstractAsyncContextManager
+from typing import Literal
+
+from m100link.bus.session import LARGEST, Opening, ZenohBus, open_session
+
+__all__ = ["LEASE_MS", "open_fleet"]
+
+LEASE_MS = 1500
+"""Milliseconds after which a silent end of a connection counts as gone; zenoh's own 10 s would
+leave an aircraft on the wall that long after its cable was cut."""
+
+FIRST_MS = 2000
+"""Milliseconds in which a router has to answer the first time."""
+
+_REMEDIES = {
+    "client": "m100link fleet router --listen tcp/127.0.0.1:7447",
+    "router": "check where it listens, and that the port is free",
+}
+
+
+def open_fleet(
+    mode: Literal["client", "router"],
+    *,
+    connect: tuple[str, ...] = (),
+    listen: tuple[str, ...] = (),
+    options: Mapping[str, str] | None = None,
+    is_patient: bool = False,
+) -> AbstractAsyncContextManager[ZenohBus]:
+    """A session while the block runs; a router that is lost meanwhile is found again.
+
+    Nobody is looked for by multicast or gossip: who is not named is not met.
+
+    Args:
+        mode: What it is.
+        connect: Where to connect to, such as ``tcp/127.0.0.1:7447``.
+        listen: Where to be connected to.
+        options: More of zenoh's, by name, as JSON.
+        is_patient: Wait for the first router as long as it takes.
+
+    Raises:
+        UsageError: The package is missing, an option cannot be, a port is taken, or no router
+            answered.
+    """
+    ours = {
+        "mode": json.dumps(mode),
+        "connect/endpoints": json.dumps(list(connect)),
+        # Of the first connection; a router that is lost later is looked for without end.
+        "connect/timeout_ms": str(FIRST_MS),
+        "listen/endpoints": json.dumps(list(listen)),
+        "scouting/multicast/enabled": "false",
+        "scouting/gossip/enabled": "false",
+        "transport/link/tx/lease": str(LEASE_MS),
+        "transport/link/rx/max_message_size": str(LARGEST),
+    }
+    given = ours | dict(options or {})
+    return open_session(
+        Opening("a fleet", "fleet", given, is_patient=is_patient, remedies=_REMEDIES)
+    )
