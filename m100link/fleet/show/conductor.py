@@ -98,6 +98,8 @@ class Conductor:
         self._tell = tell
         self._utc = utc
         self._clock = asyncio.get_running_loop().time
+        # Our own clock less each agent's, at most, as of its last answer.
+        self._behind: dict[str, float] = {}
 
     async def fly(self) -> dict[str, Part]:
         """Fly it.
@@ -161,11 +163,20 @@ class Conductor:
         keys = self._keys[track.name]
         for _ in range(_TRIES):
             message = SHOW + json.dumps(wanted).encode()
-            order = Order(uuid.uuid4().hex, track.name, self._who, 0, self._utc(), message)
+            order = Order(
+                uuid.uuid4().hex,
+                track.name,
+                self._who,
+                0,
+                self._utc(),
+                message,
+                self._its_at_least(track.name),
+            )
             payload = pack(order if self._sign is None else self._sign(order))
             for answer in await self._bus.ask(keys.show, payload, timeout=_ANSWER_S):
                 reply: Reply = unpack(Reply, answer.payload)
                 if reply.id in (order.id, "") and reply.name == track.name:
+                    self._behind[track.name] = self._clock() - reply.clock
                     if reply.fault is not None:
                         raise reply.fault.error()
                     return _part(reply)
@@ -175,6 +186,11 @@ class Conductor:
             cause="no agent of that name is there, or the router routes nothing to it",
             remedy="m100link fleet list; m100link fleet acl check",
         )
+
+    def _its_at_least(self, name: str) -> float:
+        """What the clock of an agent shows by now, at the earliest, s; 0: it was not heard yet."""
+        behind = self._behind.get(name)
+        return 0.0 if behind is None else self._clock() - behind
 
     async def _do(self, track: TimedTrack, wanted: dict[str, Any], *done: Stage) -> Part:
         """An order; one that was done although its answer was lost is refused and yet done."""

@@ -15,6 +15,7 @@ from m100link.agent.client import AgentClient
 from m100link.agent.fault import MessageError, fault_of
 from m100link.bus.network import Bus, Question
 from m100link.errors import M100Error, NotAllowed
+from m100link.fleet.age import require_young
 from m100link.fleet.agent import Verify
 from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import outcome_of
@@ -101,6 +102,8 @@ class ShowService:
                 case "load":
                     performer.load(bytes(self._pieces), wanted["leave"])
                 case "place":
+                    # It takes off: not minutes later, when whoever conducts has given up.
+                    require_young(order.clock, self._client.now)
                     performer.place(order.signer or order.by)
                 case "start":
                     performer.start(

@@ -48,7 +48,8 @@ class Asked:
 
     async def order(self, wanted: Any, number: int = 1, name: str = "a1") -> Reply:
         message = wanted if isinstance(wanted, bytes) else SHOW + json.dumps(wanted).encode()
-        return await self.ask(pack(Order(f"{number:032x}", name, "anna", 0, 0.0, message)))
+        made = Order(f"{number:032x}", name, "anna", 0, 0.0, message, anyio.current_time())
+        return await self.ask(pack(made))
 
 
 @pytest.fixture
@@ -140,3 +141,21 @@ async def test_what_it_remembers_has_an_end(asked: Asked) -> None:
     for number in range(1100):
         await asked.order({"do": "tell"}, number)
     assert len(asked.service._known) == 1024
+
+
+@pytest.mark.parametrize("made_at", [0.0, None])
+async def test_a_take_off_that_nobody_waits_for_is_not_begun(
+    asked: Asked, made_at: float | None
+) -> None:
+    """It waited before a frozen agent, or does not say since when."""
+    await asked.order(PIECE, 4)
+    await asked.order(LOAD, 1)
+    clock = anyio.current_time() if made_at is None else made_at
+    late = Order(f"{9:032x}", "a1", "anna", 0, 0.0, SHOW + b'{"do": "place"}', clock)
+    await anyio.sleep(6.0)
+    reply = await asked.ask(pack(late))
+    assert reply.outcome is Outcome.REFUSED
+    assert reply.fault is not None
+    assert "nobody waits" in reply.fault.seen
+    assert json.loads(reply.text)["stage"] == "loaded"
+    assert (await asked.order({"do": "place"}, 10)).outcome is Outcome.OK
