@@ -70,13 +70,15 @@ def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
     """An agent tells of its own aircraft, and is asked for it."""
     served = _keys(rights, [name], (*_WATCHED, *_ORDERED, *_FLOWN))
     asked = [*served, *_keys(rights, ["*"], _CARDS)]
-    told, put, live = (_keys(rights, [name], ends) for ends in (_TOLD, _PUT, _LIVE))
+    told, live = (_keys(rights, [name], ends) for ends in (_TOLD, _LIVE))
+    # Setpoints, and what another one of its name tells.
+    heard = _keys(rights, [name], (*_PUT, *_CARDS))
     yield _rule("ingress", ["put"], told)
     yield _rule("egress", ["declare_subscriber"], told)
     yield _rule("ingress", ["declare_queryable", "reply"], served)
     yield _rule("egress", ["query"], asked)
-    yield _rule("ingress", ["declare_subscriber"], put)
-    yield _rule("egress", ["put"], put)
+    yield _rule("ingress", ["declare_subscriber"], heard)
+    yield _rule("egress", ["put"], heard)
     # It looks whether another one has its name.
     messages = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     yield _rule("ingress", messages, live)

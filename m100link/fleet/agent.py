@@ -31,7 +31,8 @@ from m100link.fleet.book import OrderBook
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger
 from m100link.fleet.lost import Lost, LostPlan
-from m100link.fleet.orders import Done, Orders, is_kept, lands, revokes
+from m100link.fleet.namesake import Namesakes
+from m100link.fleet.orders import Done, Orders, is_kept, lands, moves, revokes
 from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import (
     Card,
@@ -77,6 +78,7 @@ class FleetAgent:
     Attributes:
         client: As given.
         boot: Which run of this agent it is.
+        namesakes: Whether another agent has its name.
         dropped: Setpoints that were not flown, by reason.
     """
 
@@ -99,6 +101,8 @@ class FleetAgent:
         self._verify = verify
         self._utc = utc
         self.boot = uuid.uuid4().hex[:8]
+        self.namesakes = Namesakes(keys.name, self.boot)
+        self._has_namesake = False
         self.dropped: Counter[Dropped] = Counter()
         self._book = OrderBook(ledger.begun)
         self._ages = OrderAges()
@@ -127,6 +131,7 @@ class FleetAgent:
             hold(bus.serve(keys.status(), self._on_status))
             hold(bus.serve(keys.state, self._on_state))
             hold(bus.subscribe(keys.setpoint, self._on_setpoint))
+            hold(bus.subscribe(keys.state, self._on_own_state))
             self.client.on_event.append(self._on_event)
             hold(bus.declare(keys.live))
             self._lost.inherit(self._ledger.aloft)
@@ -180,7 +185,28 @@ class FleetAgent:
     async def _tell_state(self) -> None:
         while True:
             self._state.put(pack(self.card()))
+            self._look_for_namesakes()
             await asyncio.sleep(_CARD_S)
+
+    def _on_own_state(self, key: str, payload: bytes) -> None:
+        try:
+            card: Card = unpack(Card, payload)
+        except MessageError:
+            return  # of another version, or nothing that an agent tells
+        self.namesakes.hear(card.boot, self.client.now)
+        self._look_for_namesakes()
+
+    def _look_for_namesakes(self) -> None:
+        """Whoever steers sees two aircraft as one: what he flies hovers, and he is told."""
+        client, had = self.client, self._has_namesake
+        self._has_namesake = self.namesakes.is_there(client.now)
+        if self._has_namesake and not had:
+            told = f"another agent is named {self._keys.name}: this aircraft hovers until one ends"
+            client.note(told, "error")
+            if client.holder.number in self._orders.tokens:  # a show flies by what is on board
+                client.halt(told)
+        elif had and not self._has_namesake:
+            client.note(f"no other agent is named {self._keys.name} any more")
 
     def card(self) -> Card:
         """Where the agent stands."""
@@ -253,6 +279,8 @@ class FleetAgent:
         if self._verify is not None:
             self._verify(order)
         message = decode(order.message)
+        if moves(message):
+            self.namesakes.require_none(self.client.now)
         if self._book.was_begun_before(order.id):
             pass  # whatever it comes under now, it may have been done
         elif is_kept(message):
@@ -342,6 +370,9 @@ class FleetAgent:
             self.dropped[Dropped.STALE] += 1
             return
         steer, begins = found
+        if self._has_namesake:
+            self.dropped[Dropped.NAMESAKE] += 1
+            return
         holder = self.client.holder
         why = self._stream.drop(steer, begins=begins, fence=holder.number, now=self.client.now)
         if why is not None:

@@ -23,7 +23,7 @@ from m100link.fleet.payloads import Order
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = ["Done", "Orders", "is_kept", "lands", "revokes"]
+__all__ = ["Done", "Orders", "is_kept", "lands", "moves", "revokes"]
 
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
@@ -60,6 +60,13 @@ def is_kept(message: Message) -> bool:
 def revokes(message: Message) -> bool:
     """Whether what was asked for before, and comes later, is not wanted any more."""
     return isinstance(message, Ask) and message.action in (Action.STOP, Action.HALT, Action.LAND)
+
+
+def moves(message: Message) -> bool:
+    """Whether it moves the aircraft, or lets somebody move it; what ends movement does not."""
+    if isinstance(message, LeaseAsk):
+        return message.action not in (LeaseAction.RENEW, LeaseAction.RELEASE)
+    return is_kept(message)
 
 
 def lands(message: Message) -> bool:

@@ -107,7 +107,13 @@ async def serving_fleet(
             ]
             running += [
                 group.create_task(
-                    ShowService(one.client, bus, keys[name], verify=fleet.verify).run(),
+                    ShowService(
+                        one.client,
+                        bus,
+                        keys[name],
+                        verify=fleet.verify,
+                        namesakes=one.namesakes,
+                    ).run(),
                     name=f"m100link fleet show: {name}",
                 )
                 for name, one in agents.items()

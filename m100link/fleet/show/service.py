@@ -18,6 +18,7 @@ from m100link.errors import M100Error, NotAllowed
 from m100link.fleet.age import require_young
 from m100link.fleet.agent import Verify
 from m100link.fleet.keys import Keys
+from m100link.fleet.namesake import Namesakes
 from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import SHOW, Order, Progress, Reply, pack, unpack
 from m100link.fleet.show.performer import Performer
@@ -37,15 +38,23 @@ class ShowService:
         bus: The network.
         keys: Its keys.
         verify: Looks at each order; without it the router alone decides who may ask.
+        namesakes: Whether another agent has its name: then it does not begin.
     """
 
     def __init__(
-        self, client: AgentClient, bus: Bus, keys: Keys, *, verify: Verify | None = None
+        self,
+        client: AgentClient,
+        bus: Bus,
+        keys: Keys,
+        *,
+        verify: Verify | None = None,
+        namesakes: Namesakes | None = None,
     ) -> None:
         self._client = client
         self._bus = bus
         self._keys = keys
         self._verify = verify
+        self._namesakes = namesakes
         self.performer = Performer(client, keys.name)
         # What became of orders that were let through: the network may bring one twice.
         self._known: dict[str, M100Error | None] = {}
@@ -104,8 +113,10 @@ class ShowService:
                 case "place":
                     # It takes off: not minutes later, when whoever conducts has given up.
                     require_young(order.clock, self._client.now)
+                    self._require_name()
                     performer.place(order.signer or order.by)
                 case "start":
+                    self._require_name()
                     performer.start(
                         str(wanted["digest"]), float(wanted["at"]), float(wanted["bound"])
                     )
@@ -117,6 +128,10 @@ class ShowService:
             if isinstance(error, M100Error):
                 raise
             raise MessageError(f"an order to a show cannot be read: {error!r}") from error
+
+    def _require_name(self) -> None:
+        if self._namesakes is not None:
+            self._namesakes.require_none(self._client.now)
 
     def _take_piece(self, at: int, data: bytes) -> None:
         """A track comes in pieces: from the beginning, and each where the one before ended."""
