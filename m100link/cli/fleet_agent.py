@@ -14,13 +14,14 @@ from m100link.agent.messages import Event
 from m100link.cli.common import err, out, places, run_async
 from m100link.cli.fleet import ROUTER, until_told
 from m100link.cli.logs import AS_IT_IS, LogOptions
-from m100link.cli.options import Counted, offered, options_of
+from m100link.cli.options import Above0, Counted, offered, options_of
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.cli.serving import AS_USUAL, RunOptions, Teller, show
 from m100link.cli.station import aircraft_of
 from m100link.errors import UsageError
 from m100link.fleet.acl import router_config
 from m100link.fleet.keys import DEFAULT_SITE
+from m100link.fleet.logs.service import RATE
 from m100link.fleet.lost import LostAction, LostPlan
 from m100link.fleet.rights import Rights
 from m100link.fleet.session import open_fleet
@@ -121,6 +122,7 @@ def agent(
     ledger: Path | None = None,
     pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
     rights: Path | None = None,
+    log_rate: Annotated[float, Above0] = RATE / 1e6,
     options: AgentOptions = AgentOptions(),
 ) -> int:
     """Own an aircraft on board and serve it to a fleet, until Ctrl-C.
@@ -141,6 +143,7 @@ def agent(
             and nowhere for virtual aircraft.
         pki: Folder with its certificate and key, for a router behind tls/ (M100LINK_PKI).
         rights: File of rights: orders that are not signed by who may are refused.
+        log_rate: Megabytes of flight logs a second that each aircraft gives away at most.
         options: See below.
     """
     words = url
@@ -158,7 +161,7 @@ def agent(
         return ExitCode.OK
     is_virtual = all(settings.sim for settings in aircraft.values())
     kept = ledger or (None if is_virtual else default_ledgers())
-    fleet = FleetSettings(connect, site, LostPlan(lost, lost_after), kept)
+    fleet = FleetSettings(connect, site, LostPlan(lost, lost_after), kept, log_rate=log_rate * 1e6)
     if pki is not None:
         fleet = replace(fleet, options=tls_options(pki, name))
     if rights is not None:

@@ -139,10 +139,13 @@ def check(
     return ExitCode.OK
 
 
+_MAY = {Right.WATCH: "watch and fetch logs", Right.STOP: "stop", Right.FLY: "fly"}
+
+
 def _words(right: Right | None) -> str:
     if right is None:
         return "nothing"
-    return ", ".join(one.name.lower() for one in Right if one <= right)
+    return ", ".join(_MAY[one] for one in Right if one <= right)
 
 
 @acl.command

@@ -150,6 +150,10 @@ class Asker:
     def _key(self, message: Message) -> str:
         return self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command
 
+    def around(self, message: bytes) -> Order:
+        """A new order around what is no message of the agent, such as a question about logs."""
+        return self._around(message)
+
     def _order(
         self,
         message: Message,
@@ -158,17 +162,15 @@ class Asker:
         clock: float = 0.0,
         identity: str = "",
     ) -> Order:
-        order = Order(
-            identity or uuid.uuid4().hex,
-            self._keys.name,
-            self._name,
-            fence,
-            self._utc(),
-            encode(message),
-            clock,
-        )
-        order = self._sign(order)
+        order = self._around(encode(message), fence, clock, identity)
         return order.under(token) if token else order
+
+    def _around(
+        self, message: bytes, fence: int = 0, clock: float = 0.0, identity: str = ""
+    ) -> Order:
+        named = identity or uuid.uuid4().hex
+        at = self._utc()
+        return self._sign(Order(named, self._keys.name, self._name, fence, at, message, clock))
 
     async def _answered(self, key: str, order: Order, patience: float) -> Reply:
         payload = pack(order)

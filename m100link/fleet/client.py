@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -21,6 +22,8 @@ from m100link.fleet.asking import PATIENCE_S, Asker, Sign
 from m100link.fleet.carrier import FleetChannel, reach
 from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import DEFAULT_SITE, Keys, name_in
+from m100link.fleet.logs.fetching import Fetched, LogFetcher, Progress
+from m100link.fleet.logs.words import LogEntry
 from m100link.fleet.outcome import Result
 from m100link.fleet.payloads import Card, unpack
 from m100link.fleet.session import open_fleet
@@ -123,6 +126,35 @@ class FleetAircraft:
             FleetError: Unreachable, not allowed, or nobody knows.
         """
         await self._asker.ask(Ask(0, Action.STOP))
+
+    async def logs(self) -> list[LogEntry]:
+        """The flight logs on board, the newest first.
+
+        Raises:
+            Unreachable, NotAllowed: It is not there, or refused who asked.
+        """
+        return await self._fetcher().logs()
+
+    async def fetch_log(
+        self, log: str = "", to: Path | str = "", progress: Progress | None = None
+    ) -> Fetched:
+        """Bring a flight log here; what was cut off goes on where it ended.
+
+        Args:
+            log: Its name on board; that of the newest by default.
+            to: The folder for it, where it is ``NAME-LOG``; until it is whole, ``NAME-LOG.part``.
+            progress: Told how many bytes are here, and how many there will be.
+
+        Raises:
+            UsageError: There is no such log, or it cannot be written here.
+            Unreachable: It is not there, or gives no answer any more. What came is kept.
+            NotAllowed: It refused who asked.
+            FleetError: What came is not what it has.
+        """
+        return await self._fetcher().fetch(log, to, progress)
+
+    def _fetcher(self) -> LogFetcher:
+        return LogFetcher(self._bus, self.keys, self._asker)
 
     async def card(self) -> Card:
         """Where its agent stands.

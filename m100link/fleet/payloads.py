@@ -28,6 +28,7 @@ __all__ = [
     "Order",
     "Progress",
     "Reply",
+    "body",
     "pack",
     "pack_steer",
     "unpack",
@@ -195,8 +196,13 @@ def pack(value: Value | Message) -> bytes:
     return bytes([VERSION]) + text.encode()
 
 
-def _body(payload: bytes) -> bytes:
-    if not payload or len(payload) > _MOST:
+def body(payload: bytes, most: int = _MOST) -> bytes:
+    """What stands behind the version.
+
+    Raises:
+        MessageError: Nothing, more than ``most`` bytes, or what another version wrote.
+    """
+    if not payload or len(payload) > most:
         raise MessageError(f"{len(payload)} bytes are no payload of a fleet")
     if payload[0] != VERSION:
         raise MessageError(
@@ -217,9 +223,9 @@ def unpack(kind: type[Any], payload: bytes) -> Any:
     Raises:
         MessageError: They are none of that kind, or of another version.
     """
-    body = _body(payload)
+    text = body(payload)
     try:
-        return _FIELDS[kind].read(json.loads(body))
+        return _FIELDS[kind].read(json.loads(text))
     except BadValue as error:
         raise MessageError(f"not a {kind.__name__}: {error}") from None
     except (ValueError, RecursionError):
@@ -232,7 +238,7 @@ def unpack_message(payload: bytes) -> Message:
     Raises:
         MessageError: There is none, or of another version.
     """
-    return decode(_body(payload))
+    return decode(body(payload))
 
 
 def pack_steer(steer: Steer, token: str, *, begins: bool) -> bytes:
@@ -260,8 +266,8 @@ def unpack_steer(payload: bytes, token_of: dict[int, str]) -> tuple[Steer, bool]
     Raises:
         MessageError: They are none.
     """
-    body = _body(payload)
-    proof, data = body[:_PROOF], body[_PROOF:]
+    found = body(payload)
+    proof, data = found[:_PROOF], found[_PROOF:]
     steer = decode(data[1:])
     if not isinstance(steer, Steer):
         raise MessageError(f"{type(steer).__name__} is no setpoint")

@@ -13,12 +13,14 @@ from m100link.agent.messages import Ask, Message
 from m100link.fleet.agent import Verify
 from m100link.fleet.asking import Sign
 from m100link.fleet.identity import Claim, Gate, Signer
+from m100link.fleet.logs.words import LOG
 from m100link.fleet.payloads import SHOW, Order
 from m100link.fleet.rights import Right, Rights
 from m100link.keyfile import read_key
 
 __all__ = ["read_signer", "right_for", "signing", "tls_options", "verifying"]
 
+_BESIDE = {SHOW: Right.FLY, LOG: Right.WATCH}
 _STOPS = (Action.STOP, Action.HALT, Action.LAND)
 
 
@@ -30,6 +32,14 @@ def right_for(message: Message) -> Right:
         if message.action is Action.VERSION:
             return Right.WATCH
     return Right.FLY
+
+
+def _needed(order: Order) -> Right:
+    """What an order needs that is none of the agent's messages, or is one."""
+    for begin, right in _BESIDE.items():
+        if order.message.startswith(begin):
+            return right
+    return right_for(decode(order.message))
 
 
 def _claim(order: Order) -> Claim:
@@ -57,9 +67,7 @@ def verifying(rights: Rights, names: Iterable[str], utc: Callable[[], float]) ->
     gates = {name: Gate(rights, name, began_at=utc()) for name in names}
 
     def verify(order: Order) -> None:
-        is_show = order.message.startswith(SHOW)
-        right = Right.FLY if is_show else right_for(decode(order.message))
-        gates[order.aircraft].check(_claim(order), order.signature, right, utc())
+        gates[order.aircraft].check(_claim(order), order.signature, _needed(order), utc())
 
     return verify
 

@@ -14,12 +14,17 @@ from m100link.errors import M100Error, UsageError
 from m100link.log.recorder import Recorder, is_being_written
 from m100link.log.records import MAGIC, Header, records
 
-__all__ = ["Flights", "default_folder", "state_folder"]
+__all__ = ["Flights", "default_folder", "is_log_name", "state_folder"]
 
 _logger = logging.getLogger(__name__)
 
 # As Recorder names a file in a folder.
 _NAME = re.compile(r"m100link-\d{8}-\d{6}(-\d+)?\.mcap")
+
+
+def is_log_name(name: str) -> bool:
+    """Whether a recorder would name a file in a folder so; no such name leads out of one."""
+    return _NAME.fullmatch(name) is not None
 
 
 def state_folder(environment: Mapping[str, str] | None = None) -> Path:
@@ -120,7 +125,7 @@ class Flights:
     def _ours(self) -> list[_Kept]:
         found = []
         for path in self.folder.iterdir():
-            if _NAME.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+            if is_log_name(path.name) and path.is_file() and not path.is_symlink():
                 told = path.stat()
                 found.append(_Kept(told.st_mtime, told.st_size, path))
         return found

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
 from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.client import AgentClient
@@ -16,6 +17,7 @@ from m100link.bus.network import Bus
 from m100link.fleet.agent import FleetAgent, Verify
 from m100link.fleet.keys import DEFAULT_SITE, Keys, check_name
 from m100link.fleet.ledger import FileLedger, Ledger, MemoryLedger
+from m100link.fleet.logs.service import RATE, LogService
 from m100link.fleet.lost import LostPlan
 from m100link.fleet.session import open_fleet
 from m100link.fleet.show.service import ShowService
@@ -53,6 +55,7 @@ class FleetSettings:
         ledgers: Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
         options: More options of zenoh, by name, as JSON.
         verify: Looks at each order; None: the router alone decides who may ask.
+        log_rate: Bytes of flight logs a second that each aircraft gives away at most.
     """
 
     connect: tuple[str, ...] = ()
@@ -61,6 +64,7 @@ class FleetSettings:
     ledgers: Path | None = None
     options: dict[str, str] = field(default_factory=dict)
     verify: Verify | None = None
+    log_rate: float = RATE
 
 
 @asynccontextmanager
@@ -99,34 +103,36 @@ async def serving_fleet(
                 for name, one in agents.items()
             ]
             running += [
-                group.create_task(
-                    AgentTold(one.client, bus, keys[name], one.boot).run(),
-                    name=f"m100link fleet fronts: {name}",
-                )
+                group.create_task(service.run(), name=f"m100link fleet {what}: {name}")
                 for name, one in agents.items()
-            ]
-            running += [
-                group.create_task(
-                    ShowService(
-                        one.client,
-                        bus,
-                        keys[name],
-                        verify=fleet.verify,
-                        namesakes=one.namesakes,
-                    ).run(),
-                    name=f"m100link fleet show: {name}",
-                )
-                for name, one in agents.items()
+                for what, service in _beside(one, bus, keys[name], aircraft[name], fleet).items()
             ]
             try:
                 yield agents
             finally:
-                for one in running:
-                    one.cancel()
+                for work in running:
+                    work.cancel()
 
 
 def _teller(tell: Callable[[str, Event], None], name: str) -> Callable[[Event], None]:
     return lambda event: tell(name, event)
+
+
+class _Service(Protocol):
+    async def run(self) -> None: ...
+
+
+def _beside(
+    one: FleetAgent, bus: Bus, keys: Keys, settings: Settings, fleet: FleetSettings
+) -> dict[str, _Service]:
+    """What is served for an aircraft beside its agent, by what it is."""
+    verify = fleet.verify
+    folder = None if settings.no_record else settings.record
+    return {
+        "fronts": AgentTold(one.client, bus, keys, one.boot),
+        "show": ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes),
+        "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate),
+    }
 
 
 def _ledger(stack: AsyncExitStack, fleet: FleetSettings, keys: Keys) -> Ledger:

@@ -61,12 +61,12 @@ def test_what_somebody_may_do(cli: CommandLine, rights: str) -> None:
     assert [one["who"] for one in cli("fleet", "acl", "check", rights).objects] == ["anna", "wall"]
     assert cli("fleet", "acl", "check", rights, "--table").out.splitlines() == [
         "anna (certificate anna, signs orders)",
-        "  a1: watch, stop, fly",
+        "  a1: watch and fetch logs, stop, fly",
         "  a2: nothing",
         "wall (certificate wall, signs nothing: agents obey no order)",
-        "  a1: watch",
-        "  a2: watch",
-        "  *: watch",
+        "  a1: watch and fetch logs",
+        "  a2: watch and fetch logs",
+        "  *: watch and fetch logs",
     ]
 
 

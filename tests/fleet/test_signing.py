@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import uuid
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from m100link.errors import NotAllowed, UsageError
 from m100link.fleet.asking import Sign
 from m100link.fleet.client import Fleet, FleetAircraft
 from m100link.fleet.identity import STOP_WINDOW_S, Signer
+from m100link.fleet.logs.words import LogQuestion, What, pack_question
 from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import Order, Progress, Reply, pack, unpack
 from m100link.fleet.rights import Right, Rights
@@ -146,3 +148,18 @@ def test_keys_and_certificates_are_those_of_the_folder(tmp_path: Path) -> None:
     router = json.loads(tls_options(tmp_path, "base", listens=True)["transport/link/tls"])
     assert router["listen_certificate"] == str(tmp_path / "base.pem")
     assert router["enable_mtls"] is True
+
+
+async def test_who_may_watch_may_fetch_logs_and_nobody_else(rig: Rig) -> None:
+    verify = verifying(RIGHTS, ["a1", "a2"], rig.utc)
+
+    def question(signer: Signer | None, aircraft: str) -> Order:
+        text = pack_question(LogQuestion(What.LIST))
+        order = Order(uuid.uuid4().hex, aircraft, "x", 0, rig.utc(), text)
+        return order if signer is None else signing(signer)(order)
+
+    for signer, aircraft in ((ANNA, "a1"), (BERT, "a1"), (BERT, "a2")):
+        verify(question(signer, aircraft))
+    for other, aircraft in ((ANNA, "a2"), (EVE, "a1"), (None, "a1")):
+        with pytest.raises(NotAllowed):
+            verify(question(other, aircraft))

@@ -1,0 +1,99 @@
+"""A log on its way: what is there is a beginning of it, whatever ended the one before."""
+
+from __future__ import annotations
+
+import hashlib
+import resource
+from pathlib import Path
+
+import pytest
+
+from m100link.errors import UsageError
+from m100link.fleet.logs.part import Part
+
+
+def opened(folder: Path, size: int = 100) -> Part:
+    part = Part(folder, "a1-x.mcap")
+    part.open(size)
+    return part
+
+
+def test_it_goes_on_where_it_ended_and_becomes_the_log(tmp_path: Path) -> None:
+    first = opened(tmp_path / "new")
+    first.add(b"abc")
+    first.close()
+    second = opened(tmp_path / "new")
+    assert second.at == 3
+    second.add(b"def")
+    assert second.digest() == hashlib.sha256(b"abcdef").digest()
+    second.finish()
+    second.close()
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["a1-x.mcap"]
+    assert second.whole_digest() == (6, hashlib.sha256(b"abcdef").digest())
+
+
+def test_two_programs_do_not_write_one_part(tmp_path: Path) -> None:
+    first = opened(tmp_path)
+    with pytest.raises(UsageError, match="another program fetches it"):
+        opened(tmp_path)
+    first.add(b"a")
+    first.close()
+    opened(tmp_path).close()
+
+
+def test_where_no_byte_came_nothing_is_left(tmp_path: Path) -> None:
+    opened(tmp_path).close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_longer_than_the_log_is_of_another_one(tmp_path: Path) -> None:
+    first = opened(tmp_path)
+    first.add(b"abc")
+    first.close()
+    second = opened(tmp_path, size=2)
+    assert second.at == 0
+    second.close()
+
+
+def test_the_file_of_before_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+    (tmp_path / "a1-x.mcap").write_bytes(b"abc")
+    part = opened(tmp_path)
+    part.take_up()
+    part.add(b"d")
+    assert (tmp_path / "a1-x.mcap").read_bytes() == b"abc"
+    part.finish()
+    part.close()
+    assert (tmp_path / "a1-x.mcap").read_bytes() == b"abcd"
+
+
+def test_a_disk_that_takes_no_more_is_told_and_what_came_stays(tmp_path: Path) -> None:
+    import signal
+
+    part = opened(tmp_path, size=1 << 20)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(UsageError, match="File too large"):
+            part.add(bytes(4000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    part.close()
+    assert (tmp_path / "a1-x.mcap.part").stat().st_size == part.at == 1000
+
+
+def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="--to"):
+        Part(tmp_path / "file" / "below", "x")
+    part = Part(tmp_path, "y" * 300)
+    with pytest.raises(UsageError):
+        part.open(3)
+
+
+def test_what_was_closed_meanwhile_is_not_written(tmp_path: Path) -> None:
+    part = opened(tmp_path)
+    part.close()
+    with pytest.raises(UsageError, match="it is closed"):
+        part.add(b"late")
