@@ -29,11 +29,21 @@ from m100link.fleet.outcome import Result
 from m100link.fleet.payloads import Card
 from m100link.fleet.signing import read_signer, signing, tls_options
 
-__all__ = ["NO_OPTIONS", "ROUTER", "FleetOptions", "app", "until_told"]
+__all__ = [
+    "NO_OPTIONS",
+    "ROUTER",
+    "All",
+    "FleetOptions",
+    "Names",
+    "app",
+    "tell_results",
+    "until_told",
+    "wanted_names",
+]
 
 app = cyclopts.App(
     name="fleet",
-    help="Many aircraft on many machines: a router, agents on board, pilots, formations.",
+    help="Many aircraft on many machines: a router, agents on board, pilots, formations, logs.",
     version_flags=(),
 )
 ROUTER = "tcp/127.0.0.1:7447"
@@ -152,7 +162,7 @@ def _table(names: list[str], cards: dict[str, Card]) -> Table:
 # -- what they are asked --------------------------------------------------------------------------
 
 
-def _wanted(names: tuple[str, ...], everybody: bool) -> list[str] | None:
+def wanted_names(names: tuple[str, ...], everybody: bool) -> list[str] | None:
     """The names, None for all that are there.
 
     Raises:
@@ -172,7 +182,7 @@ def _each(
     options: FleetOptions,
     do: Callable[[FleetAircraft], Awaitable[object]],
 ) -> int:
-    wanted = _wanted(names, everybody)
+    wanted = wanted_names(names, everybody)
 
     async def run() -> int:
         async with options.open() as fleet:

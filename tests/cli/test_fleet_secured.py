@@ -49,6 +49,8 @@ def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(s
         status, [card] = site.ask("list", "--identity", who)
         assert (status, card["name"]) == (ExitCode.OK, "a1")
         assert "connection" in card, f"{who} is told where it stands"
+        status, [log] = site.ask("log", "list", "a1", "--identity", who)
+        assert (status, log["name"]) == (ExitCode.OK, "a1")
     status, [told] = site.ask("takeoff", "a1", "--identity", "anna")
     assert (status, told["outcome"]) == (ExitCode.OK, "ok")
     for who, expected in (("wall", "unknown"), ("bert", "unknown")):
