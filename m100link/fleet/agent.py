@@ -308,7 +308,7 @@ class FleetAgent:
         except M100Error as error:
             reply = self._reply(order.id, error)
         finally:
-            self._book.end(reply)
+            self._book.end(reply, self.client.now)
             self._ended.pop(order.id).set()
 
     def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> Reply:

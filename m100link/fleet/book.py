@@ -5,12 +5,14 @@ An order that comes twice is carried out once: the second one is answered from h
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from m100link.fleet.payloads import Reply
 
 __all__ = ["KEPT_S", "OrderBook"]
 
 KEPT_S = 600.0
-"""Seconds that an id is known after it was heard first."""
+"""Seconds that an id is known after what it stands for has ended."""
 
 _MOST = 20_000
 
@@ -19,38 +21,38 @@ class OrderBook:
     """The orders of one agent.
 
     Args:
-        before: Ids that an agent of this name begun, and their POSIX times; what became of them
-            nobody knows.
+        before: Ids that an agent of this name begun; what became of them nobody knows.
     """
 
-    def __init__(self, before: dict[str, float] | None = None) -> None:
-        self._before = set(before or ())
-        # None while it runs.
-        self._replies: dict[str, Reply | None] = {}
-        self._heard_at: dict[str, float] = {}
+    def __init__(self, before: Iterable[str] = ()) -> None:
+        self._before = frozenset(before)
+        self._running: set[str] = set()
+        # What became of the others and when, in the order in which they ended.
+        self._ended: dict[str, tuple[float, Reply]] = {}
 
     def is_known(self, identity: str) -> bool:
         """Whether this agent heard it."""
-        return identity in self._replies
+        return identity in self._running or identity in self._ended
 
     def was_begun_before(self, identity: str) -> bool:
         """Whether an agent before began it."""
         return identity in self._before
 
     def begin(self, identity: str, now: float) -> None:
-        """It is heard for the first time. Those that are old are forgotten."""
-        self._replies[identity], self._heard_at[identity] = None, now
-        while True:
-            old, at = next(iter(self._heard_at.items()))  # in the order in which they were heard
-            is_kept = now - at < KEPT_S and len(self._heard_at) <= _MOST
-            if is_kept or self._replies[old] is None:  # what runs is kept in any case
+        """It is heard for the first time. Those that ended long ago are forgotten."""
+        self._running.add(identity)
+        while self._ended:
+            old, (at, _) = next(iter(self._ended.items()))
+            if now - at < KEPT_S and len(self._ended) <= _MOST:
                 break
-            del self._heard_at[old], self._replies[old]
+            del self._ended[old]
 
-    def end(self, reply: Reply) -> None:
+    def end(self, reply: Reply, now: float) -> None:
         """It is over."""
-        self._replies[reply.id] = reply
+        self._running.discard(reply.id)
+        self._ended[reply.id] = now, reply
 
     def reply(self, identity: str) -> Reply | None:
         """What became of it; None while it runs, or when it is not known."""
-        return self._replies.get(identity)
+        ended = self._ended.get(identity)
+        return None if ended is None else ended[1]

@@ -17,14 +17,14 @@ def test_an_order_runs_then_has_an_outcome() -> None:
     book.begin("a", 0.0)
     assert book.is_known("a")
     assert book.reply("a") is None
-    book.end(reply("a"))
+    book.end(reply("a"), 0.0)
     assert book.reply("a") == reply("a")
 
 
 def test_what_is_old_is_forgotten_but_not_what_runs() -> None:
     book = OrderBook()
     book.begin("a", 0.0)
-    book.end(reply("a"))
+    book.end(reply("a"), 0.0)
     book.begin("b", KEPT_S - 1)
     assert book.is_known("a")
     book.begin("c", KEPT_S)
@@ -35,7 +35,7 @@ def test_what_is_old_is_forgotten_but_not_what_runs() -> None:
 
 
 def test_what_an_agent_before_began_is_known_as_that() -> None:
-    book = OrderBook({"a": 1.0})
+    book = OrderBook(["a"])
     assert book.was_begun_before("a")
     assert not book.is_known("a")
     assert not book.was_begun_before("b")
@@ -45,5 +45,21 @@ def test_it_does_not_grow_without_end() -> None:
     book = OrderBook()
     for number in range(50_000):
         book.begin(str(number), number * 1e-3)
-        book.end(reply(str(number)))
+        book.end(reply(str(number)), number * 1e-3)
     assert sum(book.is_known(str(number)) for number in range(50_000)) <= 20_001
+
+
+def test_one_that_runs_for_long_keeps_no_other_one() -> None:
+    """A mission of half an hour, begun first: what ended since is forgotten all the same."""
+    book = OrderBook()
+    book.begin("mission", 0.0)
+    for number in range(50_000):
+        book.begin(str(number), number * 1e-3)
+        book.end(reply(str(number)), number * 1e-3)
+    book.begin("last", 2000.0)
+    assert not any(book.is_known(str(number)) for number in range(50_000))
+    assert book.is_known("mission")
+    assert book.reply("mission") is None
+    book.end(reply("mission"), 2000.0)
+    book.begin("another", 2000.0 + KEPT_S - 1)
+    assert book.reply("mission") == reply("mission"), "whoever asked for it may still ask"
