@@ -302,7 +302,7 @@ class FleetAgent:
                 reply = self._reply(order.id, _begun_before())
                 return
             if is_kept(message):
-                await self._ledger.begin(order.id, self._utc())
+                await self._ledger.begin(order.id)
                 self._ages.check(order.clock, self.client.now)
             reply = self._reply(order.id, None, await self._orders.carry_out(order, message))
         except M100Error as error:

@@ -1,7 +1,9 @@
 """What an agent must know after it was killed: orders that were begun, its fence, who was flying.
 
-One line of JSON for each in a file that only grows while the agent runs, written through to the
-disk before what it says happens, in a thread: a disk that hangs holds up no setpoint.
+One line of JSON for each in a file that grows to some megabytes and is written anew then, through
+to the disk before what it says happens, in a thread: a disk that hangs holds up no setpoint. Ages
+are those of a clock that nobody sets. Of what is from before the computer was started nobody knows
+how old it is: it is kept for as long again.
 """
 
 from __future__ import annotations
@@ -20,7 +22,18 @@ from typing import Protocol
 from m100link.errors import UsageError
 from m100link.fleet.book import KEPT_S
 
-__all__ = ["FENCES_AT_ONCE", "FileLedger", "Ledger", "LeftAloft", "MemoryLedger", "since_boot"]
+__all__ = [
+    "FENCES_AT_ONCE",
+    "MOST_KEPT",
+    "FileLedger",
+    "Ledger",
+    "LeftAloft",
+    "MemoryLedger",
+    "since_boot",
+]
+
+MOST_KEPT = 20_000
+"""Orders that are kept at most: more than an agent can begin in the time in which one is young."""
 
 FENCES_AT_ONCE = 1000
 """Numbers of leases that are reserved at once: an agent that begins anew starts above them."""
@@ -43,7 +56,7 @@ class Ledger(Protocol):
     """What is kept.
 
     Attributes:
-        begun: Orders that were begun lately, and when, POSIX time, s.
+        begun: Orders that were begun lately, and when, s since the computer was started.
         leases_before: The greatest number that a lease may have had.
         aloft: How the agent before ended, if somebody flew then.
     """
@@ -52,7 +65,7 @@ class Ledger(Protocol):
     leases_before: int
     aloft: LeftAloft | None
 
-    async def begin(self, identity: str, at: float) -> None:
+    async def begin(self, identity: str) -> None:
         """Keep that an order begins; done when it is kept.
 
         Raises:
@@ -101,9 +114,9 @@ class MemoryLedger:
         if self.flown_under:
             self.aloft = LeftAloft(self.flown_under, 0.0)
 
-    async def begin(self, identity: str, at: float) -> None:
+    async def begin(self, identity: str) -> None:
         """Keep that an order begins."""
-        self.begun[identity] = at
+        self.begun[identity] = 0.0
 
     async def granted(self, fence: int) -> None:
         """Whoever takes this over begins above what was reserved."""
@@ -140,13 +153,15 @@ class FileLedger:
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             self._lock = path.with_suffix(".lock").open("a")
             self._own()
-            self.begun, self.leases_before = self._read(utc())
+            self.begun, self.leases_before = self._read()
+            self.aloft = self._left_aloft()
             self._reserved = self.leases_before + FENCES_AT_ONCE
-            self._rewrite()
+            self._rewrite(self._needed())
             self._file = path.open("a", encoding="ascii")
         except OSError as error:
             raise _failed(path, error) from error
         self._writing = asyncio.Lock()
+        self._written = 0
 
     def _own(self) -> None:
         # Of a file of its own: the ledger is replaced as it is read.
@@ -160,9 +175,10 @@ class FileLedger:
                 remedy="end the other one, or name another folder by --ledger",
             ) from None
 
-    def _read(self, now: float) -> tuple[dict[str, float], int]:
+    def _read(self) -> tuple[dict[str, float], int]:
         begun: dict[str, float] = {}
         fence = 0
+        boot, now = self._up()
         try:
             lines = self._path.read_text("ascii", "replace").splitlines()
         except FileNotFoundError:
@@ -176,32 +192,37 @@ class FileLedger:
                 self._flown = kept
             elif isinstance(kept, dict) and type(kept.get("fence")) is int:
                 fence = max(fence, kept["fence"])
-            elif isinstance(kept, dict) and isinstance(kept.get("at"), int | float):
-                begun[str(kept.get("id"))] = float(kept["at"])
-        self.aloft = self._left_aloft(now)
-        # A clock that was set back must not make them young again; one that jumped forgets none
-        # that a caller still asks for, for callers go by clocks of their own.
-        return {one: at for one, at in begun.items() if now - at < KEPT_S}, fence
+            elif isinstance(kept, dict) and isinstance(kept.get("id"), str):
+                at = _up_of(kept, boot)
+                begun[kept["id"]] = now if at is None else at
+        return begun, fence
 
-    def _left_aloft(self, now: float) -> LeftAloft | None:
+    def _left_aloft(self) -> LeftAloft | None:
         kept = self._flown
-        fence, up, at = kept.get("flies"), kept.get("up"), kept.get("at")
+        fence, at = kept.get("flies"), kept.get("at")
         if not isinstance(fence, int) or fence <= 0:
             return None
         boot, seconds = self._up()
-        if boot and kept.get("boot") == boot and isinstance(up, int | float):
+        up = _up_of(kept, boot)
+        if up is not None:
             ago = seconds - up
         elif isinstance(at, int | float):
-            ago = now - at  # the computer began anew: its calendar is all there is
+            ago = self._utc() - at  # the computer began anew: its calendar is all there is
         else:
             return LeftAloft(fence, None)
         return LeftAloft(fence, ago if ago >= 0 else None)
 
-    def _rewrite(self) -> None:
+    def _needed(self) -> list[str]:
         """What is still needed, and the numbers that this run may give to leases."""
+        boot, now = self._up()
+        young = [(one, at) for one, at in self.begun.items() if now - at < KEPT_S]
+        self.begun = dict(young[-MOST_KEPT:])
         lines = [json.dumps({"fence": self._reserved})]
-        lines += [json.dumps({"id": one, "at": at}) for one, at in self.begun.items()]
+        lines += [_begun(one, boot, at) for one, at in self.begun.items()]
         lines += [json.dumps(self._flown)] if self._flown else []
+        return lines
+
+    def _rewrite(self, lines: list[str]) -> None:
         folder = self._path.parent
         with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="ascii") as new:
             new.write("".join(f"{line}\n" for line in lines))
@@ -214,14 +235,14 @@ class FileLedger:
         finally:
             os.close(handle)
 
-    async def begin(self, identity: str, at: float) -> None:
+    async def begin(self, identity: str) -> None:
         """Keep that an order begins; done when the disk has it.
 
         Raises:
             UsageError: The disk does not take it.
         """
-        self.begun[identity] = at
-        await self._write({"id": identity, "at": at})
+        boot, self.begun[identity] = self._up()
+        await self._write(_begun(identity, boot, self.begun[identity]))
 
     async def granted(self, fence: int) -> None:
         """Keep that a lease has this number; most need no word, for they are reserved.
@@ -231,7 +252,7 @@ class FileLedger:
         """
         if fence >= self._reserved:
             self._reserved = fence + FENCES_AT_ONCE
-            await self._write({"fence": self._reserved})
+            await self._write(json.dumps({"fence": self._reserved}))
 
     async def flies(self, fence: int) -> None:
         """Keep who flies; done when the disk has it.
@@ -240,14 +261,25 @@ class FileLedger:
             UsageError: The disk does not take it.
         """
         boot, seconds = self._up()
-        await self._write({"flies": fence, "at": self._utc(), "boot": boot, "up": seconds})
+        self._flown = {"flies": fence, "at": self._utc(), "boot": boot, "up": seconds}
+        await self._write(json.dumps(self._flown))
 
-    async def _write(self, kept: dict[str, object]) -> None:
+    async def _write(self, line: str) -> None:
         async with self._writing:
+            self._written += 1
             try:
-                await asyncio.to_thread(self._append, json.dumps(kept))
+                if self._written > 2 * MOST_KEPT:
+                    self._written = 0
+                    await asyncio.to_thread(self._renew, self._needed())
+                else:
+                    await asyncio.to_thread(self._append, line)
             except OSError as error:
                 raise _failed(self._path, error) from error
+
+    def _renew(self, lines: list[str]) -> None:
+        self._rewrite(lines)
+        self._file.close()
+        self._file = self._path.open("a", encoding="ascii")
 
     def _append(self, line: str) -> None:
         self._file.write(f"{line}\n")
@@ -258,6 +290,18 @@ class FileLedger:
         """Close the file; another agent may have it then."""
         self._file.close()
         self._lock.close()
+
+
+def _begun(identity: str, boot: str, up: float) -> str:
+    return json.dumps({"id": identity, "boot": boot, "up": up})
+
+
+def _up_of(kept: dict[str, object], boot: str) -> float | None:
+    """When a line was written, s since the computer was started; None: before that, or never."""
+    up = kept.get("up")
+    if not boot or kept.get("boot") != boot or not isinstance(up, int | float):
+        return None
+    return float(up)
 
 
 def _failed(path: Path, error: OSError) -> UsageError:

@@ -142,7 +142,7 @@ async def test_an_order_that_comes_twice_is_carried_out_once(rig: Rig) -> None:
 async def test_after_a_restart_what_had_begun_is_unknown_and_not_done_again(rig: Rig) -> None:
     ledger = MemoryLedger()
     task = order(Ask(0, Action.TAKE_OFF))
-    await ledger.begin(task.id, 1.0)
+    await ledger.begin(task.id)
     await rig.aircraft("a1", ledger=MemoryLedger(ledger))
     reply = await send(rig, task)
     assert reply.outcome is Outcome.UNKNOWN
@@ -270,7 +270,7 @@ async def test_a_landing_that_nobody_waits_for_is_not_begun_but_any_stop_is_done
 
 async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: Rig) -> None:
     class Slow(MemoryLedger):
-        async def begin(self, identity: str, at: float) -> None:
+        async def begin(self, identity: str) -> None:
             await anyio.sleep(1.0)
 
     one = await rig.aircraft("a1", ledger=Slow())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,18 +19,63 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
+def opened(path: Path, utc: float, boot: str, up: float) -> FileLedger:
+    return FileLedger(path, lambda: utc, lambda: (boot, up))
+
+
 async def test_what_was_begun_is_known_by_the_next_run(tmp_path: Path) -> None:
     path = tmp_path / "site" / "a1.jsonl"
-    first = FileLedger(path, lambda: 1000.0)
-    await first.begin("one", 1000.0)
-    await first.begin("two", 1001.0)
-    first.close()  # as the kernel does when it is killed; each word was on the disk
-    second = FileLedger(path, lambda: 1002.0)
-    assert second.begun == {"one": 1000.0, "two": 1001.0}
-    second.close()
-    third = FileLedger(path, lambda: 1000.5 + KEPT_S)
-    assert third.begun == {"two": 1001.0}
-    third.close()
+    for identity, up in (("one", 50.0), ("two", 51.0)):
+        ledger = opened(path, 1000.0, "boot", up)
+        await ledger.begin(identity)
+        ledger.close()  # as the kernel does when it is killed; each word was on the disk
+    # Whatever the calendar says, set forth or back:
+    for utc in (1002.0, 1002.0 + 3600.0, 1002.0 - 3600.0):
+        ledger = opened(path, utc, "boot", 52.0)
+        assert ledger.begun == {"one": 50.0, "two": 51.0}
+        ledger.close()
+    ledger = opened(path, 1000.0, "boot", 50.5 + KEPT_S)
+    assert ledger.begun == {"two": 51.0}
+    ledger.close()
+
+
+async def test_what_is_from_before_the_computer_was_started_is_kept_as_long_again(
+    tmp_path: Path,
+) -> None:
+    """Nobody knows how old it is: a clock without a battery begins anywhere."""
+    path = tmp_path / "a1.jsonl"
+    first = opened(path, 1000.0, "boot", 5000.0)
+    await first.begin("one")
+    first.close()
+    for utc, up, is_kept in (
+        (0.0, 5.0, True),
+        (1e9, 4.0 + KEPT_S, True),
+        (0.0, 6.0 + KEPT_S, False),
+    ):
+        after = opened(path, utc, "another", up)
+        assert ("one" in after.begun) is is_kept, up
+        after.close()
+
+
+async def test_the_file_does_not_grow_without_end(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("m100link.fleet.ledger.MOST_KEPT", 100)
+    path, up = tmp_path / "a1.jsonl", [0.0]
+    ledger = FileLedger(path, lambda: 0.0, lambda: ("boot", up[0]))
+    sizes = set()
+    await ledger.flies(17)
+    for number in range(1000):
+        up[0] += 1.0
+        await ledger.begin(f"{number:032x}")
+        sizes.add(len(path.read_text().splitlines()))
+    assert max(sizes) <= 310
+    await ledger.granted(ledger.leases_before + 2 * FENCES_AT_ONCE)
+    ledger.close()
+    after = opened(path, 0.0, "boot", up[0])
+    assert list(after.begun)[-1] == f"{999:032x}"
+    assert len(after.begun) == 100
+    assert after.aloft == LeftAloft(17, up[0])
+    assert after.leases_before >= 2 * FENCES_AT_ONCE
+    after.close()
 
 
 def test_two_agents_have_two_ledgers(tmp_path: Path) -> None:
@@ -45,9 +91,9 @@ def test_two_agents_have_two_ledgers(tmp_path: Path) -> None:
 async def test_a_line_that_was_cut_off_is_no_order_and_harms_none(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
     ledger = FileLedger(path, lambda: 0.0)
-    await ledger.begin("one", 0.0)
+    await ledger.begin("one")
     ledger.close()
-    for damage in (b'{"id": "tw', b"\xff\xfe\n", b"[]\n", b'{"at": "x"}\n', b'{"fence": "9"}\n'):
+    for damage in (b'{"id": "tw', b"\xff\xfe\n", b"[]\n", b'{"id": 7}\n', b'{"fence": "9"}\n'):
         path.write_bytes(path.read_bytes() + damage)
         again = FileLedger(path, lambda: 1.0)
         assert "one" in again.begun
@@ -75,7 +121,7 @@ async def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 
 async def test_one_in_memory_does_the_same_for_a_virtual_aircraft() -> None:
     first = MemoryLedger()
-    await first.begin("one", 0.0)
+    await first.begin("one")
     await first.granted(17)
     second = MemoryLedger(first)
     assert second.begun == {"one": 0.0}
@@ -85,10 +131,7 @@ async def test_one_in_memory_does_the_same_for_a_virtual_aircraft() -> None:
 async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
 
-    def opened(utc: float, boot: str, up: float) -> FileLedger:
-        return FileLedger(path, lambda: utc, lambda: (boot, up))
-
-    first = opened(1000.0, "one", 50.0)
+    first = opened(path, 1000.0, "one", 50.0)
     assert first.aloft is None
     await first.flies(17)
     first.close()
@@ -100,13 +143,13 @@ async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_p
         (900.0, "two", 5.0, None),  # and has lost its calendar
         (1030.0, "", 60.0, 30.0),  # it does not say which run this is
     ):
-        again = opened(utc, boot, up)
+        again = opened(path, utc, boot, up)
         assert again.aloft == LeftAloft(17, ago), (utc, boot, up)
         again.close()
-    last = opened(1000.0, "one", 70.0)
+    last = opened(path, 1000.0, "one", 70.0)
     await last.flies(0)
     last.close()
-    again = opened(1000.0, "one", 70.0)
+    again = opened(path, 1000.0, "one", 70.0)
     assert again.aloft is None
     again.close()
 
