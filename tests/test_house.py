@@ -211,6 +211,7 @@ TESTED_ELSEWHERE = {
     "errors/line.py": ("test_errors.py", "names and attributes, nothing to run"),
     "errors/usage.py": ("test_errors.py", "names and attributes, nothing to run"),
     "cli/fleet_agent.py": ("cli/test_fleet.py", "what runs beside the pilots"),
+    "cli/fleet_console.py": ("cli/test_fleet.py", "a page for it"),
     "cli/fleet_watch.py": ("cli/test_fleet.py", "three more verbs of it"),
     "errors/fleet.py": ("test_errors.py", "names and attributes, nothing to run"),
     "fleet/sending.py": ("fleet/test_control.py", "what a pilot sends, and a front far away"),

@@ -29,7 +29,15 @@ if TYPE_CHECKING:
     from m100link.agent.messages import Event
     from m100link.station.child import Child
 
-__all__ = ["AS_USUAL", "RunOptions", "Teller", "run_station", "show"]
+__all__ = [
+    "AS_USUAL",
+    "RunOptions",
+    "Teller",
+    "require_packages",
+    "run_station",
+    "show",
+    "warn_of",
+]
 
 
 _MOST_UNTOLD = 200
@@ -89,12 +97,17 @@ def run_station(
             show(settings)
         return ExitCode.OK
     if with_rosbridge or with_console:
-        _require_packages()
+        require_packages()
     served = _Served(with_console, with_rosbridge)
     return run_async(_serve(aircraft, options, served, open_browser, keys))
 
 
-def _require_packages() -> None:
+def require_packages() -> None:
+    """Look whether what serves pages is installed.
+
+    Raises:
+        UsageError: It is not.
+    """
     try:
         for package in ("cbor2", "starlette", "uvicorn", "websockets"):
             importlib.import_module(package)
@@ -160,7 +173,7 @@ async def _serve(
             announce = partial(_announce, aircraft, station, as_json=options.json_output)
             announce()
             settings = next(iter(aircraft.values()))
-            _warn(settings)
+            warn_of(settings)
             if front is not None:
                 # The code in the console's address works once; a front that is new has another.
                 front.on_restart.append(lambda: teller.do(announce))
@@ -305,7 +318,8 @@ def _tell_unused(settings: Settings) -> None:
         err.print(", ".join(settings.unused), markup=False)
 
 
-def _warn(settings: Settings) -> None:
+def warn_of(settings: Settings) -> None:
+    """Say what is dangerous about the settings."""
     _tell_unused(settings)
     if settings.is_plain_beyond_loopback():
         err.print(

@@ -284,8 +284,9 @@ class FleetAgent:
         if self._book.was_begun_before(order.id):
             pass  # whatever it comes under now, it may have been done
         elif is_kept(message):
-            self._orders.require_lease(order)  # before a stranger's words are worth a disk's time
-            self._ages.hear(order.fence, order.clock, self.client.now)
+            # Looked at before a stranger's words are worth a disk's time.
+            if self._orders.lease_for(order, message) is not None:
+                self._ages.hear(order.fence, order.clock, self.client.now)
         elif revokes(message):
             if lands(message):
                 require_young(order.clock, self.client.now)

@@ -135,7 +135,7 @@ class Orders:
         if message.action is Action.LAND and not order.fence:
             await self.descend(Task.LAND, f"landing for {order.by}")
             return Done()
-        lease = None if message.action is Action.VERSION else self.require_lease(order)
+        lease = None if message.action is Action.VERSION else self.lease_for(order, message)
         if message.action is Action.ACTIVATE and client.state.is_activated:
             return Done()
         ask, number, data = client.ask, message.number, message.data
@@ -154,6 +154,17 @@ class Orders:
         if token is None or not is_ours or not order.proves(token):
             return None
         return Lease(self._client.holder.name, token, order.fence)
+
+    def lease_for(self, order: Order, message: Message) -> Lease | None:
+        """The lease that something is asked under; None for an activation that nobody minds.
+
+        Raises:
+            StaleLease: It needs the lease, and came without.
+        """
+        is_activation = isinstance(message, Ask) and message.action is Action.ACTIVATE
+        if is_activation and not order.fence and not self._client.holder.number:
+            return None
+        return self.require_lease(order)
 
     def require_lease(self, order: Order) -> Lease:
         """The lease in force, if the order proves that its asker has it.

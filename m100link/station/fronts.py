@@ -7,6 +7,7 @@ import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from m100link.agent.carriers import Channel
@@ -19,6 +20,7 @@ from m100link.station.ros2 import check_ros2, serving_ros2
 from m100link.station.web.access import Access
 
 if TYPE_CHECKING:
+    from m100link.station.console.tabs import Tabs
     from m100link.station.web.server import Bridge, Server
 __all__ = ["Fronts", "Reach", "Sockets", "keep_reached", "open_sockets", "serving_fronts"]
 
@@ -79,16 +81,19 @@ class Fronts:
     """Fronts that serve.
 
     Attributes:
-        agents: What rosbridge knows of each agent, by the name of its aircraft.
+        agents: What rosbridge knows of each agent, by the name of its aircraft; where there is only
+            a console, what that knows: one that comes later is shown by it, too.
         bridge: What rosbridge clients reach; None without it.
         servers: What listens.
         console_access: What browsers have to show, None where nothing is needed.
+        shown: The aircraft that pages of the console show.
     """
 
-    agents: Mapping[str, AgentClient]
+    agents: dict[str, AgentClient]
     bridge: Bridge | None
     servers: list[Server]
     console_access: Access | None
+    shown: Callable[[], frozenset[str]] = frozenset
 
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
@@ -135,6 +140,8 @@ async def serving_fronts(
     sockets: Sockets,
     reach: Mapping[str, Reach],
     orders: Mapping[str, Orders],
+    *,
+    is_far: bool = False,
 ) -> AsyncIterator[Fronts]:
     """Serve while the block runs.
 
@@ -144,43 +151,50 @@ async def serving_fronts(
         reach: Opens a way to an agent, by the name of its aircraft; called for each front, and
             again when one of several agents has gone.
         orders: What the console's panel does to virtual aircraft.
+        is_far: The agents are elsewhere, and the only one, too, is looked for when it has gone.
 
     Raises:
         UsageError: Something in the settings cannot be.
         LinkError: An agent cannot be reached.
     """
     async with AsyncExitStack() as stack:
-        others = "ROS 2" if settings.ros2 else "fronts"
-        agents = await _reached(stack, reach, "rosbridge" if sockets.rosbridge else others)
+        reached = partial(_reached, stack, reach, is_kept=is_far or len(reach) > 1)
+        agents: dict[str, AgentClient] = {}
         bridge: Bridge | None = None
         servers: list[Server] = []
         if sockets.rosbridge:
+            agents = await reached("rosbridge")
             bridge, server = _rosbridge(agents, settings)
             await stack.enter_async_context(_serving(server, sockets.rosbridge))
             servers.append(server)
-        access = None
+        access: Access | None = None
+        shown: Callable[[], frozenset[str]] = frozenset
         dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
         if sockets.console is not None:
-            console = await _reached(stack, reach, "console")
-            server, access, dropped_by_tabs = _console(
+            console = await reached("console")
+            server, access, tabs = _console(
                 console, settings, orders, dict if bridge is None else bridge.dropped
             )
+            dropped_by_tabs, shown = tabs.dropped, tabs.shown
+            agents = agents or console
             await stack.enter_async_context(_serving(server, [sockets.console]))
             servers.append(server)
+        agents = agents or await reached("ROS 2" if settings.ros2 else "fronts")
         if sockets.mavlink:
-            vehicles = await _reached(stack, reach, "mavlink")
+            vehicles = await reached("mavlink")
             await stack.enter_async_context(serving_mavlink(vehicles, settings, sockets.mavlink))
         if settings.ros2:
-            flown = await _reached(stack, reach, "ROS 2") if sockets.rosbridge else agents
+            has_own = bool(sockets.rosbridge) or sockets.console is not None
+            flown = await reached("ROS 2") if has_own else agents
             await stack.enter_async_context(serving_ros2(flown, settings))
         if sockets.metrics is not None and bridge is not None:
             servers.append(_metrics(bridge, settings, dropped_by_tabs))
             await stack.enter_async_context(_serving(servers[-1], [sockets.metrics]))
         if sockets.foxglove is not None:
-            viewed = await _reached(stack, reach, "foxglove")
+            viewed = await reached("foxglove")
             servers.append(await _foxglove(stack, viewed, settings))
             await stack.enter_async_context(_serving(servers[-1], [sockets.foxglove]))
-        yield Fronts(agents, bridge, servers, access)
+        yield Fronts(agents, bridge, servers, access, shown)
 
 
 def _rosbridge(agents: Mapping[str, AgentClient], settings: Settings) -> tuple[Bridge, Server]:
@@ -195,7 +209,7 @@ def _console(
     settings: Settings,
     orders: Mapping[str, Orders],
     dropped_by_clients: Callable[[], Mapping[str, int]],
-) -> tuple[Server, Access | None, Callable[[], Mapping[str, int]]]:
+) -> tuple[Server, Access | None, Tabs]:
     try:
         from m100link.station.console.app import console_app
         from m100link.station.console.tabs import Tabs
@@ -207,7 +221,7 @@ def _console(
         ) from None
     tabs = Tabs(agents, dropped_by_clients)
     app = console_app(agents, settings, orders, tabs)
-    return Server.make(app, settings, lifespan="on"), app.access, tabs.dropped
+    return Server.make(app, settings, lifespan="on"), app.access, tabs
 
 
 def _metrics(
@@ -251,13 +265,13 @@ async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterato
 
 
 async def _reached(
-    stack: AsyncExitStack, reach: Mapping[str, Reach], name: str
+    stack: AsyncExitStack, reach: Mapping[str, Reach], name: str, *, is_kept: bool
 ) -> dict[str, AgentClient]:
     """All agents, each for the front of that name."""
     agents = {}
     for aircraft, way in reach.items():
         agent = await stack.enter_async_context(AgentClient(await way(), name))
-        if len(reach) > 1:
+        if is_kept:
             agent.background.spawn(keep_reached(agent, way), f"way to {aircraft}")
         agents[aircraft] = agent
     return agents

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -154,3 +155,21 @@ def test_results_are_told_with_reason_and_remedy(capsys: pytest.CaptureFixture[s
     assert "lease 3 is not in force" in told.out
     assert "take it" in told.err
     assert tell_results({"a1": results["a1"]}, as_json=True) == 0
+
+
+def test_the_console_of_a_fleet_shows_who_is_there(site: Site) -> None:
+    agents = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
+    assert agents.stdout is not None
+    json.loads(agents.stdout.readline())
+    site.listed(2)
+    words = ("--no-open-browser", "--console-port", "0", "--json")
+    console = site.start("console", *words)
+    assert console.stdout is not None
+    told = json.loads(console.stdout.readline())
+    assert told["aircraft"] == ["a1", "a2"]
+    with urllib.request.urlopen(told["console"], timeout=PATIENCE) as page:
+        assert "m100link" in page.read().decode()
+    console.send_signal(signal.SIGINT)
+    assert console.wait(PATIENCE) == 0
+    code, _ = site.ask("console", "a1", "b7", "--no-open-browser")
+    assert code == 1

@@ -95,6 +95,17 @@ async def flying(far: AgentClient) -> Lease:
     return lease
 
 
+async def test_it_is_activated_by_anybody_while_nobody_has_control(rig: Rig) -> None:
+    one = await served(rig)
+    async with front(rig, await rig.pilot("anna")) as far:
+        await far.activate()
+        assert one.client.state.is_activated
+        lease = await one.client.acquire("who is on board")
+        await rig.until(lambda: far.holder.number == lease.number)
+        with pytest.raises(StaleLease):
+            await far.activate()
+
+
 async def test_setpoints_fly_and_expire_when_they_stop(rig: Rig) -> None:
     one = await served(rig)
     async with front(rig, await rig.pilot()) as far:

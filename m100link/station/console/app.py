@@ -53,7 +53,7 @@ def console_app(
     """The application behind its gate.
 
     Args:
-        agents: The agent that owns an aircraft, by its name.
+        agents: The agent that owns an aircraft, by its name; more may come.
         settings: Who may connect, and the folder with tiles.
         orders: What the panel does that plays pilot and weather of virtual aircraft.
         tabs: Where its tabs are kept; of its own by default.
@@ -63,9 +63,16 @@ def console_app(
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     tabs = tabs or Tabs(agents)
-    histories = {name: History() for name in agents}
-    for name, agent in agents.items():
-        agent.background.spawn(histories[name].keep(agent), "history")
+    histories: dict[str, History] = {}
+
+    def history_of(name: str) -> History:
+        if name not in histories:  # of one that came later from its first page on
+            histories[name] = History()
+            agents[name].background.spawn(histories[name].keep(agents[name]), "history")
+        return histories[name]
+
+    for name in agents:
+        history_of(name)
     app.router.routes.append(WebSocketRoute("/steer/{key}", tabs.serve))
     app.router.routes.extend(installable.routes())
     app.mount("/console", StaticFiles(directory=STATIC))
@@ -82,7 +89,7 @@ def console_app(
             tab,
             orders.get(tab.aircraft),
             has_tiles=settings.tiles is not None,
-            history=histories[tab.aircraft],
+            history=history_of(tab.aircraft),
             tabs=tabs,
         ).build(key)
 

@@ -77,7 +77,7 @@ class Tabs:
     """The tabs that are open, by the secret part of their socket's address.
 
     Args:
-        agents: The agent that owns an aircraft, by its name.
+        agents: The agent that owns an aircraft, by its name; more may come.
         dropped_by_clients: Messages that the station's other clients did not get, by their names.
 
     Attributes:
@@ -164,6 +164,10 @@ class Tabs:
         if tab is not None:
             tab.close()
 
+    def shown(self) -> frozenset[str]:
+        """The aircraft that somebody looks at."""
+        return frozenset(tab.aircraft for tab in self.tabs.values())
+
     def dropped(self) -> dict[str, int]:
         """Pictures that tabs did not get, by name; those of the same name together."""
         counts: dict[str, int] = {}
@@ -234,16 +238,17 @@ class Tabs:
 
     async def _write(self, websocket: WebSocket, tab: Tab) -> None:
         agent = tab.agent
-        others = {name: one for name, one in self.agents.items() if name != tab.aircraft}
         others_at = agent.now
         with contextlib.suppress(WebSocketDisconnect):
             while True:
                 if _is_up_to_date(agent):
                     message = live(agent.telemetry, agent.now)
-                    if others and agent.now >= others_at:
+                    if len(self.agents) > 1 and agent.now >= others_at:
                         others_at = agent.now + OTHERS_INTERVAL
                         message["others"] = [
-                            seen_from_afar(name, one.telemetry) for name, one in others.items()
+                            seen_from_afar(name, one.telemetry)
+                            for name, one in self.agents.items()
+                            if name != tab.aircraft
                         ]
                     began_at = agent.now
                     await websocket.send_json(message)  # waits for a page that takes nothing

@@ -27,24 +27,24 @@ class FleetPart:
 
     def __init__(self, deck: Deck) -> None:
         self._deck = deck
-        self._rows: dict[str, _Row] = {}
+        self._rows: dict[str, _Row] = {}  # as they came
 
     def build(self) -> None:
-        """Lay it out; of one aircraft there is no list."""
-        agents = self._deck.tabs.agents
-        if len(agents) < 2:
-            return
-        with ui.element("nav").props("id=fleet") as row:
-            for name in agents:
-                self._rows[name] = _Row(self._deck, name)
-        self._deck.wording.put(attribute(row), "fleet.label")
-        self._deck.load("ships.js")
+        """Lay it out."""
+        self._place = ui.element("nav").props("id=fleet")
+        self._place.set_visibility(False)  # of one aircraft there is no list
+        self._deck.wording.put(attribute(self._place), "fleet.label")
 
     def update(self, view: View) -> None:
-        """Show what is."""
+        """Show what is; of a fleet more may come."""
         for row in view.fleet:
-            if row.name in self._rows:
-                self._rows[row.name].show(row)
+            if not self._rows:
+                self._place.set_visibility(True)
+                self._deck.load("ships.js")
+            if row.name not in self._rows:
+                with self._place:
+                    self._rows[row.name] = _Row(self._deck, row.name)
+            self._rows[row.name].show(row)
 
 
 class _Row:
