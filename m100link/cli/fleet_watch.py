@@ -15,7 +15,7 @@ from m100link.cli.fleet import NO_OPTIONS, FleetOptions, until_told
 from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
 from m100link.fleet.client import Fleet
-from m100link.fleet.keys import Keys
+from m100link.fleet.keys import Keys, in_order
 from m100link.fleet.telemetry import FleetTelemetry
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Battery, FlightStatus, Position, Velocity
@@ -60,7 +60,7 @@ def monitor(
             heard = FleetTelemetry(fleet.bus, fleet.keys)
             if options.json_output:
                 while await _until(ended, 1.0):
-                    for name in sorted(fleet.present | set(heard.states)):
+                    for name in in_order(fleet.present | set(heard.states)):
                         print_json(_told(fleet, heard, name))
                 return
             with Live(console=out, auto_refresh=False) as live:
@@ -92,7 +92,7 @@ def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
     table = Table(box=None, pad_edge=False)
     for title in ("name", "age", "phase", "height", "speed", "battery", "place"):
         table.add_column(title)
-    for name in sorted(fleet.present | set(heard.states)):
+    for name in in_order(fleet.present | set(heard.states)):
         state = heard.states.get(name)
         if state is None:
             table.add_row(name, "never heard")

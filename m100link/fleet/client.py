@@ -21,7 +21,7 @@ from m100link.fleet.age import ORDER_AGE
 from m100link.fleet.asking import PATIENCE_S, Asker, Sign
 from m100link.fleet.carrier import FleetChannel, reach
 from m100link.fleet.control import FleetControl
-from m100link.fleet.keys import DEFAULT_SITE, Keys, name_in
+from m100link.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in
 from m100link.fleet.logs.fetching import Fetched, LogFetcher, Progress
 from m100link.fleet.logs.words import LogEntry
 from m100link.fleet.outcome import Result
@@ -267,12 +267,12 @@ class Fleet:
 
     async def names(self) -> list[str]:
         """Names of the agents that are there: those that were seen come, and who is found now."""
-        return sorted(self._present.union(await self._tokens()))
+        return in_order(self._present.union(await self._tokens()))
 
     async def changes(self) -> AsyncIterator[Change]:
         """Who appears and who is gone, without end; first those that are there."""
         waiting: deque[Change] = deque(
-            (Change(name, True) for name in sorted(self._present)), maxlen=_MOST_CHANGES
+            (Change(name, True) for name in in_order(self._present)), maxlen=_MOST_CHANGES
         )
         event = asyncio.Event()
         listener = (waiting, event)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from m100link.errors import UsageError
 
-__all__ = ["DEFAULT_SITE", "NAME", "Keys", "check_name", "name_in"]
+__all__ = ["DEFAULT_SITE", "NAME", "Keys", "check_name", "in_order", "name_in"]
 
 DEFAULT_SITE = "site"
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 """What may be a name in a fleet: of an aircraft, a site, an identity, a certificate."""
+
+_PARTS = re.compile(r"[0-9]+|[^0-9]+")
 
 
 def check_name(name: str, what: str = "an aircraft") -> str:
@@ -27,6 +30,16 @@ def check_name(name: str, what: str = "an aircraft") -> str:
             remedy="use 1 to 32 letters, digits, - and _, and begin with a letter or a digit",
         )
     return name
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Names as people count: a2 before a10."""
+
+    def parts(name: str) -> list[tuple[bool, int, str]]:
+        found = _PARTS.findall(name)
+        return [(False, int(one), "") if one.isdigit() else (True, 0, one) for one in found]
+
+    return sorted(names, key=parts)
 
 
 def name_in(key: str) -> str:
