@@ -16,7 +16,7 @@ from m100link.fleet.rights import Identity, Right, Rights
 __all__ = ["explain", "router_config"]
 
 _TOLD = ("tel", "tel/**", "state", "event", "told")
-_WATCHED = ("state", "told", "log")  # asked by who watches
+_WATCHED = ("state", "told", "log", "mission")  # asked by who watches
 _CARDS = ("state",)  # and of all at once
 _ORDERED = ("cmd", "status/**")  # by who may stop; of who flies besides:
 _FLOWN = ("lease", "show")

@@ -31,6 +31,7 @@ from m100link.fleet.book import OrderBook
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger
 from m100link.fleet.lost import Lost, LostPlan
+from m100link.fleet.missions.board import Missions
 from m100link.fleet.namesake import Namesakes
 from m100link.fleet.orders import Done, Orders, is_kept, lands, moves, revokes
 from m100link.fleet.outcome import outcome_of
@@ -143,6 +144,11 @@ class FleetAgent:
             finally:
                 self.client.on_event.remove(self._on_event)
 
+    @property
+    def missions(self) -> Missions:
+        """What flies by plans."""
+        return self._orders.missions
+
     async def require_alone(self) -> None:
         """Look whether the name is free; one whose agent was killed is seen for a while yet.
 
@@ -227,7 +233,10 @@ class FleetAgent:
             holder=client.holder.name,
             fence=client.holder.number,
             has_authority=client.has_authority,
-            task=state.task or state.pattern or (state.guided.what if state.guided else ""),
+            task=state.task
+            or state.pattern
+            or (state.guided.what if state.guided else "")
+            or self.missions.words,
             phase="" if phase is None else phase.name.lower().replace("_", " "),
             height_m=position.height_m if position is not None and is_place else None,
             latitude_deg=position.latitude_deg if position is not None and is_place else None,

@@ -16,7 +16,7 @@ from m100link.agent.actions import Action
 from m100link.agent.fault import MessageError, fault_of
 from m100link.agent.messages import Ask
 from m100link.bus.network import Bus, Held
-from m100link.errors import GuardRefused, M100Error
+from m100link.errors import GuardRefused, M100Error, Unreachable
 from m100link.fleet.age import ORDER_AGE
 from m100link.fleet.asking import PATIENCE_S, Asker, Sign
 from m100link.fleet.carrier import FleetChannel, reach
@@ -24,8 +24,9 @@ from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in
 from m100link.fleet.logs.fetching import Fetched, LogFetcher, Progress
 from m100link.fleet.logs.words import LogEntry
+from m100link.fleet.missions.flight import mission_card
 from m100link.fleet.outcome import Result
-from m100link.fleet.payloads import Card, unpack
+from m100link.fleet.payloads import Card, MissionCard, unpack
 from m100link.fleet.session import open_fleet
 
 __all__ = ["Change", "Fleet", "FleetAircraft", "connect"]
@@ -152,6 +153,16 @@ class FleetAircraft:
             FleetError: What came is not what it has.
         """
         return await self._fetcher().fetch(log, to, progress)
+
+    async def mission(self) -> MissionCard:
+        """Where its mission is.
+
+        Raises:
+            Unreachable, OutcomeUnknown: It is not there, or gives no answer.
+        """
+        if not await self._asker.is_there():
+            raise Unreachable(f"no agent named {self.name} is there")
+        return await mission_card(self._bus, self.keys)
 
     def _fetcher(self) -> LogFetcher:
         return LogFetcher(self._bus, self.keys, self._asker)

@@ -120,6 +120,11 @@ class Keys:
         return self.of("log")
 
     @property
+    def mission(self) -> str:
+        """How far its mission is, is asked here."""
+        return self.of("mission")
+
+    @property
     def show(self) -> str:
         """What has to do with a show is asked here."""
         return self.of("show")

@@ -20,6 +20,7 @@ from m100link.fleet.agent import FleetAgent
 from m100link.fleet.client import Fleet
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger, MemoryLedger
+from m100link.fleet.missions.told import MissionTeller
 from m100link.fleet.told import AgentTold
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
@@ -75,6 +76,9 @@ class OnBoard:
                 **options,
             )
             self.work = self.agent.background.spawn(self.fleet_agent.run(), "fleet")
+            one = self.fleet_agent
+            teller = MissionTeller(one.missions, self.bus, Keys(SITE, self.name), one.boot)
+            self.agent.background.spawn(teller.run(), "missions")
             await self.rig.until(lambda: self.client.is_connected)
             yield self
             self.work.cancel()
