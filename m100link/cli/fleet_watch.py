@@ -14,6 +14,7 @@ from m100link.cli.common import err, out, run_async
 from m100link.cli.fleet import NO_OPTIONS, FleetOptions, until_told
 from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
+from m100link.cli.terminal import ReaderGone
 from m100link.fleet.client import Fleet
 from m100link.fleet.keys import Keys, in_order
 from m100link.fleet.telemetry import FleetTelemetry
@@ -129,16 +130,21 @@ def watch(
         options: Which fleet.
     """
 
-    def tell(_: str, sample: Sample) -> None:
-        told: dict[str, Any] = {"received_at": sample.received_at}
-        for kind, item in BY_RECORD.items():
-            value = sample.get(kind)
-            if value is not None:
-                told[item.name] = value._asdict()
-        print_json(told)
-
     async def run() -> None:
         ended = until_told()
+        gone: ReaderGone | None = None
+
+        def tell(_: str, sample: Sample) -> None:
+            nonlocal gone
+            if gone is not None:
+                return
+            try:
+                print_json(_package(sample))
+            except ReaderGone as error:
+                # Whoever brings a sample takes no error, and later ones would go nowhere for ever.
+                gone = error
+                ended.set()
+
         if duration is not None:
             asyncio.get_running_loop().call_later(duration, ended.set)
         async with options.open() as fleet:
@@ -147,8 +153,19 @@ def watch(
             await ended.wait()
             heard.close()
             err.print(f"{heard.received[name]} packages", markup=False)
+        if gone is not None:
+            raise gone
 
     return run_async(run())
+
+
+def _package(sample: Sample) -> dict[str, Any]:
+    told: dict[str, Any] = {"received_at": sample.received_at}
+    for kind, item in BY_RECORD.items():
+        value = sample.get(kind)
+        if value is not None:
+            told[item.name] = value._asdict()
+    return told
 
 
 def lease(
