@@ -184,13 +184,15 @@ async def cards(bus: Bus, keys: Keys) -> dict[str, Card]:
     """Where agents stand, by name: those that answered in time and can be read."""
     found = {}
     for answer in await bus.ask(keys.state, timeout=_ANSWER_S):
+        name = name_in(answer.key)
         try:
             card: Card = unpack(Card, answer.payload)
+            if card.name != name:  # rules of a router go by the key
+                raise MessageError(f"under the key of {name} somebody tells of {card.name}")
         except MessageError as error:
-            # Another version: it is told as what is wrong, not left out.
-            name = name_in(answer.key)
+            # Another version, or a lie: it is told as what is wrong, not left out.
             card = Card(name, "", 0.0, "unreadable", fault=fault_of(error))
-        found[card.name] = card
+        found[name] = card
     return found
 
 

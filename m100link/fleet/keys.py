@@ -43,9 +43,13 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 def name_in(key: str) -> str:
-    """The name of the aircraft in a key of :class:`Keys`; empty in any other."""
+    """The name of the aircraft in a key of :class:`Keys`; empty in any other.
+
+    Whoever reaches the router may show a token with any word in that place: it is no aircraft.
+    """
     words = key.split("/")
-    return words[2] if len(words) > 3 and words[0] == "m100" else ""
+    is_one = len(words) > 3 and words[0] == "m100" and NAME.fullmatch(words[2])
+    return words[2] if is_one else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,8 @@ def test_the_name_in_a_key() -> None:
     assert name_in("m100/field/a1/live") == "a1"
     assert name_in("m100/field") == ""
     assert name_in("other/field/a1/live") == ""
+    assert name_in("m100/field/no name/live") == ""
+    assert name_in(f"m100/field/{'a' * 33}/live") == ""
 
 
 @pytest.mark.parametrize("name", ["", "*", "a/b", "a b", "-a", "ä", "a" * 33, "**", "a$*"])
