@@ -133,6 +133,11 @@ class Keys:
         """What has to do with a show is asked here."""
         return self.of("show")
 
+    @property
+    def place(self) -> str:
+        """Where it will be in its show is told here, to the others that fly it."""
+        return self.of("place")
+
     def status(self, identity: str = "*") -> str:
         """What became of an order is asked here."""
         return self.of(f"status/{identity}")
