@@ -43,7 +43,7 @@ __all__ = [
 
 app = cyclopts.App(
     name="fleet",
-    help="Many aircraft on many machines: a router, agents on board, pilots, formations, logs.",
+    help="Many aircraft on many machines: a router, agents on board, pilots, formations.",
     version_flags=(),
 )
 ROUTER = "tcp/127.0.0.1:7447"

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from m100link.cli.common import err, out, run_async
 from m100link.cli.fleet import NO_OPTIONS, FleetOptions, until_told
+from m100link.cli.fleet_lease import shared
 from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
 from m100link.cli.terminal import ReaderGone
@@ -177,6 +178,8 @@ def lease(
 ) -> int:
     """Take control of one aircraft and hold it, hovering, until Ctrl-C.
 
+    Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
+
     Args:
         name: Which.
         take_over: Take it from whoever has it.
@@ -190,6 +193,7 @@ def lease(
                 print_json({"name": name, "fence": control.fence})
             else:
                 out.print(f"{name}: lease {control.fence}, until Ctrl-C", markup=False)
-            await ended.wait()
+            with shared(options.site, name, control):
+                await ended.wait()
 
     return run_async(run())

@@ -90,6 +90,16 @@ class FleetControl:
         return 0 if self._lease is None else self._lease.number
 
     @property
+    def proof(self) -> tuple[int, str]:
+        """Number and secret of the lease: whoever has both orders under it.
+
+        Raises:
+            StaleLease: It has ended.
+        """
+        lease = self._held()
+        return lease.number, lease.token
+
+    @property
     def clock_bound_s(self) -> float | None:
         """By how much the agent's clock is known, s."""
         return self._agent_clock.bound_s
@@ -254,7 +264,7 @@ class FleetControl:
         return MissionOrders(self._keys.name, self.ask)
 
     def waypoint_mission(self, plan: WaypointPlan, *, take_off: bool = False) -> FleetMission:
-        """Let the aircraft fly a plan by itself, as ``async with``; see :class:`FleetMission`.
+        """Let the aircraft fly a plan by itself, as ``async with``.
 
         It flies as long as this block has the lease: whoever loses it loses the mission.
 

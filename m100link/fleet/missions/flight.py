@@ -130,8 +130,8 @@ class MissionOrders:
 class FleetMission:
     """A waypoint mission: ``async with control.waypoint_mission(plan) as mission``.
 
-    Entering uploads and starts it. ``async for event in mission`` gives the events of
-    :mod:`m100link.flight.missions.events` until its end. Leaving the block before stops it.
+    Entering uploads and starts it. ``async for event in mission`` gives the events that a mission
+    of one aircraft gives, until its end. Leaving the block before stops it.
 
     Args:
         bus: The network.
@@ -151,7 +151,13 @@ class FleetMission:
         self._events: deque[MissionEvent] = deque()
         self._seen = 0
         self._was_paused = self._is_stopped = self._is_told_finished = False
+        self._has_begun = False
         self._end: MissionCard | None = None
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether it was told to start, whatever came of that."""
+        return self._has_begun
 
     @property
     def is_over(self) -> bool:
@@ -162,7 +168,12 @@ class FleetMission:
         self._digest = await self._orders.upload(self.plan)
         self._events.append(Uploaded(len(self.plan.waypoints), None))
         self._boot = (await mission_card(self._bus, self._keys)).boot
-        await self._orders.start(self._digest, take_off=self._take_off)
+        self._has_begun = True
+        try:
+            await self._orders.start(self._digest, take_off=self._take_off)
+        except (asyncio.CancelledError, OutcomeUnknown):
+            await self._leave(is_quiet=True)  # it may have begun
+            raise
         self._events.append(Started())
         return self
 
@@ -172,12 +183,15 @@ class FleetMission:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        await self._leave(is_quiet=exc_type is not None)
+
+    async def _leave(self, *, is_quiet: bool) -> None:
         if self.is_over:
             return
         try:
             await self.stop()
         except M100Error as error:
-            if exc_type is None:
+            if not is_quiet:
                 raise
             # What ends the block is told. The mission ends with the lease, if it flies still.
             _logger.warning("%s: its mission was not stopped: %s", self._keys.name, error.seen)
@@ -246,11 +260,11 @@ class FleetMission:
         await self._orders.pause()
 
     async def resume(self) -> None:
-        """Let it go on. Raises: see :meth:`pause`."""
+        """Let it go on. Raises: as a pause."""
         await self._orders.resume()
 
     async def set_speed(self, speed: float) -> float:
-        """Change its speed, m/s; returns the one in force. Raises: see :meth:`pause`."""
+        """Change its speed, m/s; returns the one in force. Raises: as a pause."""
         return await self._orders.set_speed(speed)
 
     async def stop(self) -> None:
