@@ -11,7 +11,7 @@ import asyncio
 import re
 import time
 import uuid
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
@@ -59,6 +59,10 @@ _CARD_S = 1.0
 _FRESH_S = 5.0
 _SAMPLES = 100
 _NAMESAKE_S = 2.0
+_SHORT = 2048
+"""Bytes of an order that is read at once: with its signature STOP has 600."""
+_MOST_LONG = 16
+_LONG_S = 0.02
 
 Verify = Callable[[Order], None]
 """Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
@@ -112,6 +116,9 @@ class FleetAgent:
         descend = partial(self._orders.descend, take_over=False)
         self._lost = Lost(client, self._lost_plan, descend, self._aloft)
         self._ended: dict[str, asyncio.Event] = {}
+        # Long orders, which wait until short ones have been read.
+        self._long: deque[Question] = deque()
+        self._has_long = asyncio.Event()
         self._stream = SetpointStream()
         client.on_steer_refused.append(self._steer_refused)
 
@@ -139,6 +146,7 @@ class FleetAgent:
             try:
                 async with asyncio.TaskGroup() as group:
                     group.create_task(self._aloft.keep())
+                    group.create_task(self._answer_long())
                     group.create_task(self._tell_telemetry())
                     group.create_task(self._tell_state())
             finally:
@@ -253,7 +261,23 @@ class FleetAgent:
     # -- orders ----------------------------------------------------------------------------------
 
     def _on_order(self, question: Question) -> None:
-        self.client.background.spawn(self._answer_order(question), "order of the fleet")
+        if len(question.payload) <= _SHORT:
+            self.client.background.spawn(self._answer_order(question), "order of the fleet")
+        elif len(self._long) < _MOST_LONG:
+            self._long.append(question)
+            self._has_long.set()
+        else:
+            question.drop()  # whoever waits for it asks again
+
+    async def _answer_long(self) -> None:
+        """Long orders one after the other, with time between them: STOP is short."""
+        while True:
+            await self._has_long.wait()
+            question = self._long.popleft()
+            if not self._long:
+                self._has_long.clear()
+            self.client.background.spawn(self._answer_order(question), "order of the fleet")
+            await asyncio.sleep(_LONG_S)
 
     async def _answer_order(self, question: Question) -> None:
         # The key of this aircraft, whatever pattern was asked: of several answers under one key
@@ -371,6 +395,9 @@ class FleetAgent:
     # -- setpoints -------------------------------------------------------------------------------
 
     def _on_setpoint(self, key: str, payload: bytes) -> None:
+        if len(payload) > _SHORT:
+            self.dropped[Dropped.DAMAGED] += 1
+            return
         try:
             found = unpack_steer(payload, self._orders.tokens)
         except MessageError:

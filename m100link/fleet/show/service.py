@@ -28,6 +28,8 @@ from m100link.fleet.show.track import MAX_POINTS, BadShow
 __all__ = ["ShowService"]
 
 _TELL_S = 0.2
+_MOST_ORDER = 4096
+"""Bytes: a piece of a track has 2048 with all that is around it."""
 _MOST_KNOWN = 1024
 _MOST_BYTES = 32 * MAX_POINTS + 1024
 
@@ -89,6 +91,9 @@ class ShowService:
             neighbours.hear(ahead, self._client.now)
 
     def _on_order(self, question: Question) -> None:
+        if len(question.payload) > _MOST_ORDER:
+            question.drop()  # before it costs the time that STOP needs
+            return
         identity, fault = "", None
         try:
             order: Order = unpack(Order, question.payload)
