@@ -86,11 +86,14 @@ class _Outlet(Outlet):
         network, sender = self._session.network, self._session
         what = Received(payload, attachment or b"")
         for one in network.takers("subscribe", self._key):
+            if one.session is sender:
+                continue
             network.carry(sender, one.session, partial(one.session.hand, one, self._key, what))
 
     def is_wanted(self) -> bool:
         return self._is_kept or any(
-            not self._session.network.is_cut(self._session, one.session)
+            one.session is not self._session
+            and not self._session.network.is_cut(self._session, one.session)
             for one in self._session.network.takers("subscribe", self._key)
         )
 
@@ -277,14 +280,19 @@ class MemoryBus:
         if taker.is_open and taker.take is not None:
             taker.take(*what)
 
-    def publish(self, key: str, *, kept: int = 0) -> Outlet:
-        """Offer messages under a key; who comes late gets none of them here."""
+    def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> Outlet:
+        """Offer messages under a key; none waits here, and who comes late gets none of them."""
         return _Outlet(self, key, is_kept=bool(kept))
 
     def subscribe(
-        self, pattern: str, take: Callable[[str, bytes], None], *, depth: int = DEPTH
+        self,
+        pattern: str,
+        take: Callable[[str, bytes], None],
+        *,
+        depth: int = DEPTH,
+        within: float = 0.0,
     ) -> Held:
-        """Hear messages."""
+        """Hear messages, each as it comes."""
 
         def heard(key: str, what: Received) -> None:
             take(key, what.payload)

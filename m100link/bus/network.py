@@ -128,14 +128,33 @@ class Inbox(Protocol[T]):
 class Bus(Protocol):
     """One session, which hands over."""
 
-    def publish(self, key: str) -> Outlet:
-        """Offer messages under a key."""
+    def publish(self, key: str, *, within: float = 0.0) -> Outlet:
+        """Offer messages under a key to other sessions; one does not hear itself.
+
+        Args:
+            key: Where.
+            within: Seconds that a message may wait for others to go with it: where many go, that
+                costs a fraction. None waits for longer than it takes until an outlet is closed.
+        """
         ...
 
     def subscribe(
-        self, pattern: str, take: Callable[[str, bytes], None], *, depth: int = DEPTH
+        self,
+        pattern: str,
+        take: Callable[[str, bytes], None],
+        *,
+        depth: int = DEPTH,
+        within: float = 0.0,
     ) -> Held:
-        """Hear messages: key and payload."""
+        """Hear messages.
+
+        Args:
+            pattern: Which keys.
+            take: Called with key and payload.
+            depth: What waits at most; of more than that the oldest is lost.
+            within: Seconds that a message may wait outside of Python for others to be taken with
+                it: where many come, that costs a fraction.
+        """
         ...
 
     def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
@@ -178,7 +197,7 @@ class PolledBus(Protocol):
         ...
 
     def publish(self, key: str, *, kept: int = 0) -> Outlet:
-        """Offer messages under a key.
+        """Offer messages under a key to other sessions; one does not hear itself.
 
         Args:
             key: Where.

@@ -11,11 +11,10 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from m100link.bus.network import (
     DEPTH,
@@ -27,6 +26,7 @@ from m100link.bus.network import (
     Received,
     TokenChange,
 )
+from m100link.bus.waiting import AT_ONCE, Bundle, Looks, Patient, Queue, Ring
 from m100link.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,15 +36,10 @@ __all__ = ["LARGEST", "Opening", "ZenohBus", "open_session"]
 
 _logger = logging.getLogger(__name__)
 
-T = TypeVar("T")
-
 LARGEST = 1 << 20
 """Bytes of the longest message that a session puts together: zenoh's own limit is a gigabyte."""
 
 _AGAIN_S = 0.5
-_AT_ONCE = 256
-"""What is taken from one queue before others have their turn."""
-
 _MOST_ANSWERS = 256
 """Of one probe: more of them would wait in zenoh until the question ends."""
 
@@ -72,61 +67,6 @@ class Opening:
     remedies: Mapping[str, str] = field(default_factory=dict)
 
 
-class _Queue:
-    """From threads of zenoh into the event loop."""
-
-    def __init__(
-        self, loop: asyncio.AbstractEventLoop, take: Callable[..., None], depth: int
-    ) -> None:
-        self._loop, self._take = loop, take
-        self._waiting: deque[tuple[Any, ...]] = deque(maxlen=depth)
-        self._is_due = False
-
-    def put(self, *what: Any) -> None:
-        """Called by other threads."""
-        self._waiting.append(what)
-        if not self._is_due:
-            self._is_due = True
-            try:
-                self._loop.call_soon_threadsafe(self._empty)
-            except RuntimeError:
-                _logger.debug("the event loop has ended: nobody takes this")
-
-    def _empty(self) -> None:
-        self._is_due = False
-        for _ in range(_AT_ONCE):
-            if not self._waiting:
-                return
-            try:
-                self._take(*self._waiting.popleft())
-            except Exception:
-                # What one message leads to does not happen to the next one.
-                _logger.exception("a message was not taken")
-        if not self._is_due:
-            self._is_due = True
-            self._loop.call_soon(self._empty)
-
-
-class _Ring(Inbox[T]):
-    """A channel of zenoh's with room for ``depth``, and what is made of each thing in it."""
-
-    def __init__(self, declared: Any, make: Callable[[Any], T], depth: int) -> None:
-        import zenoh
-
-        self._declared, self._make, self._depth = declared, make, depth
-        self._ended = zenoh.ZError
-
-    def take(self) -> list[T]:
-        found: list[T] = []
-        try:
-            # A flood fills it as fast as it is emptied: what comes meanwhile waits.
-            while len(found) < self._depth and (one := self._declared.try_recv()) is not None:
-                found.append(self._make(one))
-        except self._ended:
-            pass  # the session is closed: nothing comes any more
-        return found
-
-
 class _Declared:
     """Something of zenoh's that is declared until it is closed."""
 
@@ -144,8 +84,18 @@ class _Outlet(_Declared, Outlet):
         import zenoh
 
         super().__init__(declared)
-        self._is_kept = is_kept
         self._ended = zenoh.ZError
+        self._first = is_kept  # by who comes later
+        self._told: bool | None = None
+        self._listener: Any = None
+        if not is_kept:
+            # To ask costs 20 µs where a session has a thousand keys, and is asked a hundred times
+            # a second. What changes after the question is told by the listener, which is there.
+            self._listener = declared.declare_matching_listener(self._matching)
+            self._first = bool(declared.matching_status.matching)
+
+    def _matching(self, status: Any) -> None:
+        self._told = bool(status.matching)  # no bool, whatever its stub says
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         if self._declared is None:
@@ -157,9 +107,15 @@ class _Outlet(_Declared, Outlet):
             _logger.debug("not sent: %s", error)
 
     def is_wanted(self) -> bool:
-        if self._declared is None or self._is_kept:
-            return self._declared is not None
-        return bool(self._declared.matching_status.matching)  # no bool, whatever its stub says
+        if self._declared is None:
+            return False
+        return self._first if self._told is None else self._told
+
+    def close(self) -> None:
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            _unless_closed(listener.undeclare)
+        super().close()
 
 
 def _unless_closed(send: Callable[..., object], *what: Any, **more: Any) -> None:
@@ -183,6 +139,7 @@ class ZenohBus:
     def __init__(self, session: zenoh.Session, largest: int = LARGEST) -> None:
         self._session, self._largest = session, largest
         self._loop = asyncio.get_running_loop()
+        self._bundle = Bundle(self._loop)
 
     @property
     def session(self) -> str:
@@ -195,7 +152,7 @@ class ZenohBus:
 
     # -- what goes out ---------------------------------------------------------------------------
 
-    def publish(self, key: str, *, kept: int = 0) -> Outlet:
+    def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> Outlet:
         """Offer messages under a key.
 
         Raises:
@@ -205,8 +162,12 @@ class ZenohBus:
 
         drop = zenoh.CongestionControl.DROP
         if not kept:
-            publisher = self._session.declare_publisher(key, congestion_control=drop)
-            return _Outlet(publisher, is_kept=False)
+            # Remote: whether this session has to hear it itself would be looked for with each.
+            publisher = self._session.declare_publisher(
+                key, congestion_control=drop, allowed_destination=zenoh.Locality.REMOTE
+            )
+            outlet = _Outlet(publisher, is_kept=False)
+            return Patient(outlet, self._bundle, within) if within else outlet
         import zenoh.ext  # which the package does not load by itself
 
         try:
@@ -247,19 +208,40 @@ class ZenohBus:
     # -- handed over -----------------------------------------------------------------------------
 
     def subscribe(
-        self, pattern: str, take: Callable[[str, bytes], None], *, depth: int = DEPTH
+        self,
+        pattern: str,
+        take: Callable[[str, bytes], None],
+        *,
+        depth: int = DEPTH,
+        within: float = 0.0,
     ) -> Held:
         """Hear messages."""
-        queue = _Queue(self._loop, take, depth)
+        if within:
+            return self._look(pattern, take, depth, within)
+        queue = Queue(self._loop, take, depth)
 
         def heard(sample: zenoh.Sample) -> None:
             queue.put(str(sample.key_expr), self._bytes(sample.payload))
 
         return _Declared(self._session.declare_subscriber(pattern, heard))
 
+    def _look(
+        self, pattern: str, take: Callable[[str, bytes], None], depth: int, within: float
+    ) -> Held:
+        import zenoh
+
+        channel: Any = zenoh.handlers.RingChannel(depth)
+        declared: Any = self._session.declare_subscriber(pattern, channel)
+
+        def made(sample: zenoh.Sample) -> tuple[str, bytes]:
+            return str(sample.key_expr), self._bytes(sample.payload)
+
+        ring = Ring(declared, made, min(depth, AT_ONCE), zenoh.ZError)
+        return Looks(_Declared(declared), ring, lambda one: take(*one), within)
+
     def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
         """Hear questions."""
-        queue = _Queue(self._loop, take, depth)
+        queue = Queue(self._loop, take, depth)
 
         def heard(query: zenoh.Query) -> None:
             queue.put(self._question(query))
@@ -270,7 +252,7 @@ class ZenohBus:
         """See tokens come and go."""
         import zenoh
 
-        queue = _Queue(self._loop, take, DEPTH)
+        queue = Queue(self._loop, take, DEPTH)
         put = zenoh.SampleKind.PUT
 
         def heard(sample: zenoh.Sample) -> None:
@@ -287,7 +269,9 @@ class ZenohBus:
         import zenoh
 
         ring: Any = zenoh.handlers.RingChannel(depth)
-        return _Ring(self._session.declare_subscriber(pattern, ring), self._received, depth)
+        return Ring(
+            self._session.declare_subscriber(pattern, ring), self._received, depth, zenoh.ZError
+        )
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
         """Hear questions."""
@@ -296,7 +280,7 @@ class ZenohBus:
         ring: Any = zenoh.handlers.RingChannel(depth)
         # Complete: a client of rmw_zenoh asks those alone that answer for the whole key.
         declared = self._session.declare_queryable(key, ring, complete=True)
-        return _Ring(declared, self._question, depth)
+        return Ring(declared, self._question, depth, zenoh.ZError)
 
     def changes(self, pattern: str) -> Inbox[TokenChange]:
         """See tokens come and go."""
@@ -309,7 +293,7 @@ class ZenohBus:
         def change(one: zenoh.Sample) -> TokenChange:
             return TokenChange(str(one.key_expr), one.kind == put)
 
-        return _Ring(declared, change, DEPTH)
+        return Ring(declared, change, DEPTH, zenoh.ZError)
 
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         """Ask whether anybody answers."""
@@ -318,7 +302,7 @@ class ZenohBus:
         # No ring, which is emptied when the question has ended.
         queue: Any = zenoh.handlers.FifoChannel(_MOST_ANSWERS)
         asked = self._session.get(key, queue, timeout=timeout)
-        return _Ring(asked, lambda reply: reply.ok is not None, _MOST_ANSWERS)
+        return Ring(asked, lambda reply: reply.ok is not None, _MOST_ANSWERS, zenoh.ZError)
 
     # -- waited for ------------------------------------------------------------------------------
 

@@ -11,18 +11,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from m100link.fleet.keys import LIVE
 from m100link.fleet.rights import Identity, Right, Rights
 
 __all__ = ["explain", "router_config"]
 
 _TOLD = ("tel", "tel/**", "state", "event", "told")
-_WATCHED = ("state", "told", "log", "mission")  # asked by who watches
+_WATCHED = ("state", "told", "log")  # asked by who watches
 _CARDS = ("state",)  # and of all at once
 _ORDERED = ("cmd", "status/**")  # by who may stop; of who flies besides:
 _FLOWN = ("lease", "show")
 _PUT = ("setpoint",)
-_PLACES = ("place",)  # told by each aircraft of a show, to the others
-_LIVE = ("live",)
 
 
 def router_config(rights: Rights) -> dict[str, Any]:
@@ -61,17 +60,25 @@ def _rule(flow: str, messages: Iterable[str], keys: Iterable[str]) -> dict[str, 
     return {"flows": [flow], "messages": list(messages), "key_exprs": list(dict.fromkeys(keys))}
 
 
-def _keys(rights: Rights, patterns: Iterable[str], ends: Iterable[str]) -> list[str]:
+def _word(pattern: str) -> str:
     # A star of zenoh is a whole word; part of one has a sign of its own.
-    words = [one if one == "*" else one.replace("*", "$*") for one in patterns]
+    return pattern if pattern == "*" else pattern.replace("*", "$*")
+
+
+def _keys(rights: Rights, patterns: Iterable[str], ends: Iterable[str]) -> list[str]:
+    words = [_word(one) for one in patterns]
     return [f"m100/{rights.site}/{word}/{end}" for word in words for end in ends]
+
+
+def _tokens(rights: Rights, patterns: Iterable[str]) -> list[str]:
+    return [f"{LIVE}/{rights.site}/{_word(pattern)}" for pattern in patterns]
 
 
 def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
     """An agent tells of its own aircraft, and is asked for it."""
     served = _keys(rights, [name], (*_WATCHED, *_ORDERED, *_FLOWN))
     asked = [*served, *_keys(rights, ["*"], _CARDS)]
-    told, live = (_keys(rights, [name], ends) for ends in (_TOLD, _LIVE))
+    told, live = _keys(rights, [name], _TOLD), _tokens(rights, [name])
     # Setpoints, and what another one of its name tells.
     heard = _keys(rights, [name], (*_PUT, *_CARDS))
     yield _rule("ingress", ["put"], told)
@@ -80,11 +87,6 @@ def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
     yield _rule("egress", ["query"], asked)
     yield _rule("ingress", ["declare_subscriber"], heard)
     yield _rule("egress", ["put"], heard)
-    mine, everybodys = (_keys(rights, [one], _PLACES) for one in (name, "*"))
-    yield _rule("ingress", ["put"], mine)
-    yield _rule("egress", ["declare_subscriber"], everybodys)
-    yield _rule("ingress", ["declare_subscriber"], everybodys)
-    yield _rule("egress", ["put"], everybodys)
     # It looks whether another one has its name.
     messages = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     yield _rule("ingress", messages, live)
@@ -101,7 +103,7 @@ def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
         *_keys(rights, stopped, _ORDERED),
         *_keys(rights, flown, _FLOWN),
     ]
-    put, live = _keys(rights, flown, _PUT), _keys(rights, watched, _LIVE)
+    put, live = _keys(rights, flown, _PUT), _tokens(rights, watched)
     # It may ask for all by one pattern, which has to be allowed as it stands: what it is told is
     # decided for each key as it goes out.
     asked = [*served, *_keys(rights, everybody, _CARDS)]
@@ -112,7 +114,7 @@ def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
     yield _rule("ingress", ["put"], put)
     yield _rule("egress", ["declare_subscriber"], put)
     messages = ["liveliness_query", "declare_liveliness_subscriber"]
-    yield _rule("ingress", messages, _keys(rights, everybody, _LIVE))
+    yield _rule("ingress", messages, _tokens(rights, everybody))
     yield _rule("egress", ["liveliness_token"], live)
 
 

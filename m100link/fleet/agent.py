@@ -11,7 +11,8 @@ import asyncio
 import re
 import time
 import uuid
-from collections import Counter, deque
+import zlib
+from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
@@ -31,7 +32,6 @@ from m100link.fleet.book import OrderBook
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger
 from m100link.fleet.lost import Lost, LostPlan
-from m100link.fleet.missions.board import Missions
 from m100link.fleet.namesake import Namesakes
 from m100link.fleet.orders import Done, Orders, is_kept, lands, moves, revokes
 from m100link.fleet.outcome import outcome_of
@@ -45,9 +45,9 @@ from m100link.fleet.payloads import (
     unpack_steer,
 )
 from m100link.fleet.stream import Dropped, SetpointStream, broken
-from m100link.fleet.thinning import Thinner
+from m100link.fleet.thinning import WALL_WITHIN_S, Thinner
 from m100link.protocol.records import Battery, Position
-from m100link.telemetry.subscription import Newest
+from m100link.telemetry.sample import Sample
 
 __all__ = ["HOLD_S", "FleetAgent", "Verify"]
 
@@ -57,12 +57,7 @@ HOLD_S = 0.5
 _ID = re.compile(r"[0-9a-f]{32}")
 _CARD_S = 1.0
 _FRESH_S = 5.0
-_SAMPLES = 100
 _NAMESAKE_S = 2.0
-_SHORT = 2048
-"""Bytes of an order that is read at once: with its signature STOP has 600."""
-_MOST_LONG = 16
-_LONG_S = 0.02
 
 Verify = Callable[[Order], None]
 """Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
@@ -116,10 +111,8 @@ class FleetAgent:
         descend = partial(self._orders.descend, take_over=False)
         self._lost = Lost(client, self._lost_plan, descend, self._aloft)
         self._ended: dict[str, asyncio.Event] = {}
-        # Long orders, which wait until short ones have been read.
-        self._long: deque[Question] = deque()
-        self._has_long = asyncio.Event()
         self._stream = SetpointStream()
+        self._thinner = Thinner()
         client.on_steer_refused.append(self._steer_refused)
 
     async def run(self) -> None:
@@ -131,8 +124,10 @@ class FleetAgent:
                 stack.callback(held.close)
 
             self._event = bus.publish(keys.event)
-            self._state = bus.publish(keys.state)
-            for outlet in (self._event, self._state):
+            self._state = bus.publish(keys.state, within=WALL_WITHIN_S)
+            self._full = bus.publish(keys.telemetry)
+            self._wall = bus.publish(keys.thinned, within=WALL_WITHIN_S)
+            for outlet in (self._event, self._state, self._full, self._wall):
                 hold(outlet)
             for key in (keys.command, keys.lease):
                 hold(bus.serve(key, self._on_order))
@@ -141,21 +136,17 @@ class FleetAgent:
             hold(bus.subscribe(keys.setpoint, self._on_setpoint))
             hold(bus.subscribe(keys.state, self._on_own_state))
             self.client.on_event.append(self._on_event)
+            # No task is woken for each of a hundred packages a second.
+            self.client.on_sample.append(self._on_sample)
             hold(bus.declare(keys.live))
             self._lost.inherit(self._ledger.aloft)
             try:
                 async with asyncio.TaskGroup() as group:
                     group.create_task(self._aloft.keep())
-                    group.create_task(self._answer_long())
-                    group.create_task(self._tell_telemetry())
                     group.create_task(self._tell_state())
             finally:
                 self.client.on_event.remove(self._on_event)
-
-    @property
-    def missions(self) -> Missions:
-        """What flies by plans."""
-        return self._orders.missions
+                self.client.on_sample.remove(self._on_sample)
 
     async def require_alone(self) -> None:
         """Look whether the name is free; one whose agent was killed is seen for a while yet.
@@ -177,30 +168,25 @@ class FleetAgent:
     def _on_event(self, event: Event) -> None:
         self._event.put(pack(event))
 
-    async def _tell_telemetry(self) -> None:
-        full, wall = self._bus.publish(self._keys.telemetry), self._bus.publish(self._keys.thinned)
-        thinner = Thinner()
-        try:
-            async with self.client.samples(Newest(_SAMPLES)) as samples:
-                async for sample in samples:
-                    is_for_wall = thinner.goes_on(sample.flags, sample.received_at)
-                    is_watched = full.is_wanted()
-                    if not (is_for_wall or is_watched):
-                        continue
-                    payload = pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
-                    if is_for_wall:
-                        wall.put(payload)
-                    if is_watched:
-                        full.put(payload)
-        finally:
-            full.close()
-            wall.close()
+    def _on_sample(self, sample: Sample) -> None:
+        is_for_wall = self._thinner.goes_on(sample.flags, sample.received_at)
+        is_watched = self._full.is_wanted()
+        if not (is_for_wall or is_watched):
+            return
+        payload = pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
+        if is_for_wall:
+            self._wall.put(payload)
+        if is_watched:
+            self._full.put(payload)
 
     async def _tell_state(self) -> None:
+        # At a moment of its own: of hundreds in one, begun together, some would be lost.
+        pause = _CARD_S * zlib.crc32(self._keys.name.encode()) / 2**32
         while True:
             self._state.put(pack(self.card()))
             self._look_for_namesakes()
-            await asyncio.sleep(_CARD_S)
+            await asyncio.sleep(pause)
+            pause = _CARD_S
 
     def _on_own_state(self, key: str, payload: bytes) -> None:
         try:
@@ -241,10 +227,7 @@ class FleetAgent:
             holder=client.holder.name,
             fence=client.holder.number,
             has_authority=client.has_authority,
-            task=state.task
-            or state.pattern
-            or (state.guided.what if state.guided else "")
-            or self.missions.words,
+            task=state.task or state.pattern or (state.guided.what if state.guided else ""),
             phase="" if phase is None else phase.name.lower().replace("_", " "),
             height_m=position.height_m if position is not None and is_place else None,
             latitude_deg=position.latitude_deg if position is not None and is_place else None,
@@ -261,23 +244,7 @@ class FleetAgent:
     # -- orders ----------------------------------------------------------------------------------
 
     def _on_order(self, question: Question) -> None:
-        if len(question.payload) <= _SHORT:
-            self.client.background.spawn(self._answer_order(question), "order of the fleet")
-        elif len(self._long) < _MOST_LONG:
-            self._long.append(question)
-            self._has_long.set()
-        else:
-            question.drop()  # whoever waits for it asks again
-
-    async def _answer_long(self) -> None:
-        """Long orders one after the other, with time between them: STOP is short."""
-        while True:
-            await self._has_long.wait()
-            question = self._long.popleft()
-            if not self._long:
-                self._has_long.clear()
-            self.client.background.spawn(self._answer_order(question), "order of the fleet")
-            await asyncio.sleep(_LONG_S)
+        self.client.background.spawn(self._answer_order(question), "order of the fleet")
 
     async def _answer_order(self, question: Question) -> None:
         # The key of this aircraft, whatever pattern was asked: of several answers under one key
@@ -395,9 +362,6 @@ class FleetAgent:
     # -- setpoints -------------------------------------------------------------------------------
 
     def _on_setpoint(self, key: str, payload: bytes) -> None:
-        if len(payload) > _SHORT:
-            self.dropped[Dropped.DAMAGED] += 1
-            return
         try:
             found = unpack_steer(payload, self._orders.tokens)
         except MessageError:

@@ -12,6 +12,7 @@ from m100link.bus.network import Bus
 from m100link.errors import LayoutMismatch
 from m100link.fleet.keys import Keys, name_in
 from m100link.fleet.payloads import unpack_message
+from m100link.fleet.thinning import WALL_WITHIN_S
 from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
@@ -50,7 +51,9 @@ class FleetTelemetry:
         self.received: Counter[str] = Counter()
         self.unread = 0
         key = keys.telemetry if full else keys.thinned
-        self._held = bus.subscribe(key, self._heard, depth=_DEPTH)
+        # Whoever looks at one aircraft may fly it; a wall of a thousand is looked at by people.
+        within = 0.0 if full else WALL_WITHIN_S
+        self._held = bus.subscribe(key, self._heard, depth=_DEPTH, within=within)
 
     def close(self) -> None:
         """Hear no more: what nobody hears is not sent."""

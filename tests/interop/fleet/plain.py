@@ -11,7 +11,7 @@ config.insert_json5("mode", '"client"')
 config.insert_json5("connect/endpoints", json.dumps([sys.argv[1]]))
 with zenoh.open(config) as session:
     telemetry = session.declare_subscriber("m100/*/*/tel/**", zenoh.handlers.FifoChannel(10_000))
-    tokens = session.liveliness().get("m100/**", timeout=5.0)
+    tokens = session.liveliness().get("m100-live/**", timeout=5.0)
     print(json.dumps({"tokens": [str(one.ok.key_expr) for one in tokens if one.ok]}))
     states = session.get("m100/*/*/state", timeout=5.0)
     answers = {str(one.ok.key_expr): bytes(one.ok.payload) for one in states if one.ok}

@@ -92,7 +92,7 @@ def test_keys_tokens_and_bytes(site: tuple[Site, ExitStack], tmp_path: Path) -> 
         check=True,
     )
     tokens, states, *samples = [json.loads(line) for line in done.stdout.splitlines()]
-    assert tokens == {"tokens": ["m100/site/a1/live"]}
+    assert tokens == {"tokens": ["m100-live/site/a1"]}
     [(key, (version, state))] = states["states"].items()
     assert (key, version, state["connection"]) == ("m100/site/a1/state", 1, "connected")
     by_key: dict[str, list[bytes]] = {}
