@@ -503,6 +503,13 @@ def soak(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def thousand(session: nox.Session) -> None:
+    """A thousand aircraft of a fleet for ten minutes, real time. `-- --seconds 60` less."""
+    install(session, PACKAGE, *group("test"))
+    session.run("python", "-m", "tests.soak.fleet", *session.posargs)
+
+
+@nox.session(default=False)
 def uvloop(session: nox.Session) -> None:
     """The tests of the link on real ports and sockets, on uvloop's event loop."""
     session.install(PACKAGE, *group("test", "uvloop"))
