@@ -5,6 +5,11 @@ to the others: the router, the agent on board and the pilot, who flies north at 
 is killed (SIGKILL) or frozen (SIGSTOP); then it is measured when the aircraft is below 0.3 m/s,
 what ``--lost`` leads to, when the pilots' view says that the agent is gone, and whether anything
 moves when the lost one is back. A router that is frozen is a cable that was cut without a word.
+
+``--cable`` cuts it indeed: between all three, by taking the loopback interface down. That is for a
+network of one's own::
+
+    unshare -n sh -c 'ip link set lo up; python -m tests.attacks.fleet --cable'
 """
 
 from __future__ import annotations
@@ -21,7 +26,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,14 +65,14 @@ class Loss:
     """What happens to whom.
 
     Attributes:
-        who: ``router``, ``agent`` or ``pilot``.
-        how: The signal.
+        who: ``router``, ``agent`` or ``pilot``; ``cable`` for what is between them.
+        how: The signal; None for a cable, which is cut without a word to either end.
         lands: Whether ``--lost land`` can follow: somebody has to be left who does it, or come
             after him.
     """
 
     who: str
-    how: signal.Signals
+    how: signal.Signals | None
     lands: bool
 
 
@@ -79,6 +84,9 @@ LOSSES = (
     Loss("agent", signal.SIGKILL, True),  # by the next one
     Loss("agent", signal.SIGSTOP, False),
 )
+
+
+CABLE = Loss("cable", None, True)
 
 
 @dataclass(frozen=True)
@@ -147,6 +155,23 @@ class Site:
             assert process.stdout is not None
             assert json.loads(await process.stdout.readline())
 
+    async def lose(self, loss: Loss) -> None:
+        """Let it happen."""
+        if loss.how is None:
+            await _set_loopback("down")
+        else:
+            self.processes[loss.who].send_signal(loss.how)
+
+    async def bring_back(self, loss: Loss) -> None:
+        """What was lost is there again."""
+        if loss.how is None:
+            await _set_loopback("up")
+        elif loss.how is signal.SIGSTOP:
+            self.processes[loss.who].send_signal(signal.SIGCONT)
+        else:
+            await self.processes[loss.who].wait()
+            await self.start(loss.who)
+
     async def still_since(self, lost_at: float) -> float:
         """Seconds from then until it was slow, and stayed so for a second."""
         slow_at = math.inf
@@ -164,6 +189,11 @@ class Site:
             found = max(found, self.speed)
             await asyncio.sleep(0.01)
         return found
+
+
+async def _set_loopback(state: str) -> None:
+    process = await asyncio.create_subprocess_exec("ip", "link", "set", "lo", state)
+    assert await process.wait() == 0, "only in a network of one's own"
 
 
 async def _ended(process: asyncio.subprocess.Process) -> None:
@@ -197,24 +227,19 @@ async def lose(loss: Loss, seed: int = 1) -> Measured:
                     gone.append(time.monotonic())
 
         watching = asyncio.create_task(watch())
-        process = site.processes[loss.who]
-        process.send_signal(loss.how)
+        await site.lose(loss)
         lost_at = time.monotonic()
         still = await site.still_since(lost_at)
         landed = None
         if loss.how is signal.SIGKILL and loss.who == "agent":
-            await process.wait()
-            await site.start(loss.who)
+            await site.bring_back(loss)
         if loss.lands:
             await until(lambda: site.aircraft.height < 0.1)
             landed = time.monotonic() - lost_at
         elif loss.how is signal.SIGSTOP:
             await until(lambda: bool(gone))
-        if loss.how is signal.SIGSTOP:
-            process.send_signal(signal.SIGCONT)
-        elif loss.who == "router":
-            await process.wait()
-            await site.start(loss.who)
+        if loss.how is not signal.SIGKILL or loss.who == "router":
+            await site.bring_back(loss)
         moved = await site.fastest(3.0)
         watching.cancel()
         gone_s = gone[0] - lost_at if gone else None
@@ -228,26 +253,29 @@ def table(measured: Measured) -> str:
         return "      –" if seconds is None else f"{seconds:6.2f}s"
 
     loss = measured.loss
+    how = "cut" if loss.how is None else loss.how.name
     return (
-        f"{loss.who:7} {loss.how.name:8} still {told(measured.still_s)}  down "
+        f"{loss.who:7} {how:8} still {told(measured.still_s)}  down "
         f"{told(measured.landed_s)}  gone {told(measured.gone_s)}  "
         f"after it {measured.moved_m_s:.2f} m/s"
     )
 
 
-async def _main(times: int, tell: Callable[[str], None]) -> bool:
+async def _main(losses: Sequence[Loss], times: int, tell: Callable[[str], None]) -> bool:
     is_good = True
     for seed in range(times):
-        for loss in LOSSES:
+        for loss in losses:
             measured = await lose(loss, seed)
             tell(table(measured))
             is_good &= measured.still_s < WITHIN_S and measured.moved_m_s < STILL_M_S
+            is_good &= (measured.landed_s is not None) is loss.lands
     return is_good
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--times", type=int, default=1)
+    parser.add_argument("--cable", action="store_true")
     given = parser.parse_args()
-    good = asyncio.run(_main(given.times, print))
+    good = asyncio.run(_main((CABLE,) if given.cable else LOSSES, given.times, print))
     sys.exit(0 if good else "something went on flying")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -28,3 +31,21 @@ async def test_it_hovers_then_does_what_was_configured(loss: Loss) -> None:
     assert measured.still_s < WITHIN_S
     assert (measured.landed_s is not None) is loss.lands
     assert measured.moved_m_s < STILL_M_S
+
+
+def may_have_a_network() -> bool:
+    """Whether this user may make a network of its own, and take an interface of it down."""
+    if not (shutil.which("unshare") and shutil.which("ip")):
+        return False
+    tried = subprocess.run(["unshare", "-n", "true"], check=False, capture_output=True)
+    return tried.returncode == 0
+
+
+@pytest.mark.skipif(not may_have_a_network(), reason="needs a network namespace of its own")
+def test_a_cable_that_is_cut_without_a_word_costs_a_hover_and_nothing_resumes() -> None:
+    flown = f"ip link set lo up && exec {sys.executable} -m tests.attacks.fleet --cable"
+    ended = subprocess.run(
+        ["unshare", "-n", "sh", "-c", flown], check=False, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert ended.stdout.startswith("cable   cut      still")
