@@ -24,7 +24,7 @@ from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
 from m100link.fleet.asking import Sign
 from m100link.fleet.client import Fleet, FleetAircraft, connect
-from m100link.fleet.keys import DEFAULT_SITE
+from m100link.fleet.keys import DEFAULT_SITE, in_order
 from m100link.fleet.outcome import Result
 from m100link.fleet.payloads import Card
 from m100link.fleet.signing import read_signer, signing, tls_options
@@ -43,7 +43,7 @@ __all__ = [
 
 app = cyclopts.App(
     name="fleet",
-    help="Many aircraft on many machines: a router, agents on board, pilots, formations, logs.",
+    help="Many aircraft on many machines: a router, agents on board, pilots, formations.",
     version_flags=(),
 )
 ROUTER = "tcp/127.0.0.1:7447"
@@ -197,7 +197,8 @@ def _each(
 
 def tell_results(results: dict[str, Result], *, as_json: bool) -> int:
     """Print what became of an order to each; 0 only when all is well."""
-    for name, result in sorted(results.items()):
+    for name in in_order(results):
+        result = results[name]
         error = result.error
         if as_json:
             told: dict[str, Any] = {"name": name, "outcome": result.outcome.value}

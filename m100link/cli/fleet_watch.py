@@ -12,10 +12,12 @@ from rich.table import Table
 
 from m100link.cli.common import err, out, run_async
 from m100link.cli.fleet import NO_OPTIONS, FleetOptions, until_told
+from m100link.cli.fleet_lease import shared
 from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
+from m100link.cli.terminal import ReaderGone
 from m100link.fleet.client import Fleet
-from m100link.fleet.keys import Keys
+from m100link.fleet.keys import Keys, in_order
 from m100link.fleet.telemetry import FleetTelemetry
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Battery, FlightStatus, Position, Velocity
@@ -60,7 +62,7 @@ def monitor(
             heard = FleetTelemetry(fleet.bus, fleet.keys)
             if options.json_output:
                 while await _until(ended, 1.0):
-                    for name in sorted(fleet.present | set(heard.states)):
+                    for name in in_order(fleet.present | set(heard.states)):
                         print_json(_told(fleet, heard, name))
                 return
             with Live(console=out, auto_refresh=False) as live:
@@ -92,7 +94,7 @@ def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
     table = Table(box=None, pad_edge=False)
     for title in ("name", "age", "phase", "height", "speed", "battery", "place"):
         table.add_column(title)
-    for name in sorted(fleet.present | set(heard.states)):
+    for name in in_order(fleet.present | set(heard.states)):
         state = heard.states.get(name)
         if state is None:
             table.add_row(name, "never heard")
@@ -129,16 +131,21 @@ def watch(
         options: Which fleet.
     """
 
-    def tell(_: str, sample: Sample) -> None:
-        told: dict[str, Any] = {"received_at": sample.received_at}
-        for kind, item in BY_RECORD.items():
-            value = sample.get(kind)
-            if value is not None:
-                told[item.name] = value._asdict()
-        print_json(told)
-
     async def run() -> None:
         ended = until_told()
+        gone: ReaderGone | None = None
+
+        def tell(_: str, sample: Sample) -> None:
+            nonlocal gone
+            if gone is not None:
+                return
+            try:
+                print_json(_package(sample))
+            except ReaderGone as error:
+                # Whoever brings a sample takes no error, and later ones would go nowhere for ever.
+                gone = error
+                ended.set()
+
         if duration is not None:
             asyncio.get_running_loop().call_later(duration, ended.set)
         async with options.open() as fleet:
@@ -147,8 +154,19 @@ def watch(
             await ended.wait()
             heard.close()
             err.print(f"{heard.received[name]} packages", markup=False)
+        if gone is not None:
+            raise gone
 
     return run_async(run())
+
+
+def _package(sample: Sample) -> dict[str, Any]:
+    told: dict[str, Any] = {"received_at": sample.received_at}
+    for kind, item in BY_RECORD.items():
+        value = sample.get(kind)
+        if value is not None:
+            told[item.name] = value._asdict()
+    return told
 
 
 def lease(
@@ -159,6 +177,8 @@ def lease(
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Take control of one aircraft and hold it, hovering, until Ctrl-C.
+
+    Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
 
     Args:
         name: Which.
@@ -173,6 +193,7 @@ def lease(
                 print_json({"name": name, "fence": control.fence})
             else:
                 out.print(f"{name}: lease {control.fence}, until Ctrl-C", markup=False)
-            await ended.wait()
+            with shared(options.site, name, control):
+                await ended.wait()
 
     return run_async(run())

@@ -46,7 +46,7 @@ from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.records import FlightPhase, Position
 from m100link.telemetry.subscription import Latest
 
-__all__ = ["app"]
+__all__ = ["app", "event_name", "event_words"]
 
 app = cyclopts.App(
     name="mission",
@@ -203,12 +203,12 @@ class _Show:
         if isinstance(event, Reached):
             self._reached = event.index
         total, done = len(self._places), self._reached + 1
-        words = _words(event)
+        words = event_words(event)
         if isinstance(event, MissionProgress) and event.distance_m is not None:
             words = f"{event.distance_m:.0f} m to waypoint {event.index}, {event.elapsed:.0f} s"
         self._line = f"{self._bar(done)} {done} of {total}  {words}"
         if self._live is None:
-            print_json({"event": _name(event)} | asdict(event))
+            print_json({"event": event_name(event)} | asdict(event))
         elif isinstance(event, MissionProgress):
             self._draw()
         else:
@@ -256,15 +256,15 @@ class _Show:
                 out.print(line, markup=False)
 
 
-def _name(event: MissionEvent) -> str:
+def event_name(event: MissionEvent) -> str:
     """Reached is "reached", ActionsDone "actions_done"."""
     name = type(event).__name__
     return "".join(f"_{c.lower()}" if c.isupper() else c for c in name).removeprefix("_")
 
 
-def _words(event: MissionEvent) -> str:
+def event_words(event: MissionEvent) -> str:
     """An event in a few words."""
-    words = _name(event).replace("_", " ")
+    words = event_name(event).replace("_", " ")
     if isinstance(event, Uploaded):
         time = "" if event.estimated_time is None else f", about {event.estimated_time:.0f} s"
         return f"{words}: {event.points} waypoints{time}"

@@ -17,11 +17,12 @@ from m100link.fleet.rights import Identity, Right, Rights
 __all__ = ["explain", "router_config"]
 
 _TOLD = ("tel", "tel/**", "state", "event", "told")
-_WATCHED = ("state", "told", "log")  # asked by who watches
+_WATCHED = ("state", "told", "log", "mission")  # asked by who watches
 _CARDS = ("state",)  # and of all at once
 _ORDERED = ("cmd", "status/**")  # by who may stop; of who flies besides:
 _FLOWN = ("lease", "show")
 _PUT = ("setpoint",)
+_PLACES = ("place",)  # told by each aircraft of a show, to the others
 
 
 def router_config(rights: Rights) -> dict[str, Any]:
@@ -87,6 +88,11 @@ def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
     yield _rule("egress", ["query"], asked)
     yield _rule("ingress", ["declare_subscriber"], heard)
     yield _rule("egress", ["put"], heard)
+    mine, everybodys = (_keys(rights, [one], _PLACES) for one in (name, "*"))
+    yield _rule("ingress", ["put"], mine)
+    yield _rule("egress", ["declare_subscriber"], everybodys)
+    yield _rule("ingress", ["declare_subscriber"], everybodys)
+    yield _rule("egress", ["put"], everybodys)
     # It looks whether another one has its name.
     messages = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     yield _rule("ingress", messages, live)

@@ -12,7 +12,7 @@ import re
 import time
 import uuid
 import zlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
@@ -32,6 +32,7 @@ from m100link.fleet.book import OrderBook
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger
 from m100link.fleet.lost import Lost, LostPlan
+from m100link.fleet.missions.board import Missions
 from m100link.fleet.namesake import Namesakes
 from m100link.fleet.orders import Done, Orders, is_kept, lands, moves, revokes
 from m100link.fleet.outcome import outcome_of
@@ -58,6 +59,10 @@ _ID = re.compile(r"[0-9a-f]{32}")
 _CARD_S = 1.0
 _FRESH_S = 5.0
 _NAMESAKE_S = 2.0
+_SHORT = 2048
+"""Bytes of an order that is read at once: with its signature STOP has 600."""
+_MOST_LONG = 16
+_LONG_S = 0.02
 
 Verify = Callable[[Order], None]
 """Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
@@ -111,6 +116,9 @@ class FleetAgent:
         descend = partial(self._orders.descend, take_over=False)
         self._lost = Lost(client, self._lost_plan, descend, self._aloft)
         self._ended: dict[str, asyncio.Event] = {}
+        # Long orders, which wait until short ones have been read.
+        self._long: deque[Question] = deque()
+        self._has_long = asyncio.Event()
         self._stream = SetpointStream()
         self._thinner = Thinner()
         client.on_steer_refused.append(self._steer_refused)
@@ -143,10 +151,16 @@ class FleetAgent:
             try:
                 async with asyncio.TaskGroup() as group:
                     group.create_task(self._aloft.keep())
+                    group.create_task(self._answer_long())
                     group.create_task(self._tell_state())
             finally:
                 self.client.on_event.remove(self._on_event)
                 self.client.on_sample.remove(self._on_sample)
+
+    @property
+    def missions(self) -> Missions:
+        """What flies by plans."""
+        return self._orders.missions
 
     async def require_alone(self) -> None:
         """Look whether the name is free; one whose agent was killed is seen for a while yet.
@@ -227,7 +241,10 @@ class FleetAgent:
             holder=client.holder.name,
             fence=client.holder.number,
             has_authority=client.has_authority,
-            task=state.task or state.pattern or (state.guided.what if state.guided else ""),
+            task=state.task
+            or state.pattern
+            or (state.guided.what if state.guided else "")
+            or self.missions.words,
             phase="" if phase is None else phase.name.lower().replace("_", " "),
             height_m=position.height_m if position is not None and is_place else None,
             latitude_deg=position.latitude_deg if position is not None and is_place else None,
@@ -244,7 +261,23 @@ class FleetAgent:
     # -- orders ----------------------------------------------------------------------------------
 
     def _on_order(self, question: Question) -> None:
-        self.client.background.spawn(self._answer_order(question), "order of the fleet")
+        if len(question.payload) <= _SHORT:
+            self.client.background.spawn(self._answer_order(question), "order of the fleet")
+        elif len(self._long) < _MOST_LONG:
+            self._long.append(question)
+            self._has_long.set()
+        else:
+            question.drop()  # whoever waits for it asks again
+
+    async def _answer_long(self) -> None:
+        """Long orders one after the other, with time between them: STOP is short."""
+        while True:
+            await self._has_long.wait()
+            question = self._long.popleft()
+            if not self._long:
+                self._has_long.clear()
+            self.client.background.spawn(self._answer_order(question), "order of the fleet")
+            await asyncio.sleep(_LONG_S)
 
     async def _answer_order(self, question: Question) -> None:
         # The key of this aircraft, whatever pattern was asked: of several answers under one key
@@ -362,6 +395,9 @@ class FleetAgent:
     # -- setpoints -------------------------------------------------------------------------------
 
     def _on_setpoint(self, key: str, payload: bytes) -> None:
+        if len(payload) > _SHORT:
+            self.dropped[Dropped.DAMAGED] += 1
+            return
         try:
             found = unpack_steer(payload, self._orders.tokens)
         except MessageError:

@@ -16,16 +16,17 @@ from m100link.agent.actions import Action
 from m100link.agent.fault import MessageError, fault_of
 from m100link.agent.messages import Ask
 from m100link.bus.network import Bus, Held
-from m100link.errors import GuardRefused, M100Error
+from m100link.errors import GuardRefused, M100Error, Unreachable
 from m100link.fleet.age import ORDER_AGE
 from m100link.fleet.asking import PATIENCE_S, Asker, Sign
 from m100link.fleet.carrier import FleetChannel, reach
 from m100link.fleet.control import FleetControl
-from m100link.fleet.keys import DEFAULT_SITE, Keys, name_in
+from m100link.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in
 from m100link.fleet.logs.fetching import Fetched, LogFetcher, Progress
 from m100link.fleet.logs.words import LogEntry
+from m100link.fleet.missions.flight import mission_card
 from m100link.fleet.outcome import Result
-from m100link.fleet.payloads import Card, unpack
+from m100link.fleet.payloads import Card, MissionCard, unpack
 from m100link.fleet.session import open_fleet
 from m100link.fleet.thinning import WALL_WITHIN_S
 
@@ -154,6 +155,16 @@ class FleetAircraft:
         """
         return await self._fetcher().fetch(log, to, progress)
 
+    async def mission(self) -> MissionCard:
+        """Where its mission is.
+
+        Raises:
+            Unreachable, OutcomeUnknown: It is not there, or gives no answer.
+        """
+        if not await self._asker.is_there():
+            raise Unreachable(f"no agent named {self.name} is there")
+        return await mission_card(self._bus, self.keys)
+
     def _fetcher(self) -> LogFetcher:
         return LogFetcher(self._bus, self.keys, self._asker)
 
@@ -174,13 +185,15 @@ async def cards(bus: Bus, keys: Keys) -> dict[str, Card]:
     """Where agents stand, by name: those that answered in time and can be read."""
     found = {}
     for answer in await bus.ask(keys.state, timeout=_ANSWER_S):
+        name = name_in(answer.key)
         try:
             card: Card = unpack(Card, answer.payload)
+            if card.name != name:  # rules of a router go by the key
+                raise MessageError(f"under the key of {name} somebody tells of {card.name}")
         except MessageError as error:
-            # Another version: it is told as what is wrong, not left out.
-            name = name_in(answer.key)
+            # Another version, or a lie: it is told as what is wrong, not left out.
             card = Card(name, "", 0.0, "unreadable", fault=fault_of(error))
-        found[card.name] = card
+        found[name] = card
     return found
 
 
@@ -268,12 +281,12 @@ class Fleet:
 
     async def names(self) -> list[str]:
         """Names of the agents that are there: those that were seen come, and who is found now."""
-        return sorted(self._present.union(await self._tokens()))
+        return in_order(self._present.union(await self._tokens()))
 
     async def changes(self) -> AsyncIterator[Change]:
         """Who appears and who is gone, without end; first those that are there."""
         waiting: deque[Change] = deque(
-            (Change(name, True) for name in sorted(self._present)), maxlen=_MOST_CHANGES
+            (Change(name, True) for name in in_order(self._present)), maxlen=_MOST_CHANGES
         )
         event = asyncio.Event()
         listener = (waiting, event)

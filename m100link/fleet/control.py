@@ -30,8 +30,10 @@ from m100link.errors import (
 from m100link.fleet.asking import Asker
 from m100link.fleet.clock import AgentClock
 from m100link.fleet.keys import Keys
+from m100link.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.fleet.payloads import Reply
 from m100link.fleet.sending import SetpointSender
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["FleetControl", "FleetHold"]
@@ -86,6 +88,16 @@ class FleetControl:
     def fence(self) -> int:
         """Number of the lease; 0 without one."""
         return 0 if self._lease is None else self._lease.number
+
+    @property
+    def proof(self) -> tuple[int, str]:
+        """Number and secret of the lease: whoever has both orders under it.
+
+        Raises:
+            StaleLease: It has ended.
+        """
+        lease = self._held()
+        return lease.number, lease.token
 
     @property
     def clock_bound_s(self) -> float | None:
@@ -243,6 +255,39 @@ class FleetControl:
         """
         place = FlyTo(latitude_deg, longitude_deg, height, speed, yaw_deg)
         await self.ask(replace(place, fence=self.fence))
+
+    # -- missions --------------------------------------------------------------------------------
+
+    @property
+    def missions(self) -> MissionOrders:
+        """What is ordered about missions, one by one."""
+        return MissionOrders(self._keys.name, self.ask)
+
+    def waypoint_mission(self, plan: WaypointPlan, *, take_off: bool = False) -> FleetMission:
+        """Let the aircraft fly a plan by itself, as ``async with``.
+
+        It flies as long as this block has the lease: whoever loses it loses the mission.
+
+        Args:
+            plan: What to fly.
+            take_off: Take off first, from the ground.
+
+        Raises (when it is entered):
+            M100Error: As :meth:`m100link.Control.waypoint_mission`, and :class:`FleetError`.
+        """
+        return FleetMission(self._bus, self._keys, self.missions, plan, take_off=take_off)
+
+    async def pause_mission(self) -> None:
+        """Pause whatever mission flies. Raises: see :meth:`take_off`."""
+        await self.missions.pause()
+
+    async def resume_mission(self) -> None:
+        """Let whatever mission is paused go on. Raises: see :meth:`take_off`."""
+        await self.missions.resume()
+
+    async def stop_mission(self) -> None:
+        """End the mission that was started here. Raises: see :meth:`take_off`."""
+        await self.missions.stop()
 
     async def stop(self) -> None:
         """Stop whatever happens; needs no lease."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from m100link.errors import UsageError
 
-__all__ = ["DEFAULT_SITE", "LIVE", "NAME", "Keys", "check_name", "name_in"]
+__all__ = ["DEFAULT_SITE", "LIVE", "NAME", "Keys", "check_name", "in_order", "name_in"]
 
 DEFAULT_SITE = "site"
 
@@ -16,6 +17,8 @@ LIVE = "m100-live"
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 """What may be a name in a fleet: of an aircraft, a site, an identity, a certificate."""
+
+_PARTS = re.compile(r"[0-9]+|[^0-9]+")
 
 
 def check_name(name: str, what: str = "an aircraft") -> str:
@@ -32,10 +35,24 @@ def check_name(name: str, what: str = "an aircraft") -> str:
     return name
 
 
+def in_order(names: Iterable[str]) -> list[str]:
+    """Names as people count: a2 before a10."""
+
+    def parts(name: str) -> list[tuple[bool, int, str]]:
+        found = _PARTS.findall(name)
+        return [(False, int(one), "") if one.isdigit() else (True, 0, one) for one in found]
+
+    return sorted(names, key=parts)
+
+
 def name_in(key: str) -> str:
-    """The name of the aircraft in a key of :class:`Keys`; empty in any other."""
+    """The name of the aircraft in a key of :class:`Keys`; empty in any other.
+
+    Whoever reaches the router may show a token with any word in that place: it is no aircraft.
+    """
     words = key.split("/")
     is_one = (len(words) > 3 and words[0] == "m100") or (len(words) == 3 and words[0] == LIVE)
+    is_one = is_one and bool(NAME.fullmatch(words[2]))
     return words[2] if is_one else ""
 
 
@@ -115,9 +132,19 @@ class Keys:
         return self.of("log")
 
     @property
+    def mission(self) -> str:
+        """How far its mission is, is asked here."""
+        return self.of("mission")
+
+    @property
     def show(self) -> str:
         """What has to do with a show is asked here."""
         return self.of("show")
+
+    @property
+    def place(self) -> str:
+        """Where it will be in its show is told here, to the others that fly it."""
+        return self.of("place")
 
     def status(self, identity: str = "*") -> str:
         """What became of an order is asked here."""

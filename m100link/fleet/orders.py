@@ -16,9 +16,10 @@ from m100link.agent.client import AgentClient
 from m100link.agent.fault import Fault, MessageError, fault_of
 from m100link.agent.guided import GuidedOrder
 from m100link.agent.lease import Flown, Lease, LeaseHeld
-from m100link.agent.messages import Ask, LeaseAsk, Message
+from m100link.agent.messages import Ask, LeaseAsk, Message, PlanTold
 from m100link.errors import M100Error, MissionRunning, StaleLease, TaskRefused
 from m100link.fleet.ledger import Ledger
+from m100link.fleet.missions.board import Missions
 from m100link.fleet.payloads import Order
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
@@ -82,6 +83,7 @@ class Orders:
         ledger: What is kept.
 
     Attributes:
+        missions: What flies by plans.
         tokens: Secrets of the leases in force that were granted to the fleet, by number.
         refused: Why the last setpoint was not flown; told when the lease is renewed.
     """
@@ -89,6 +91,7 @@ class Orders:
     def __init__(self, client: AgentClient, ledger: Ledger) -> None:
         self._client = client
         self._ledger = ledger
+        self.missions = Missions(client)
         self.tokens: dict[int, str] = {}
         self.refused: M100Error | None = None
         # A landing that nobody has to hold a lease for, and that all who ask for it wait for.
@@ -124,6 +127,9 @@ class Orders:
         if isinstance(message, GuidedOrder):
             await client.guide(self.require_lease(order), message)
             return Done()
+        if isinstance(message, PlanTold):
+            digest = await self.missions.upload(self.require_lease(order), message, order.by)
+            return Done(digest)
         if not isinstance(message, Ask):
             raise MessageError(f"{type(message).__name__} is no order")
         if message.action is Action.STOP:
@@ -138,12 +144,19 @@ class Orders:
         lease = None if message.action is Action.VERSION else self.lease_for(order, message)
         if message.action is Action.ACTIVATE and client.state.is_activated:
             return Done()
-        ask, number, data = client.ask, message.number, message.data
         self._underway += 1
         try:
-            outcome = await ask(message.action, lease, number=number, data=data)
+            return await self._do(message, lease)
         finally:
             self._underway -= 1
+
+    async def _do(self, ask: Ask, lease: Lease | None) -> Done:
+        if ask.action is Action.MISSION_START and lease is not None:
+            await self.missions.start(lease, ask)
+            return Done()
+        outcome = await self._client.ask(ask.action, lease, number=ask.number, data=ask.data)
+        if ask.action in (Action.MISSION_PAUSE, Action.MISSION_RESUME):
+            self.missions.paused(ask.action)
         return Done(outcome.text, outcome.number)
 
     # -- the lease -------------------------------------------------------------------------------

@@ -19,12 +19,14 @@ from m100link.agent.codec import BadValue, Fields
 from m100link.agent.fault import Fault, MessageError
 from m100link.agent.message_bytes import decode, encode
 from m100link.agent.messages import Message, Steer
+from m100link.fleet.missions.stages import MissionStage
 from m100link.fleet.outcome import Outcome
 
 __all__ = [
     "SHOW",
     "VERSION",
     "Card",
+    "MissionCard",
     "Order",
     "Progress",
     "Reply",
@@ -172,9 +174,51 @@ class Card:
     version: str = ""
 
 
-Value = Order | Reply | Card
+@dataclass(frozen=True, slots=True)
+class MissionCard:
+    """Where the mission of an aircraft is.
 
-_FIELDS: dict[type[Any], Fields] = {kind: Fields(kind) for kind in (Order, Reply, Card)}
+    Attributes:
+        name: The aircraft.
+        boot: Which run of its agent this is.
+        stage: How far the mission is that came over the fleet.
+        by: Who uploaded it, for people.
+        digest: What names its plan; empty without one.
+        points: Waypoints of the plan; 0 when none is known.
+        reached: Waypoints that were reached, in their order, a byte each; the last 1024.
+        is_paused: It hovers in it.
+        is_finished: Every waypoint was flown.
+        fault: What ended it before.
+        kind: The kind of mission that the aircraft says it flies, whoever started it; empty when
+            nobody knows.
+        index: Waypoint that it flies to, counted from 0; None when nobody knows.
+        status: Status of the mission as on the wire; None when nobody knows.
+        elapsed_s: Seconds since it began, until it ended.
+        distance_m: Horizontally to that waypoint; None when nobody knows.
+        height_m: Above the take-off point; None when nobody knows.
+    """
+
+    name: str
+    boot: str
+    stage: MissionStage = MissionStage.NONE
+    by: str = ""
+    digest: str = ""
+    points: int = 0
+    reached: bytes = b""
+    is_paused: bool = False
+    is_finished: bool = False
+    fault: Fault | None = None
+    kind: str = ""
+    index: int | None = None
+    status: int | None = None
+    elapsed_s: float = 0.0
+    distance_m: float | None = None
+    height_m: float | None = None
+
+
+Value = Order | Reply | Card | MissionCard
+
+_FIELDS: dict[type[Any], Fields] = {kind: Fields(kind) for kind in Value.__args__}
 
 
 def _proof(token: str, data: bytes) -> bytes:
@@ -187,7 +231,7 @@ def pack(value: Value | Message) -> bytes:
     Raises:
         MessageError: It cannot be written.
     """
-    if not isinstance(value, Order | Reply | Card):
+    if not isinstance(value, Value):
         return bytes([VERSION]) + encode(value)
     try:
         text = json.dumps(_FIELDS[type(value)].write(value), separators=(",", ":"))
@@ -217,7 +261,7 @@ def unpack(kind: type[Any], payload: bytes) -> Any:
     """The value of these bytes.
 
     Args:
-        kind: :class:`Order`, :class:`Reply` or :class:`Card`.
+        kind: :class:`Order`, :class:`Reply`, :class:`Card` or :class:`MissionCard`.
         payload: The bytes.
 
     Raises:

@@ -19,6 +19,7 @@ from m100link.fleet.keys import DEFAULT_SITE, Keys, check_name
 from m100link.fleet.ledger import FileLedger, Ledger, MemoryLedger
 from m100link.fleet.logs.service import RATE, LogService
 from m100link.fleet.lost import LostPlan
+from m100link.fleet.missions.told import MissionTeller
 from m100link.fleet.session import open_fleet
 from m100link.fleet.show.service import ShowService
 from m100link.fleet.told import AgentTold
@@ -131,6 +132,7 @@ def _beside(
     return {
         "fronts": AgentTold(one.client, bus, keys, one.boot),
         "show": ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes),
+        "missions": MissionTeller(one.missions, bus, keys, one.boot),
         "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate),
     }
 

@@ -19,6 +19,7 @@ from m100link.agent.client import AgentClient
 from m100link.errors import LinkError, Unreachable, UsageError
 from m100link.fleet.carrier import FleetChannel
 from m100link.fleet.client import Fleet
+from m100link.fleet.keys import in_order
 from m100link.station.config import Settings
 from m100link.station.fronts import Fronts, Sockets, keep_reached, open_sockets, serving_fronts
 
@@ -187,7 +188,7 @@ async def serving_fleet_console(
 
         async def come() -> None:
             while True:
-                for name in sorted(names or fleet.present):
+                for name in in_order(names or fleet.present):
                     await ships.show(name)
                 await asyncio.sleep(_COME_S)
 

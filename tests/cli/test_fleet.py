@@ -45,7 +45,9 @@ class Site:
 
     def _end(self, process: subprocess.Popen[str]) -> None:
         process.kill()
-        process.communicate(timeout=PATIENCE)
+        process.wait(PATIENCE)
+        if process.stdout is not None:
+            process.stdout.close()
 
     def ask(self, *words: str) -> tuple[int, list[dict[str, Any]]]:
         command = [sys.executable, "-m", "m100link", "fleet", *words, "--json"]
@@ -111,6 +113,11 @@ def test_a_wall_one_in_full_and_a_lease_that_is_held(site: Site) -> None:
     assert status == 0
     assert len(packages) > 100
     assert sum(BY_RECORD[Attitude].name in one for one in packages) > 100
+    watched = site.start("watch", "a2")  # as by `| head -1`
+    assert watched.stdout is not None
+    assert json.loads(watched.stdout.readline())["received_at"] > 0
+    watched.stdout.close()
+    assert watched.wait(PATIENCE) == 0
     holder = site.start("lease", "a1", "--json")
     assert holder.stdout is not None
     fence = json.loads(holder.stdout.readline())["fence"]

@@ -20,6 +20,8 @@ from m100link.fleet.agent import FleetAgent
 from m100link.fleet.client import Fleet
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import Ledger, MemoryLedger
+from m100link.fleet.missions.told import MissionTeller
+from m100link.fleet.told import AgentTold
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -74,6 +76,9 @@ class OnBoard:
                 **options,
             )
             self.work = self.agent.background.spawn(self.fleet_agent.run(), "fleet")
+            one = self.fleet_agent
+            teller = MissionTeller(one.missions, self.bus, Keys(SITE, self.name), one.boot)
+            self.agent.background.spawn(teller.run(), "missions")
             await self.rig.until(lambda: self.client.is_connected)
             yield self
             self.work.cancel()
@@ -120,6 +125,14 @@ class Rig:
         virtual = options.pop("virtual", None) or VirtualAircraft(seed=5)
         one = OnBoard(self, name, virtual, ledger or MemoryLedger())
         return await self.stack.enter_async_context(one.running(**options))
+
+    async def served(self, name: str) -> OnBoard:
+        """An aircraft whose agent tells fronts that are elsewhere, too."""
+        one = await self.aircraft(name)
+        told = AgentTold(one.client, one.bus, Keys(SITE, name), one.fleet_agent.boot)
+        one.agent.background.spawn(told.run(), "fronts")
+        await anyio.sleep(0.01)  # it begins
+        return one
 
     async def pilot(self, name: str = "pilot", **options: Any) -> Fleet:
         fleet = Fleet(self.network.session(), site=SITE, name=name, utc=self.utc, **options)

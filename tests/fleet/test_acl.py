@@ -50,11 +50,13 @@ def test_what_no_rule_allows_is_denied() -> None:
     assert len({rule["id"] for rule in found["rules"]}) == len(found["rules"])
 
 
-def test_an_agent_has_rules_for_nobody_elses_keys_but_one_question() -> None:
+def test_an_agent_has_rules_for_nobody_elses_keys_but_a_question_and_places() -> None:
     """Where all stand is asked by one pattern, which has to be allowed as it stands."""
     keys = {key for rule in rules_of("agent a1") for key in rule["key_exprs"]}
     others = {key for key in keys if not key.startswith("m100/site/a1/")}
-    assert others == {"m100/site/*/state", "m100-live/site/a1"}
+    assert others == {"m100/site/*/state", "m100/site/*/place", "m100-live/site/a1"}
+    places = [one for one in rules_of("agent a1") if "m100/site/*/place" in one["key_exprs"]]
+    assert not any("put" in one["messages"] and one["flows"] == ["ingress"] for one in places)
     [rule] = [one for one in rules_of("agent a1") if "m100/site/*/state" in one["key_exprs"]]
     assert (rule["flows"], rule["messages"]) == (["egress"], ["query"])
 
@@ -160,6 +162,19 @@ def seen(session: Any) -> set[str]:
     return {str(reply.ok.key_expr).split("/")[2] for reply in replies if reply.ok is not None}
 
 
+Heard = list[tuple[str, bytes]]
+
+
+def told(agents: dict[str, Any], twin: Any, places: dict[str, Heard], own: Heard) -> bool:
+    """Each aircraft tells its own place, one a false one of another, until all are heard."""
+    for name, session in agents.items():
+        session.put(f"m100/site/{name}/place", name.encode())
+    twin.put("m100/site/a1/state", b"twin")
+    agents["a2"].put("m100/site/a1/place", b"false")
+    is_heard = all(len({key for key, _ in one}) == 2 for one in places.values())
+    return is_heard and own == [("m100/site/a1/state", b"twin")] * len(own) != []
+
+
 @pytest.fixture
 def site(tmp_path: Path) -> Iterator[Site]:
     with ExitStack() as stack:
@@ -199,6 +214,12 @@ def test_a_router_lets_everybody_do_what_the_file_says(site: Site) -> None:
 
     cards = {name: answers(session, "m100/site/*/state") for name, session in people.items()}
     assert cards == {"anna": 1, "bert": 2, "wall": 2, "stranger": 0}
+
+    places = {name: site.hear(one, "m100/site/*/place") for name, one in agents.items()}
+    own = site.hear(agents["a1"], "m100/site/a1/state")
+    twin = site.come("a1")
+    until(lambda: told(agents, twin, places, own))
+    assert {word for _, word in places["a1"]} == {b"a1", b"a2"}
 
     for name, session in people.items():
         session.put("m100/site/a1/setpoint", name.encode())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import uuid
 from dataclasses import replace
+from functools import partial
 
 import anyio
 import pytest
@@ -390,3 +391,21 @@ async def test_two_agents_of_one_name_are_refused(rig: Rig) -> None:
     twin = FleetAgent(one.client, rig.network.session(), KEYS, MemoryLedger())
     with pytest.raises(UsageError, match="there already"):
         await twin.require_alone()
+
+
+async def test_stop_is_not_kept_waiting_by_long_orders(rig: Rig) -> None:
+    """A stranger's flood costs as much time as there is; it waits for what is short."""
+    read: list[str] = []
+    await rig.aircraft("a1", verify=lambda one: read.append(one.by))
+    bus = rig.network.session()
+    async with anyio.create_task_group() as group:
+        for _ in range(1000):
+            long = pack(replace(order(Ask(0, Action.STOP)), by="x" * 60_000))
+            group.start_soon(partial(bus.ask, KEYS.command, long, timeout=1.0))
+        await anyio.sleep(0.0)
+        assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+        assert read.index("by hand") <= 1
+    await anyio.sleep(2.0)
+    assert len(read) < 30, "most of a flood is not read at all"
+    last = replace(order(Ask(0, Action.STOP)), by="x" * 60_000)
+    assert (await send(rig, last)).outcome is Outcome.OK, "one alone is"

@@ -14,12 +14,10 @@ from m100link.agent.lease import Lease, LeaseHeld
 from m100link.agent.messages import LeaseChanged
 from m100link.errors import LinkError, M100Error, StaleLease
 from m100link.fleet.client import Fleet
-from m100link.fleet.keys import Keys
-from m100link.fleet.told import AgentTold
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
-from tests.fleet.conftest import SITE, OnBoard, Rig
+from tests.fleet.conftest import Rig
 
 pytestmark = pytest.mark.anyio
 
@@ -33,15 +31,6 @@ def place(client: AgentClient) -> Position:
     return found
 
 
-async def served(rig: Rig, name: str = "a1") -> OnBoard:
-    """An aircraft whose agent tells fronts far away."""
-    one = await rig.aircraft(name)
-    told = AgentTold(one.client, one.bus, Keys(SITE, name), one.fleet_agent.boot)
-    one.agent.background.spawn(told.run(), "fronts")
-    await anyio.sleep(0.01)  # it begins
-    return one
-
-
 @asynccontextmanager
 async def front(rig: Rig, fleet: Fleet, name: str = "a1") -> AsyncIterator[AgentClient]:
     async with AgentClient(await fleet.reach(name), "console") as client:
@@ -50,7 +39,7 @@ async def front(rig: Rig, fleet: Fleet, name: str = "a1") -> AsyncIterator[Agent
 
 
 async def test_it_sees_what_a_front_on_board_sees(rig: Rig) -> None:
-    one = await served(rig)
+    one = await rig.served("a1")
     async with front(rig, await rig.pilot()) as far:
         await rig.until(lambda: far.telemetry is not None and far.link is not None)
         assert far.state.firmware == one.client.state.firmware
@@ -60,7 +49,7 @@ async def test_it_sees_what_a_front_on_board_sees(rig: Rig) -> None:
 
 
 async def test_it_takes_off_flies_to_a_place_and_lands(rig: Rig) -> None:
-    one = await served(rig)
+    one = await rig.served("a1")
     async with front(rig, await rig.pilot("anna")) as far:
         lease = await far.acquire("console 1")
         assert far.holds(lease)
@@ -96,7 +85,7 @@ async def flying(far: AgentClient) -> Lease:
 
 
 async def test_it_is_activated_by_anybody_while_nobody_has_control(rig: Rig) -> None:
-    one = await served(rig)
+    one = await rig.served("a1")
     async with front(rig, await rig.pilot("anna")) as far:
         await far.activate()
         assert one.client.state.is_activated
@@ -107,7 +96,7 @@ async def test_it_is_activated_by_anybody_while_nobody_has_control(rig: Rig) -> 
 
 
 async def test_setpoints_fly_and_expire_when_they_stop(rig: Rig) -> None:
-    one = await served(rig)
+    one = await rig.served("a1")
     async with front(rig, await rig.pilot()) as far:
         lease = await flying(far)
         for _ in range(60):
@@ -119,7 +108,7 @@ async def test_setpoints_fly_and_expire_when_they_stop(rig: Rig) -> None:
 
 
 async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> None:
-    one = await served(rig)
+    one = await rig.served("a1")
     pilot = await rig.pilot()
     async with front(rig, pilot) as far:
         lease = await flying(far)
@@ -142,7 +131,7 @@ async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> No
 
 
 async def test_stop_and_landing_need_no_lease(rig: Rig) -> None:
-    one = await served(rig)
+    one = await rig.served("a1")
     async with front(rig, await rig.pilot("anna")) as far:
         lease = await flying(far)
         async with front(rig, await rig.pilot("bert")) as other:
@@ -162,7 +151,7 @@ async def test_stop_and_landing_need_no_lease(rig: Rig) -> None:
 
 
 async def test_old_words_do_not_make_a_silent_agent_one_that_is_heard(rig: Rig) -> None:
-    await served(rig)
+    await rig.served("a1")
     pilot = await rig.pilot()
     channel = await pilot.reach("a1")
     async with AgentClient(channel, "console") as far:
@@ -174,7 +163,7 @@ async def test_old_words_do_not_make_a_silent_agent_one_that_is_heard(rig: Rig) 
 
 
 async def test_a_lease_that_ended_before_it_was_granted_again_does_not_take_it(rig: Rig) -> None:
-    await served(rig)
+    await rig.served("a1")
     async with front(rig, await rig.pilot()) as far:
         changes: list[LeaseChanged] = []
         far.on_lease.append(changes.append)
@@ -192,7 +181,7 @@ async def test_an_agent_that_is_not_there_and_one_that_goes(rig: Rig) -> None:
     pilot = await rig.pilot()
     with pytest.raises(LinkError, match="a1 does not answer"):
         await pilot.reach("a1")
-    one = await served(rig)
+    one = await rig.served("a1")
     async with front(rig, pilot) as far:
         one.work.cancel()
         await rig.until(lambda: far.is_gone, within=2.0)

@@ -8,8 +8,10 @@ import pytest
 from m100link.bus.memory import Weather
 from m100link.errors import OutcomeUnknown
 from m100link.fleet.client import Change
+from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome
-from tests.fleet.conftest import Rig
+from m100link.fleet.payloads import Card, pack
+from tests.fleet.conftest import SITE, Rig
 
 pytestmark = pytest.mark.anyio
 
@@ -41,6 +43,26 @@ async def test_who_appears_and_who_is_gone(rig: Rig) -> None:
     change = await anext(changes)
     assert (change.name, change.is_there) == ("a1", False)
     assert anyio.current_time() - began < 2.0
+
+
+async def test_what_can_be_no_name_is_nobody(rig: Rig) -> None:
+    """One token of a stranger ended the list, the console and what is done with all."""
+    rig.network.session().declare(f"m100-live/{SITE}/no name")
+    pilot = await rig.pilot()
+    await rig.aircraft("a1")
+    assert await pilot.names() == sorted(await pilot.cards()) == sorted(pilot.present) == ["a1"]
+
+
+async def test_a_card_of_another_name_than_that_of_its_key_is_not_shown_as_it(rig: Rig) -> None:
+    """Rules of a router go by keys: what is told under one's own may say anything."""
+    await rig.aircraft("a1")
+    other = rig.network.session()
+    keys = Keys(SITE, "a2")
+    lie = Card("a1", "00", 0.0, "connected", task="none at all")
+    other.serve(keys.state, lambda question: question.answer(keys.state, pack(lie)))
+    found = await (await rig.pilot()).cards()
+    assert found["a1"].task == ""
+    assert found["a2"].connection == "unreadable"
 
 
 async def test_who_was_never_told_the_time_lands_all_the_same(rig: Rig) -> None:

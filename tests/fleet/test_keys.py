@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from m100link.errors import UsageError
-from m100link.fleet.keys import Keys, check_name, name_in
+from m100link.fleet.keys import Keys, check_name, in_order, name_in
 
 
 def test_keys_of_one_and_of_all() -> None:
@@ -20,6 +20,8 @@ def test_the_name_in_a_key() -> None:
     assert name_in("m100-live/field/a1") == "a1"
     assert name_in("m100/field") == ""
     assert name_in("other/field/a1") == ""
+    assert name_in("m100-live/field/no name") == ""
+    assert name_in(f"m100/field/{'a' * 33}/state") == ""
 
 
 @pytest.mark.parametrize("name", ["", "*", "a/b", "a b", "-a", "ä", "a" * 33, "**", "a$*"])
@@ -31,3 +33,8 @@ def test_what_cannot_be_a_name(name: str) -> None:
 def test_a_site_is_checked_as_well() -> None:
     with pytest.raises(UsageError, match="is no name for a site"):
         Keys("**", "a1")
+
+
+def test_names_are_in_the_order_in_which_people_count() -> None:
+    names = ["b1", "a10", "a", "a2", "2", "a2-b10", "a2-b9", "10"]
+    assert in_order(names) == ["2", "10", "a", "a2", "a2-b9", "a2-b10", "a10", "b1"]

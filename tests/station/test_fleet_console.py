@@ -12,10 +12,9 @@ import pytest
 from m100link.agent.messages import LeaseChanged
 from m100link.errors import LinkError, Unreachable, UsageError
 from m100link.fleet.keys import Keys
-from m100link.fleet.told import AgentTold
 from m100link.sim.clock import virtual_clock_loop
 from m100link.station.fleet_console import MOST_SHIPS, Ships, names_of
-from tests.fleet.conftest import SITE, OnBoard, Rig
+from tests.fleet.conftest import SITE, Rig
 
 pytestmark = pytest.mark.anyio
 
@@ -32,20 +31,12 @@ async def rig() -> AsyncIterator[Rig]:
         yield made
 
 
-async def served(rig: Rig, name: str) -> OnBoard:
-    one = await rig.aircraft(name)
-    told = AgentTold(one.client, one.bus, Keys(SITE, name), one.fleet_agent.boot)
-    one.agent.background.spawn(told.run(), "fronts")
-    await anyio.sleep(0.01)  # it begins
-    return one
-
-
 async def test_who_is_there_is_shown_and_who_is_not_is_named(rig: Rig) -> None:
     pilot = await rig.pilot()
     with pytest.raises(UsageError, match="no agent is there at site field"):
         await names_of(pilot)
     for name in ("a2", "a1"):
-        await served(rig, name)
+        await rig.served(name)
     assert await names_of(pilot) == ["a1", "a2"]
     assert await names_of(pilot, ("a2", "a2")) == ["a2"]
     with pytest.raises(Unreachable, match="no agent named b7 is there") as caught:
@@ -64,7 +55,7 @@ async def test_more_than_a_page_holds_are_refused(rig: Rig) -> None:
 
 async def test_one_that_does_not_answer_costs_the_others_nothing(rig: Rig) -> None:
     await rig.aircraft("a1")  # of an older release: it tells nothing
-    await served(rig, "a2")
+    await rig.served("a2")
     async with AsyncExitStack() as stack:
         ships = Ships(await rig.pilot(), stack)
         assert await ships.first(["a1", "a2"]) == "a2"
@@ -77,7 +68,7 @@ async def test_one_that_does_not_answer_costs_the_others_nothing(rig: Rig) -> No
 
 async def test_what_is_looked_at_comes_whole_and_the_rest_as_for_a_wall(rig: Rig) -> None:
     for name in ("a1", "a2"):
-        await served(rig, name)
+        await rig.served(name)
     heard = {"a1": 0, "a2": 0}
     async with AsyncExitStack() as stack:
         ships = Ships(await rig.pilot(), stack)
@@ -101,7 +92,7 @@ async def test_what_is_looked_at_comes_whole_and_the_rest_as_for_a_wall(rig: Rig
 
 
 async def test_control_that_was_taken_here_is_given_back_at_the_end(rig: Rig) -> None:
-    one, changes = await served(rig, "a1"), list[LeaseChanged]()
+    one, changes = await rig.served("a1"), list[LeaseChanged]()
     one.client.on_lease.append(changes.append)
     async with AsyncExitStack() as stack:
         ships = Ships(await rig.pilot(), stack)
@@ -116,7 +107,7 @@ async def test_control_that_was_taken_here_is_given_back_at_the_end(rig: Rig) ->
 
 
 async def test_an_agent_that_is_started_anew_is_found_again(rig: Rig) -> None:
-    one = await served(rig, "a1")
+    one = await rig.served("a1")
     async with AsyncExitStack() as stack:
         ships = Ships(await rig.pilot(), stack)
         await ships.show("a1")

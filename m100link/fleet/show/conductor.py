@@ -8,6 +8,7 @@ others fly on.
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
 import math
 import time
@@ -93,6 +94,9 @@ class Conductor:
         self._who = who
         self._tracks = {track.name: track for track in show.tracks}
         self._keys = {name: Keys(site, name) for name in self._tracks}
+        self._least = show.least_distance_m
+        digests = sorted(track.digest for track in show.tracks)
+        self._digest = hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
         self._leave = leave
         self._sign = sign
         self._tell = tell
@@ -210,7 +214,8 @@ class Conductor:
         for at in range(0, len(data), _PIECE):
             piece = data[at : at + _PIECE].hex()
             await self._ask(track, {"do": "piece", "at": at, "data": piece})
-        part = await self._ask(track, {"do": "load", "leave": self._leave})
+        wanted = {"do": "load", "leave": self._leave, "show": self._digest, "least_m": self._least}
+        part = await self._ask(track, wanted)
         if part.digest != track.digest:
             raise BadShow(
                 f"{track.name} has another track than was sent to it",

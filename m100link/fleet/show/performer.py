@@ -2,9 +2,9 @@
 
 It is loaded with a track, takes its place, is told when to begin, and flies by its own clock: the
 network is not needed any more from then on; until then it leaves when whoever conducts falls
-silent. When it has to leave (its tube, the clock, telemetry,
-a guard) what was chosen follows, hover or land. When somebody else wants the aircraft (STOP, a
-take-over, the pilot) it lets go of it and does nothing more.
+silent. When it has to leave (its tube, the clock, telemetry, a guard, another one that it would
+come too near to) what was chosen follows, hover or land. When somebody else wants the aircraft
+(STOP, a take-over, the pilot) it lets go of it and does nothing more.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from m100link.agent.guided import ChangeHeight, FlyTo
 from m100link.agent.lease import Lease
 from m100link.agent.messages import Event, Topic
 from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
+from m100link.fleet.show.ahead import Ahead, Neighbours, by_speed, by_track
 from m100link.fleet.show.clock import DRIFT
 from m100link.fleet.show.steering import LeftShow, TrackSteering, Why
 from m100link.fleet.show.track import BadShow, TimedTrack, Vector
@@ -26,7 +27,7 @@ from m100link.flight.guards import MAX_COMMAND_M_S
 from m100link.flight.pacing import Ticker
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Task
-from m100link.protocol.records import Attitude, FlightStatus, Position
+from m100link.protocol.records import Attitude, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["ALLOWED", "ATTENDED_S", "Leave", "Order", "Performer", "Stage"]
@@ -40,6 +41,9 @@ leaves: nobody waits for it there any more."""
 _FRESH_S = 0.5
 _STATUS_S = 2.5
 _RENEWAL_S = 0.5
+_LOOK_S = 0.2
+_TOLD_S = 600.0
+"""Seconds after its track in which one still tells the others where it is."""
 
 
 class Stage(Enum):
@@ -87,6 +91,7 @@ class Performer:
         fault: Why it left; None otherwise.
         track: What it is loaded with; None for nothing.
         farthest_m: Farthest from its track, by its own telemetry.
+        neighbours: The others of the show; None when it was loaded without a word about them.
     """
 
     def __init__(self, client: AgentClient, name: str) -> None:
@@ -96,6 +101,9 @@ class Performer:
         self.fault: M100Error | None = None
         self.track: TimedTrack | None = None
         self.farthest_m = 0.0
+        self.neighbours: Neighbours | None = None
+        # When its show begins, by the agent's clock; None before that is known.
+        self._start_at: float | None = None
         self._leave: Leave = "land"
         self._lease: Lease | None = None
         self._refused: M100Error | None = None  # why the last setpoint was not flown
@@ -141,12 +149,14 @@ class Performer:
                 remedy="let it leave, and begin anew: load, place, start",
             )
 
-    def load(self, data: bytes, leave: Leave) -> str:
+    def load(self, data: bytes, leave: Leave, show: str = "", least_m: float = 0.0) -> str:
         """Take a track.
 
         Args:
             data: Of :meth:`TimedTrack.to_bytes`.
             leave: What follows the track, or whatever ends it.
+            show: Of which show, by its digest; empty: the others are not looked at.
+            least_m: How near it may come to another one of the show, m.
 
         Returns:
             Its digest: whoever sent it compares.
@@ -155,6 +165,8 @@ class Performer:
             BadShow: It is none, or another aircraft's.
             UsageError: It is in a show.
         """
+        if not 0 <= least_m <= 1000:
+            raise BadShow(f"two aircraft cannot have {least_m:g} m between them")
         self._require(Order.LOAD)
         track = TimedTrack.from_bytes(data)
         if track.name != self._name:
@@ -162,6 +174,8 @@ class Performer:
         if leave not in ("hover", "land"):
             raise UsageError(f"leave cannot be {leave!r}", remedy="hover or land")
         self.track, self._leave, self.fault = track, leave, None
+        self.neighbours = Neighbours(show, self._name, least_m) if show else None
+        self._start_at = None
         self.stage = Stage.LOADED
         return track.digest
 
@@ -172,9 +186,11 @@ class Performer:
             who: Who conducts, for people.
 
         Raises:
+            ShowRefused: Its guards do not let it fly as fast as its track.
             UsageError: It is not loaded.
         """
         self._require(Order.PLACE)
+        TrackSteering(self._loaded(), self._fastest).require_fast_enough()
         self.heard()
         self.stage = Stage.PLACING
         self._do(lambda: self._place(who))
@@ -195,9 +211,9 @@ class Performer:
         track = self._loaded()
         if digest != track.digest:
             raise UsageError(f"{self._name} is loaded with another track", remedy="load it anew")
-        steering = TrackSteering(track, MAX_COMMAND_M_S * (1 - 1e-6))
+        steering = TrackSteering(track, self._fastest)
         steering.require_ready(start_at - self._client.now, bound, self._here(track))
-        self.stage = Stage.FLYING
+        self.stage, self._start_at = Stage.FLYING, start_at
         self._do(lambda: self._fly(track, steering, start_at, bound))
 
     def leave(self) -> None:
@@ -208,7 +224,34 @@ class Performer:
             self.stage = Stage.LEFT
         self._let_go()
 
+    def ahead(self) -> Ahead | None:
+        """Where it will be, for the others of its show; None when there is nothing to tell."""
+        track, show, start_at = self.track, self.neighbours, self._start_at
+        if track is None or show is None or start_at is None:
+            return None
+        at = self._client.now - start_at
+        if at > track.end + _TOLD_S:
+            return None
+        try:
+            here = self._here(track)
+        except TelemetryStalled:
+            return None  # nobody knows; it leaves for that, or has left
+        if self.stage is Stage.FLYING:
+            return by_track(show.show, track, at, here)
+        telemetry = self._client.telemetry
+        speed = None if telemetry is None else telemetry.fresh(Velocity, within=_FRESH_S)
+        moves = (0.0, 0.0, 0.0)
+        if speed is not None:
+            moves = speed.north_m_s, speed.east_m_s, speed.up_m_s
+        return by_speed(show.show, self._name, at, here, moves)
+
     # -- what it does ----------------------------------------------------------------------------
+
+    @property
+    def _fastest(self) -> float:
+        """The most that may be asked for horizontally, m/s: what the agent's guards let pass."""
+        most = self._client.state.limits.max_speed_m_s
+        return min(MAX_COMMAND_M_S, MAX_COMMAND_M_S if most is None else most) * (1 - 1e-6)
 
     def _loaded(self) -> TimedTrack:
         assert self.track is not None, "every stage from LOADED on has one"
@@ -282,11 +325,15 @@ class Performer:
         client, told_at, self._refused = self._client, self._client.now, None
         lease = client.check(self._lease)
         heading = track.heading_deg if track.heading_deg is not None else self._heading()
+        look_at = told_at
         async for _ in Ticker():
             client.check(lease)
             if self._refused is not None:
                 raise self._refused
             now = client.now
+            if now >= look_at:
+                look_at = now + _LOOK_S
+                self._require_apart()
             wrong = bound + DRIFT * (now - told_at)
             velocity = steering.step(now - start_at, wrong, self._here(track))
             self.farthest_m = steering.farthest_m
@@ -297,6 +344,24 @@ class Performer:
         self.stage = Stage.FLOWN
         client.note(f"show: {self._name} has flown its track")
         await self._end()
+
+    def _require_apart(self) -> None:
+        """Leave, before another one comes too near."""
+        own, others = self.ahead(), self.neighbours
+        if own is None or others is None:
+            return
+        near = others.near(own, self._client.now)
+        if near is not None:
+            raise LeftShow(
+                f"{self._name} left the show at {own.at:.1f} s: {near.name} would come as near as "
+                f"{near.distance_m:.1f} m in {near.at - own.at:.1f} s; "
+                f"{others.least_m:g} m are allowed",
+                why=Why.NEAR,
+                at=own.at,
+                measured=near.distance_m,
+                limit=others.least_m,
+                cause=f"{near.name} or this one is beside its track, or has left it",
+            )
 
     async def _end(self) -> None:
         """What follows: it hovers, or lands; and whoever comes next may have control."""

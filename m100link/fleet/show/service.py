@@ -17,15 +17,19 @@ from m100link.bus.network import Bus, Question
 from m100link.errors import M100Error, NotAllowed
 from m100link.fleet.age import require_young
 from m100link.fleet.agent import Verify
-from m100link.fleet.keys import Keys
+from m100link.fleet.keys import Keys, name_in
 from m100link.fleet.namesake import Namesakes
 from m100link.fleet.outcome import outcome_of
-from m100link.fleet.payloads import SHOW, Order, Progress, Reply, pack, unpack
+from m100link.fleet.payloads import SHOW, VERSION, Order, Progress, Reply, pack, unpack
+from m100link.fleet.show.ahead import Ahead
 from m100link.fleet.show.performer import Performer
-from m100link.fleet.show.track import MAX_POINTS
+from m100link.fleet.show.track import MAX_POINTS, BadShow
 
 __all__ = ["ShowService"]
 
+_TELL_S = 0.2
+_MOST_ORDER = 4096
+"""Bytes: a piece of a track has 2048 with all that is around it."""
 _MOST_KNOWN = 1024
 _MOST_BYTES = 32 * MAX_POINTS + 1024
 
@@ -65,9 +69,31 @@ class ShowService:
         with ExitStack() as stack:
             stack.callback(self.performer.close)
             stack.callback(self._bus.serve(self._keys.show, self._on_order).close)
-            await asyncio.Event().wait()
+            places = self._bus.publish(self._keys.place)
+            stack.callback(places.close)
+            everybody = Keys(self._keys.site).place
+            stack.callback(self._bus.subscribe(everybody, self._on_place).close)
+            while True:
+                ahead = self.performer.ahead()
+                if ahead is not None:
+                    places.put(bytes([VERSION]) + ahead.to_bytes())
+                await asyncio.sleep(_TELL_S)
+
+    def _on_place(self, key: str, payload: bytes) -> None:
+        neighbours = self.performer.neighbours
+        if neighbours is None or payload[:1] != bytes([VERSION]):
+            return
+        try:
+            ahead = Ahead.from_bytes(payload[1:])
+        except BadShow:
+            return  # nothing that an aircraft tells
+        if ahead.name == name_in(key):
+            neighbours.hear(ahead, self._client.now)
 
     def _on_order(self, question: Question) -> None:
+        if len(question.payload) > _MOST_ORDER:
+            question.drop()  # before it costs the time that STOP needs
+            return
         identity, fault = "", None
         try:
             order: Order = unpack(Order, question.payload)
@@ -109,7 +135,12 @@ class ShowService:
                 case "piece":
                     self._take_piece(int(wanted["at"]), bytes.fromhex(wanted["data"]))
                 case "load":
-                    performer.load(bytes(self._pieces), wanted["leave"])
+                    performer.load(
+                        bytes(self._pieces),
+                        wanted["leave"],
+                        str(wanted.get("show", "")),
+                        float(wanted.get("least_m", 0.0)),
+                    )
                 case "place":
                     # It takes off: not minutes later, when whoever conducts has given up.
                     require_young(order.clock, self._client.now)

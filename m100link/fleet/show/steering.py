@@ -34,6 +34,8 @@ class Why(Enum):
     PLACE = "place"
     TUBE = "tube"
     CONDUCTOR = "conductor"
+    NEAR = "near"
+    SPEED = "speed"
 
 
 class ShowRefused(
@@ -129,6 +131,24 @@ class TrackSteering:
                 cause="it was put elsewhere, or the show has another origin",
                 remedy="carry it below its first point: on the way there by air it could meet "
                 "another one",
+            )
+
+    def require_fast_enough(self) -> None:
+        """Whether what may be asked for suffices for its track.
+
+        Raises:
+            ShowRefused: It does not: it would fall behind, and leave.
+        """
+        needed = self._track.fastest[0]
+        if needed > self._fastest:
+            raise ShowRefused(
+                f"the track of {self._track.name} is flown at {needed:.1f} m/s; "
+                f"{self._fastest:.1f} m/s are allowed there",
+                why=Why.SPEED,
+                measured=needed,
+                limit=self._fastest,
+                cause="the guards of its agent are narrower than those the show was checked with",
+                remedy="m100link fleet show check FILE --max-speed",
             )
 
     def require_ready(self, early: float, bound: float, here: Vector) -> None:

@@ -18,12 +18,14 @@ from m100link.fleet.identity import Signer
 from m100link.fleet.keys import Keys
 from m100link.fleet.rights import Rights
 from m100link.fleet.show import performer
+from m100link.fleet.show.checks import check
 from m100link.fleet.show.conductor import Conductor, Part
 from m100link.fleet.show.document import Show
-from m100link.fleet.show.performer import Stage
+from m100link.fleet.show.performer import Leave, Stage
 from m100link.fleet.show.service import ShowService
 from m100link.fleet.show.steering import ShowRefused
 from m100link.fleet.signing import signing, verifying
+from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
@@ -223,3 +225,82 @@ async def test_a_network_that_is_too_slow_to_tell_the_time_begins_nothing(rig: R
         rig.network.weather = Weather(delay_s=0.08)
         with pytest.raises(M100Error, match="may be wrong by"):
             await made.conductor().fly()
+
+
+LINE = ((0, 0, 0, 4), (2, 0, 0, 4), (22, 40, 0, 4), (40, 40, 0, 4))
+# It crosses the line of the first one ten seconds after that one has passed.
+CROSSING = ((0, 20, -20, 4), (12, 20, -20, 4), (32, 20, 20, 4))
+FAR = [((0, 0, 60 + 10 * n, 4), (30, 12, 60 + 10 * n, 6)) for n in range(3)]
+
+
+@asynccontextmanager
+async def crossing(rig: Rig) -> AsyncIterator[Company]:
+    """Five, of which the second crosses the way of the first."""
+    made = Company(rig, 0)
+    points = (LINE, CROSSING, *FAR)
+    made.show = Show("", tuple(points_track(f"a{n + 1}", *one) for n, one in enumerate(points)))
+    await made.come()
+    yield made
+    for service in made.services:
+        service.cancel()
+    await asyncio.gather(*made.services, return_exceptions=True)
+
+
+async def until_it_flies(made: Company, at: float) -> None:
+    await made.rig.until(lambda: any("begins in" in text for text in made.told), within=120.0)
+    await anyio.sleep(5.0 + at)
+
+
+async def test_five_whose_ways_cross_at_different_times_fly_them_to_the_end(rig: Rig) -> None:
+    async with crossing(rig) as made:
+        assert check(made.show).ok
+        parts = await made.conductor(leave="hover").fly()
+        assert stages(parts) == [Stage.FLOWN] * 5
+
+
+@pytest.mark.parametrize("leave", ["hover", "land"])
+async def test_one_that_is_blown_off_in_anothers_way_is_not_flown_into(
+    rig: Rig, leave: Leave
+) -> None:
+    """As it hovers there; on the ground it is in nobody's way any more."""
+    async with crossing(rig) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave=leave).fly())
+        await until_it_flies(made, 11.5)
+        watching = asyncio.ensure_future(made.nearest())
+        made.on_board[0].aircraft.vehicle.flight.dynamics.east += 2.0
+        parts = await conducting
+        await anyio.sleep(10.0)
+        watching.cancel()
+        second = Stage.LEFT if leave == "hover" else Stage.FLOWN
+        assert stages(parts) == [Stage.LEFT, second, *[Stage.FLOWN] * 3]
+        assert "left its track" in parts["a1"].why
+        if second is Stage.LEFT:
+            assert "a1 would come as near as" in parts["a2"].why
+            assert any("a2 left: " in text for text in made.told)
+        assert await watching > made.show.least_distance_m
+
+
+async def test_one_that_is_killed_in_anothers_way_is_not_flown_into(rig: Rig) -> None:
+    """Nobody hears it any more, and the others are heard."""
+    async with crossing(rig) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave="hover").fly())
+        await until_it_flies(made, 11.0)
+        watching = asyncio.ensure_future(made.nearest())
+        made.services[0].cancel()
+        rig.network.cut(made.on_board[0].bus)
+        parts = await conducting
+        await anyio.sleep(10.0)
+        watching.cancel()
+        assert stages(parts) == [None, Stage.LEFT, *[Stage.FLOWN] * 3]
+        assert "a1 would come as near as" in parts["a2"].why
+        assert await watching > made.show.least_distance_m
+
+
+async def test_a_track_that_the_guards_on_board_do_not_let_fly_is_not_begun(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        slow = Guards(envelope=Envelope(max_speed_m_s=1.0))
+        made.on_board[1].agent.holding._guards = slow
+        await anyio.sleep(1.0)
+        with pytest.raises(M100Error, match=r"1\.0 m/s are allowed there"):
+            await made.conductor().fly()
+        assert made.on_board[1].height == 0

@@ -159,3 +159,8 @@ async def test_a_take_off_that_nobody_waits_for_is_not_begun(
     assert "nobody waits" in reply.fault.seen
     assert json.loads(reply.text)["stage"] == "loaded"
     assert (await asked.order({"do": "place"}, 10)).outcome is Outcome.OK
+
+
+async def test_what_is_too_long_for_a_piece_is_not_read(asked: Asked) -> None:
+    long = Order(f"{9:032x}", "a1", "x" * 5000, 0, 0.0, SHOW + b'{"do": "tell"}')
+    assert await asked.bus.ask(f"m100/{SITE}/a1/show", pack(long), timeout=1.0) == []
