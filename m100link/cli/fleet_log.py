@@ -14,7 +14,6 @@ import cyclopts
 from cyclopts import Parameter
 from rich.filesize import decimal
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
-from rich.table import Table
 
 from m100link.cli.common import err, out, run_async
 from m100link.cli.fleet import NO_OPTIONS, All, FleetOptions, Names, tell_results, wanted_names
@@ -53,6 +52,10 @@ def _failures(results: dict[str, Result], options: FleetOptions) -> int:
     return tell_results(bad, as_json=options.json_output) if bad else ExitCode.OK
 
 
+def _print(line: str) -> None:
+    out.print(line, markup=False, soft_wrap=True)
+
+
 @app.command(name="list")
 def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
     """List the flight logs on board, the newest first.
@@ -65,24 +68,22 @@ def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTI
 
     async def run() -> int:
         results = await _each(names, everybody, options, FleetAircraft.logs)
-        table = Table(box=None, pad_edge=False)
-        for title in ("name", "log", "size", "last written (UTC)", ""):
-            table.add_column(title, no_wrap=True)
         rows = [
             (name, one)
             for name, result in sorted(results.items())
             if isinstance(result.value, list)
             for one in result.value
         ]
+        if rows and not options.json_output:
+            _print(f"{'name':12} {'log':32} {'size':>9}  last written (UTC)")
         for name, one in rows:
             if options.json_output:
                 print_json({"name": name} | asdict(one))
+                continue
             at = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(one.at))
-            is_written = "is being written" if one.is_written else ""
-            table.add_row(name, one.log, decimal(one.size), at, is_written)
-        if rows and not options.json_output:
-            out.print(table)
-        elif results and not rows and not options.json_output:
+            is_written = ", and still" if one.is_written else ""
+            _print(f"{name:12} {one.log:32} {decimal(one.size):>9}  {at}{is_written}")
+        if results and not rows and not options.json_output:
             err.print("no logs")
         return _failures(results, options)
 

@@ -22,7 +22,7 @@ from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import Order, Progress, Reply, pack, unpack
 from m100link.fleet.show.clock import DRIFT
 
-__all__ = ["PATIENCE_S", "Asker", "Sign"]
+__all__ = ["PATIENCE_S", "Asker", "Sign", "nobody_there"]
 
 PATIENCE_S = 5.0
 """Seconds without any answer after which the outcome counts as unknown."""
@@ -32,6 +32,14 @@ _AGAIN_S = 0.1
 
 Sign = Callable[[Order], Order]
 """Signs an order."""
+
+
+def nobody_there(name: str) -> Unreachable:
+    """What is said of an aircraft whose agent does not show itself."""
+    return Unreachable(
+        f"no agent named {name} is there; nothing was sent",
+        remedy="m100link fleet list shows who is there",
+    )
 
 
 class _Unreadable(OutcomeUnknown):
@@ -116,7 +124,7 @@ class Asker:
             M100Error: What the agent tells.
         """
         if not await self.is_there():
-            raise Unreachable(f"no agent named {self._keys.name} is there; nothing was sent")
+            raise nobody_there(self._keys.name)
         order = self._order(message, fence, token, clock or self._its_at_least(), identity)
         key = self._key(message)
         return _raised(await self._answered(key, order, patience or self._patience))

@@ -16,9 +16,9 @@ from m100link.agent.actions import Action
 from m100link.agent.fault import MessageError, fault_of
 from m100link.agent.messages import Ask
 from m100link.bus.network import Bus, Held
-from m100link.errors import GuardRefused, M100Error, Unreachable
+from m100link.errors import GuardRefused, M100Error
 from m100link.fleet.age import ORDER_AGE
-from m100link.fleet.asking import PATIENCE_S, Asker, Sign
+from m100link.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there
 from m100link.fleet.carrier import FleetChannel, reach
 from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in
@@ -162,7 +162,7 @@ class FleetAircraft:
             Unreachable, OutcomeUnknown: It is not there, or gives no answer.
         """
         if not await self._asker.is_there():
-            raise Unreachable(f"no agent named {self.name} is there")
+            raise nobody_there(self.name)
         return await mission_card(self._bus, self.keys)
 
     def _fetcher(self) -> LogFetcher:

@@ -184,7 +184,7 @@ class MissionCard:
         stage: How far the mission is that came over the fleet.
         by: Who uploaded it, for people.
         digest: What names its plan; empty without one.
-        points: Waypoints of the plan; 0 when none is known.
+        points: Waypoints of the plan that came last; 0 when none came.
         reached: Waypoints that were reached, in their order, a byte each; the last 1024.
         is_paused: It hovers in it.
         is_finished: Every waypoint was flown.

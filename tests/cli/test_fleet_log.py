@@ -6,6 +6,7 @@ import asyncio
 import random
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,17 @@ def test_logs_are_listed_and_fetched_and_one_that_is_written_is_said(
         ("a1", OLD, False)
     ]
     assert told[0]["is_written"]
+    listed = subprocess.run(
+        [sys.executable, "-m", "m100link", "fleet", "log", "list", "a1"],
+        capture_output=True,
+        text=True,
+        env=site.environment,
+        timeout=PATIENCE,
+        check=True,
+    ).stdout.splitlines()
+    assert [line.split()[1] for line in listed] == ["log", told[0]["log"], OLD]
+    assert "1.0 MB" in listed[2]
+    assert listed[1].endswith(", and still")
     status, [newest] = site.ask("log", "fetch", "a1", "--last", "--to", str(tmp_path / "here"))
     assert (status, newest["log"], newest["is_written"]) == (0, told[0]["log"], True)
     assert not read(newest["path"]).summary().is_whole

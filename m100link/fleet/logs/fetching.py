@@ -14,7 +14,7 @@ from pathlib import Path
 from m100link.agent.fault import MessageError
 from m100link.bus.network import Bus
 from m100link.errors import FleetError, M100Error, Unreachable, UsageError
-from m100link.fleet.asking import PATIENCE_S, Asker
+from m100link.fleet.asking import PATIENCE_S, Asker, nobody_there
 from m100link.fleet.keys import Keys
 from m100link.fleet.logs.part import Part
 from m100link.fleet.logs.words import (
@@ -199,7 +199,7 @@ class LogFetcher:
         name = self._keys.name
         # One that has answered may come back, with the router or by being started anew.
         if not self._has_answered and not await self._asker.is_there():
-            raise Unreachable(f"no agent named {name} is there")
+            raise nobody_there(name)
         silent_since = self._clock()
         unread: MessageError | None = None
         while self._clock() - silent_since < self._patience:

@@ -54,7 +54,7 @@ class Missions:
         self._client = client
         self.stage = MissionStage.NONE
         self._plan: WaypointPlan | None = None
-        self._digest, self._by = "", ""
+        self._digest, self._by, self._points = "", "", 0
         # One plan at a time goes to the agent, and none while it begins to fly one.
         self._telling = asyncio.Lock()
         self._reached = bytearray()
@@ -101,6 +101,7 @@ class Missions:
             self._client.check(lease)
             self.stage = after(self.stage, MissionInput.UPLOADED)
             self._digest, self._plan, self._by = digest_of(plan), found, by
+            self._points = len(found.waypoints)
             self._clear()
             return self._digest
 
@@ -193,9 +194,8 @@ class Missions:
         """What the aircraft flies by itself, in words; empty for nothing."""
         state = self._client.state
         if self.stage is MissionStage.FLYING:
-            points = 0 if self._plan is None else len(self._plan.waypoints)
             paused = ", paused" if self._is_paused else ""
-            return f"mission, {len(set(self._reached))} of {points}{paused}"
+            return f"mission, {len(set(self._reached))} of {self._points}{paused}"
         return "" if state.mission == "no mission" else state.mission
 
     def card(self, name: str, boot: str) -> MissionCard:
@@ -217,7 +217,7 @@ class Missions:
             stage=self.stage,
             by=self._by,
             digest=self._digest,
-            points=0 if plan is None else len(plan.waypoints),
+            points=self._points,
             reached=bytes(self._reached),
             is_paused=self._is_paused,
             is_finished=self._is_finished,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from contextlib import ExitStack
 
 from m100link.bus.network import Bus, Question
@@ -11,6 +12,12 @@ from m100link.fleet.missions.board import Missions
 from m100link.fleet.payloads import pack
 
 __all__ = ["MissionTeller"]
+
+_MOST_WAITING = 16
+"""Questions; of a flood the oldest are dropped."""
+
+_AS_GOOD_AS_NEW_S = 0.05
+"""Seconds in which all who ask hear the same: whoever flies must not wait for who asks."""
 
 
 class MissionTeller:
@@ -25,13 +32,19 @@ class MissionTeller:
 
     def __init__(self, missions: Missions, bus: Bus, keys: Keys, boot: str) -> None:
         self._missions, self._bus, self._keys, self._boot = missions, bus, keys, boot
+        self._clock = asyncio.get_running_loop().time
+        self._told, self._told_at = b"", -math.inf
 
     async def run(self) -> None:
         """Answer until this is cancelled."""
         with ExitStack() as stack:
-            stack.callback(self._bus.serve(self._keys.mission, self._on_question).close)
+            served = self._bus.serve(self._keys.mission, self._on_question, depth=_MOST_WAITING)
+            stack.callback(served.close)
             await asyncio.Event().wait()
 
     def _on_question(self, question: Question) -> None:
-        card = self._missions.card(self._keys.name, self._boot)
-        question.answer(self._keys.mission, pack(card))
+        now = self._clock()
+        if now - self._told_at >= _AS_GOOD_AS_NEW_S:
+            card = self._missions.card(self._keys.name, self._boot)
+            self._told, self._told_at = pack(card), now
+        question.answer(self._keys.mission, self._told)

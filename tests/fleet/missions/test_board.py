@@ -13,11 +13,13 @@ from m100link.agent.plan_told import told_of
 from m100link.bus.memory import Weather
 from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
 from m100link.fleet.control import FleetControl
+from m100link.fleet.keys import Keys
 from m100link.fleet.lost import LostPlan
 from m100link.fleet.missions.board import digest_of
 from m100link.fleet.missions.stages import MissionStage
 from m100link.fleet.outcome import Outcome
-from tests.fleet.conftest import OnBoard, Rig
+from m100link.fleet.payloads import MissionCard
+from tests.fleet.conftest import SITE, OnBoard, Rig
 from tests.fleet.missions.conftest import away, kind, on_board
 
 pytestmark = pytest.mark.anyio
@@ -195,7 +197,9 @@ async def test_whatever_ends_it_the_aircraft_hovers(rig: Rig, how: str) -> None:
         assert one.speed < 0.3
         assert one.height > 1.0
         assert (await pilot["a1"].card()).task == ""
-        assert (await pilot["a1"].mission()).fault is not None
+        card = await pilot["a1"].mission()
+        assert card.fault is not None
+        assert card.points == 2
 
 
 async def test_a_start_that_waited_behind_a_stop_does_not_fly(rig: Rig) -> None:
@@ -273,3 +277,27 @@ async def test_a_refusal_of_the_aircraft_is_told_and_leaves_it_on_the_ground(rig
     assert results["a1"].outcome is Outcome.REFUSED
     assert one.height < 0.1
     assert one.fleet_agent.missions.stage is not MissionStage.FLYING
+
+
+async def test_of_a_flood_of_questions_few_cost_anything(rig: Rig) -> None:
+    one = await on_board(rig)
+    missions, made = one.fleet_agent.missions, 0
+    card = missions.card
+
+    def counted(name: str, boot: str) -> MissionCard:
+        nonlocal made
+        made += 1
+        return card(name, boot)
+
+    missions.card = counted  # type: ignore[method-assign]
+    pilot = await rig.pilot()
+    for _ in range(50):
+        async with anyio.create_task_group() as group:
+            for _ in range(20):
+                group.start_soon(lambda: pilot.bus.ask(Keys(SITE, "a1").mission, timeout=1.0))
+        await anyio.sleep(0.02)
+    assert made < 40
+    await anyio.sleep(0.1)
+    before = made
+    assert (await pilot["a1"].mission()).stage is MissionStage.NONE
+    assert made == before + 1
