@@ -56,7 +56,7 @@ _CLOCK_S = 2.0
 """Seconds between two looks at the agent's clock."""
 
 _RENEWAL_S = 0.4
-"""A tab renews with each beat; that often it goes over the network."""
+"""A tab renews with each beat; that often it goes over the network, be the last answered or not."""
 
 _LET_GO_S = 1.0
 _MOST_ASKS = 64
@@ -112,7 +112,6 @@ class FleetChannel:
         self._told_at = self._granted_at = 0.0
         self._holder = LeaseChanged(0, "")
         self._tokens: dict[int, str] = {}
-        self._renewing: asyncio.Task[None] | None = None
         self._renewed_at = -_RENEWAL_S
         self._asks = 0
         self.unread = self.old = 0
@@ -320,6 +319,9 @@ class FleetChannel:
             token = self._tokens.get(steer.fence)
             if token is None:
                 raise LeaseRefused(f"lease {steer.fence} is not in force")
+            # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
+            # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
+            self._keep(LeaseAsk(0, LeaseAction.RENEW, token=token))
             self._setpoints.send(
                 steer.fence, token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
             )
@@ -335,16 +337,15 @@ class FleetChannel:
         self._spawn(ask, lambda: self._ask_lease(ask), f"{ask.action.value} lease")
 
     def _keep(self, ask: LeaseAsk) -> None:
-        is_under_way = self._renewing is not None and not self._renewing.done()
-        if is_under_way or self._clock() - self._renewed_at < _RENEWAL_S:
+        if self._clock() - self._renewed_at < _RENEWAL_S:
             return
         self._renewed_at = self._clock()
-        self._renewing = self._background.spawn(self._renew(ask), "renewal of a lease")
+        self._background.spawn(self._renew(ask), "renewal of a lease")
 
     async def _renew(self, ask: LeaseAsk) -> None:
         asked_at, fence = self._clock(), self._holder.number
         try:
-            reply = await self._asker.try_once(ask, within=_RENEWAL_S)
+            reply = await self._asker.try_once(ask, within=_GREETING_S)
         except M100Error as error:
             _logger.info("%s: %s", self._keys.name, error.seen)  # who has it is told by the agent
             return

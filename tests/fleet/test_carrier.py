@@ -75,12 +75,14 @@ async def kept(far: AgentClient, lease: Lease) -> None:
         await anyio.sleep(0.05)
 
 
-async def flying(far: AgentClient) -> Lease:
+async def flying(far: AgentClient, *, is_kept: bool = True) -> Lease:
     lease = await far.acquire("console 1")
-    far.background.spawn(kept(far, lease), "page")
+    page = far.background.spawn(kept(far, lease), "page")
     await far.activate(lease)
     await far.obtain(lease)
     await far.fly(lease, Task.TAKE_OFF)
+    if not is_kept:
+        page.cancel()
     return lease
 
 
@@ -99,12 +101,51 @@ async def test_setpoints_fly_and_expire_when_they_stop(rig: Rig) -> None:
     one = await rig.served("a1")
     async with front(rig, await rig.pilot()) as far:
         lease = await flying(far)
-        for _ in range(60):
-            far.steer(lease, NORTH)
-            await anyio.sleep(0.05)
+        await steered(far, lease, 3.0)
         assert one.speed > 2.0
         await anyio.sleep(2.0)
         assert one.speed < 0.3
+
+
+async def steered(far: AgentClient, lease: Lease, seconds: float) -> None:
+    """As a page does while a key is held: its beats are all that it says."""
+    for _ in range(round(seconds / 0.05)):
+        far.steer(lease, NORTH)
+        await anyio.sleep(0.05)
+
+
+async def test_who_steers_over_a_way_that_became_slow_is_told_so_and_keeps_control(
+    rig: Rig,
+) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        lease = await flying(far, is_kept=False)
+        refused: list[M100Error] = []
+        far.on_steer_refused.append(lambda _, error: refused.append(error))
+        await steered(far, lease, 2.0)
+        rig.network.weather.delay_s = 0.3
+        await steered(far, lease, 8.0)
+        assert one.speed < 0.3
+        assert one.client.holder.number == lease.number
+        assert "the clock of a1 is not known" in refused[-1].seen
+
+
+async def test_who_holds_a_key_through_a_cut_is_told_that_it_flies_nothing(rig: Rig) -> None:
+    one = await rig.served("a1")
+    pilot = await rig.pilot()
+    async with front(rig, pilot) as far:
+        lease = await flying(far, is_kept=False)
+        refused: list[M100Error] = []
+        far.on_steer_refused.append(lambda _, error: refused.append(error))
+        await steered(far, lease, 2.0)
+        rig.network.weather.presence_s = 60.0
+        rig.network.cut(one.bus)
+        await steered(far, lease, 1.5)
+        rig.network.join(one.bus)
+        await steered(far, lease, 5.0)
+        assert one.speed < 0.3
+        assert one.client.holder.number == lease.number
+        assert any("the stream of setpoints had ended" in error.seen for error in refused)
 
 
 async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> None:
@@ -112,21 +153,15 @@ async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> No
     pilot = await rig.pilot()
     async with front(rig, pilot) as far:
         lease = await flying(far)
-        for _ in range(40):
-            far.steer(lease, NORTH)
-            await anyio.sleep(0.05)
+        await steered(far, lease, 2.0)
         rig.network.weather.presence_s = 60.0  # nobody is told that it is gone
         rig.network.cut(one.bus)
-        for _ in range(60):
-            far.steer(lease, NORTH)
-            await anyio.sleep(0.05)
+        await steered(far, lease, 3.0)
         assert one.speed < 0.3
         assert far.is_silent
         assert not far.is_connected
         rig.network.join(one.bus)
-        for _ in range(60):
-            far.steer(lease, NORTH)
-            await anyio.sleep(0.05)
+        await steered(far, lease, 3.0)
         assert one.speed < 0.3, "a stream that was cut goes on"
 
 
