@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from m100link.agent.actions import LeaseAction, Stage
+from m100link.agent.actions import Action, LeaseAction, Stage
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.client import MAX_SILENCE
 from m100link.agent.fault import Fault, MessageError, agent_gone
@@ -59,7 +59,10 @@ _RENEWAL_S = 0.4
 """A tab renews with each beat; that often it goes over the network, be the last answered or not."""
 
 _LET_GO_S = 1.0
+_MOST_TOKENS = 8
 _MOST_ASKS = 64
+_ENDS_MOVEMENT = (Action.STOP, Action.HALT, Action.LAND)
+"""What is never refused here, however much waits for answers."""
 
 
 async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetChannel:
@@ -180,7 +183,7 @@ class FleetChannel:
 
     def watch(self, *, full: bool) -> None:
         """Hear every package of telemetry, or what suffices for a wall."""
-        if self._telemetry is not None and full is self._is_full:
+        if self._is_closed or (self._telemetry is not None and full is self._is_full):
             return
         before, self._is_full = self._telemetry, full
         key = self._keys.telemetry if full else self._keys.thinned
@@ -261,7 +264,6 @@ class FleetChannel:
         if change.number == self._holder.number or is_overtaken:
             return
         self._holder = change
-        self._tokens = {one: token for one, token in self._tokens.items() if one == change.number}
         self._deliver(change)
 
     def _deliver(self, message: Message) -> None:
@@ -286,13 +288,15 @@ class FleetChannel:
             self._deliver(Outcome(identity, Stage.DONE, None, reply.text, reply.number))
 
     def _spawn(self, message: Any, doing: Callable[[], Any], name: str) -> None:
-        if self._asks >= _MOST_ASKS:
+        ends_movement = isinstance(message, Ask) and message.action in _ENDS_MOVEMENT
+        if self._asks >= _MOST_ASKS and not ends_movement:
             error = UsageError(f"{self._asks} questions of this front wait already")
             self._answer(message.id, None, error)
             return
 
+        self._asks += 1
+
         async def carry_out() -> None:
-            self._asks += 1
             try:
                 await doing()
             except M100Error as error:
@@ -360,7 +364,10 @@ class FleetChannel:
         now = self._clock()
         self._agent_clock.heard(asked_at, reply.clock, now)
         if ask.action in (LeaseAction.ACQUIRE, LeaseAction.CONFIRM):
-            self._tokens[reply.number] = reply.token
+            # By what is told none of them ends: that may be old, lost on the way, or of a stranger,
+            # and who believes to have control has to be able to steer, and to give it back.
+            kept = sorted({**self._tokens, reply.number: reply.token}.items())
+            self._tokens = dict(kept[-_MOST_TOKENS:])
             self._granted_at = self._told_at = reply.clock
             self._lease_changed(LeaseChanged(reply.number, reply.text))
         if ask.action is LeaseAction.TAKE_OVER:

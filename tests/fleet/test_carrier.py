@@ -11,13 +11,15 @@ import pytest
 from m100link.agent.client import AgentClient
 from m100link.agent.guided import FlyTo
 from m100link.agent.lease import Lease, LeaseHeld
-from m100link.agent.messages import LeaseChanged
+from m100link.agent.messages import LeaseChanged, Topic
 from m100link.errors import LinkError, M100Error, StaleLease
 from m100link.fleet.client import Fleet
+from m100link.fleet.keys import Keys
+from m100link.fleet.payloads import pack
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
-from tests.fleet.conftest import Rig
+from tests.fleet.conftest import SITE, Rig
 
 pytestmark = pytest.mark.anyio
 
@@ -222,3 +224,47 @@ async def test_an_agent_that_is_not_there_and_one_that_goes(rig: Rig) -> None:
         await rig.until(lambda: far.is_gone, within=2.0)
         with pytest.raises(M100Error):
             await far.stop()
+
+
+async def test_however_much_waits_for_answers_stop_goes_out(rig: Rig) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        lease = await flying(far)
+        here = place(far)
+        rig.network.weather.presence_s = 60.0
+        rig.network.cut(one.bus)
+        for _ in range(100):
+            far.background.spawn(wasted(far, lease, here), "clicks")
+        await anyio.sleep(0.1)
+        rig.network.join(one.bus)
+        await far.stop()
+        assert any(event.topic is Topic.STOPPED for event in one.client.events)
+
+
+async def wasted(far: AgentClient, lease: Lease, here: Position) -> None:
+    with pytest.raises(M100Error):
+        await far.guide(lease, FlyTo(here.latitude_deg, here.longitude_deg, 6.0))
+
+
+async def test_what_a_stranger_tells_of_the_lease_does_not_cost_its_holder_the_proof(
+    rig: Rig,
+) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        lease = await flying(far)
+        stranger = rig.network.session().publish(Keys(SITE, "a1").told)
+        stranger.put(pack(LeaseChanged(lease.number + 1000, "nobody")))
+        await rig.until(lambda: not far.holds(lease), within=1.0)
+        await rig.until(lambda: far.holds(lease), within=2.0)
+        await steered(far, lease, 3.0)
+        assert one.speed > 2.0
+        await far.fly(lease, Task.LAND)
+        assert one.height < 0.1
+
+
+async def test_a_way_that_is_closed_listens_no_more(rig: Rig) -> None:
+    await rig.served("a1")
+    channel = await (await rig.pilot()).reach("a1")
+    channel.close()
+    channel.watch(full=True)
+    assert not rig.network.takers("subscribe", Keys(SITE, "a1").telemetry)
