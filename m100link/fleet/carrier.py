@@ -360,7 +360,8 @@ class FleetChannel:
 
     async def _ask_lease(self, ask: LeaseAsk) -> None:
         asked_at = self._clock()
-        reply = await self._asker_of(ask.name).ask(replace(ask, id=0))
+        made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
+        reply = await self._asker_of(ask.name).ask(replace(ask, id=0), clock=made_at)
         now = self._clock()
         self._agent_clock.heard(asked_at, reply.clock, now)
         if ask.action in (LeaseAction.ACQUIRE, LeaseAction.CONFIRM):

@@ -24,7 +24,7 @@ from m100link.fleet.payloads import Order
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = ["Done", "Orders", "is_kept", "lands", "moves", "revokes"]
+__all__ = ["Done", "Orders", "is_kept", "lands", "moves", "revokes", "takes"]
 
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
@@ -70,6 +70,11 @@ def moves(message: Message) -> bool:
     return is_kept(message)
 
 
+def takes(message: Message) -> bool:
+    """Whether it takes the lease from who has it: nobody loses it to who waits for it no more."""
+    return isinstance(message, LeaseAsk) and message.action is LeaseAction.CONFIRM
+
+
 def lands(message: Message) -> bool:
     """Whether it brings the aircraft down: that nobody may be surprised by, minutes later."""
     return isinstance(message, Ask) and message.action is Action.LAND
@@ -109,7 +114,8 @@ class Orders:
         client.on_lease.append(lambda _: self._forget())
 
     def _forget(self) -> None:
-        """Leases that have ended are of no use."""
+        """Leases that have ended are of no use, nor is why a setpoint under one was not flown."""
+        self.refused = None
         number = self._client.holder.number
         self.tokens = {one: token for one, token in self.tokens.items() if one >= number > 0}
 

@@ -409,3 +409,29 @@ async def test_stop_is_not_kept_waiting_by_long_orders(rig: Rig) -> None:
     assert len(read) < 30, "most of a flood is not read at all"
     last = replace(order(Ask(0, Action.STOP)), by="x" * 60_000)
     assert (await send(rig, last)).outcome is Outcome.OK, "one alone is"
+
+
+async def test_a_take_over_that_nobody_waits_for_takes_the_lease_from_nobody(rig: Rig) -> None:
+    """It was confirmed, and waited in a network: who confirmed it has given up, and renews none."""
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    offer = await send(rig, order(LeaseAsk(0, LeaseAction.TAKE_OVER)), KEYS.lease)
+    confirmed = LeaseAsk(0, LeaseAction.CONFIRM, token=offer.token)
+    late = order(confirmed)
+    await anyio.sleep(6.0)
+    reply = await send(rig, late, KEYS.lease)
+    assert reply.outcome is Outcome.REFUSED
+    assert one.client.holder.number == got.number
+    assert (await send(rig, order(confirmed), KEYS.lease)).number > got.number
+
+
+async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    on = Steer(got.number, anyio.current_time(), 0.2, NORTH)
+    rig.network.session().publish(KEYS.setpoint).put(pack_steer(on, got.token, begins=False))
+    await rig.until(lambda: one.fleet_agent.dropped[Dropped.BROKEN])
+    offer = await send(rig, order(LeaseAsk(0, LeaseAction.TAKE_OVER)), KEYS.lease)
+    confirmed = LeaseAsk(0, LeaseAction.CONFIRM, token=offer.token)
+    other = await send(rig, order(confirmed), KEYS.lease)
+    assert (await keep(rig, other)).fault is None
