@@ -160,6 +160,8 @@ class Orders:
         if ask.action is Action.MISSION_START and lease is not None:
             await self.missions.start(lease, ask)
             return Done()
+        if ask.action in (Action.MISSION_PLAN, Action.MISSION_POINT):
+            self.missions.void()  # by pieces comes a plan without a name
         outcome = await self._client.ask(ask.action, lease, number=ask.number, data=ask.data)
         if ask.action in (Action.MISSION_PAUSE, Action.MISSION_RESUME):
             self.missions.paused(ask.action)

@@ -51,12 +51,16 @@ def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(s
         assert "connection" in card, f"{who} is told where it stands"
         status, [log] = site.ask("log", "list", "a1", "--identity", who)
         assert (status, log["name"]) == (ExitCode.OK, "a1")
+        status, [mission] = site.ask("mission", "progress", "a1", "--identity", who)
+        assert (status, mission["stage"]) == (ExitCode.OK, "none")
     status, [told] = site.ask("takeoff", "a1", "--identity", "anna")
     assert (status, told["outcome"]) == (ExitCode.OK, "ok")
     for who, expected in (("wall", "unknown"), ("bert", "unknown")):
         status, [told] = site.ask("takeoff", "a1", "--identity", who)
         assert status != ExitCode.OK
         assert told["outcome"] == expected  # a router that routes nothing looks like silence
+    assert site.ask("mission", "stop", "a1", "--identity", "wall")[0] == ExitCode.FAILED
+    assert site.ask("mission", "stop", "a1", "--identity", "bert")[0] == ExitCode.OK
     status, [told] = site.ask("land", "a1", "--identity", "bert")
     assert (status, told["outcome"]) == (ExitCode.OK, "ok")
     assert site.ask("list")[0] == ExitCode.USAGE

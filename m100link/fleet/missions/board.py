@@ -93,7 +93,7 @@ class Missions:
         async with self._telling:
             after(self.stage, MissionInput.UPLOADED)
             # Until all of it is there the one before is void.
-            self._digest, self._plan = "", None
+            self.void()
             ask = self._client.ask
             await ask(Action.MISSION_PLAN, lease, data=plan.mission)
             for point in plan.points:
@@ -170,6 +170,10 @@ class Missions:
             self._ended_at = self._client.now
             self._is_paused = False
 
+    def void(self) -> None:
+        """The plan on board is not the one that was named any more."""
+        self._digest, self._plan = "", None
+
     def paused(self, action: Action) -> None:
         """A pause or its end was carried out."""
         self._is_paused = action is Action.MISSION_PAUSE and self.stage is MissionStage.FLYING
@@ -185,7 +189,7 @@ class Missions:
 
     def _lease_changed(self, change: LeaseChanged) -> None:
         self.stage = after(self.stage, MissionInput.LEASE_ENDED)
-        self._digest, self._plan = "", None  # whoever comes next starts nothing of it
+        self.void()  # whoever comes next starts nothing of it
 
     # -- what is told ----------------------------------------------------------------------------
 

@@ -119,7 +119,7 @@ class MissionOrders:
 
     async def stop(self, why: str = "") -> None:
         """End it: the aircraft hovers. Waits for no disk, and for nothing that it leads to."""
-        await self._ask(Ask(0, Action.HALT, text=why or "the mission is stopped"))
+        await self._ask(Ask(0, Action.HALT, text=why or "whoever flies stopped it"))
 
     async def set_speed(self, speed: float) -> float:
         """Change its speed, m/s; returns the one in force."""

@@ -63,6 +63,22 @@ async def test_another_plan_than_the_one_that_is_named_does_not_start(rig: Rig) 
         assert one.height < 0.1
 
 
+async def test_a_plan_by_pieces_is_not_started_under_the_name_of_another(rig: Rig) -> None:
+    """So a front that is far away brings one: as it would to an agent beside it."""
+    one = await on_board(rig)
+    pieces = told_of(away(one, 20, 60), "")
+    async with (await rig.pilot())["a1"].control() as control:
+        digest = await control.missions.upload(away(one, 20, 80))
+        await control.ask(Ask(0, Action.MISSION_PLAN, data=pieces.mission))
+        for point in pieces.points:
+            await control.ask(Ask(0, Action.MISSION_POINT, data=point))
+        with pytest.raises(UsageError, match="not the one on board"):
+            await control.missions.start(digest, take_off=True)
+        assert one.height < 0.1
+        await control.ask(Ask(0, Action.MISSION_START, number=1))
+        assert one.fleet_agent.missions.stage is MissionStage.FLYING
+
+
 async def test_what_is_no_plan_is_refused_and_flies_nothing(rig: Rig) -> None:
     one = await on_board(rig)
     told = told_of(away(one, 20, 60, 100), "")
