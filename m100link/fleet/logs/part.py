@@ -55,17 +55,25 @@ class Part:
             UsageError: It cannot be written, or another program has it.
         """
         with self._lock, _telling(self.path):
-            file = FileIO(self.path, "a+")
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+            file = self._locked()
+            while not _is_at(file, self.path):
+                # Whoever had it made it the log meanwhile, or removed it: that is not this part.
                 file.close()
-                raise UsageError(
-                    f"{self.path}: another program fetches it", remedy="wait for its end"
-                ) from None
+                file = self._locked()
             self._file, self.at = file, file.seek(0, os.SEEK_END)
         if self.at > size:
             self.forget()
+
+    def _locked(self) -> FileIO:
+        file = FileIO(self.path, "a+")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise UsageError(
+                f"{self.path}: another program fetches it", remedy="wait for its end"
+            ) from None
+        return file
 
     def add(self, data: bytes) -> None:
         """The next bytes have come.
@@ -132,6 +140,13 @@ class Part:
         if self._file is None:  # it was closed here while a thread was about to go on
             raise OSError("it is closed")
         return self._file
+
+
+def _is_at(file: FileIO, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 @contextmanager

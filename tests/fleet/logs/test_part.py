@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import resource
+from collections.abc import Callable
+from io import FileIO
 from pathlib import Path
 
 import pytest
@@ -39,6 +42,31 @@ def test_two_programs_do_not_write_one_part(tmp_path: Path) -> None:
     first.add(b"a")
     first.close()
     opened(tmp_path).close()
+
+
+@pytest.mark.parametrize("ends", [Part.finish, Part.close])
+def test_who_comes_as_the_one_before_ends_does_not_get_what_became_of_its_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: Callable[[Part], None]
+) -> None:
+    """It was opened while the other program had it, and locked when that had it no more."""
+    first = opened(tmp_path)
+    if ends is Part.finish:
+        first.add(b"abc")
+    lock = fcntl.flock
+
+    def late(file: FileIO, how: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", lock)
+        ends(first)
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    second = opened(tmp_path, size=2)
+    assert second.at == 0
+    second.add(b"de")
+    assert second.path.read_bytes() == b"de"
+    if ends is Part.finish:
+        assert second.whole.read_bytes() == b"abc", "and a fetched log is whole"
+    second.close()
 
 
 def test_where_no_byte_came_nothing_is_left(tmp_path: Path) -> None:
