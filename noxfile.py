@@ -302,7 +302,9 @@ def tests(session: nox.Session) -> None:
 def coverage(session: nox.Session) -> None:
     """The test suite with branch coverage, which takes twice as long, and whether it suffices."""
     install(session, PACKAGE, *group("test"))
-    session.run(*pytest(*elsewhere(*OWN_SESSIONS), "--cov", "--cov-report=", *session.posargs))
+    counted = ("--cov", "--cov-report=", *session.posargs)
+    session.run(*pytest(*workers(2), "-m", "not pty", *elsewhere(*OWN_SESSIONS), *counted))
+    session.run(*pytest(*workers(5), "-m", "pty", *marked("pty"), *counted, "--cov-append"))
     for part, percent in COVERED.items():
         session.log(f"{part}: at least {percent} %")
         session.run("coverage", "report", f"--include=*/{part}/*", f"--fail-under={percent}")
