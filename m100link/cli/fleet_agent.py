@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from m100link.agent.journal import JOURNAL_LOG
 from m100link.agent.messages import Event
 from m100link.cli.common import err, out, places, run_async
 from m100link.cli.fleet import ROUTER, until_told
@@ -33,6 +35,7 @@ from m100link.station.fleet import (
     recorded_apart,
     serving_fleet,
 )
+from m100link.station.log_output import tell_elsewhere
 
 __all__ = ["agent", "router"]
 
@@ -166,20 +169,26 @@ def agent(
         fleet = replace(fleet, options=tls_options(pki, name))
     if rights is not None:
         fleet = replace(fleet, verify=verifying(Rights.read(rights), aircraft, time.time))
-    return run_async(_serve(aircraft, fleet, as_json=options.run.json_output))
+    return run_async(_serve(aircraft, fleet, options.run))
 
 
-async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, *, as_json: bool) -> int:
+async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:
     ended = until_told()
+    tell_elsewhere(JOURNAL_LOG)
+    events = logging.getLogger(__name__)
     with Teller() as teller:
 
         def tell(name: str, event: Event) -> None:
+            if run.log.log_json:
+                level = logging.getLevelNamesMapping()[event.level.upper()]
+                events.log(level, "%s", event.text, extra={"aircraft": name})
+                return
             style = {"warning": "yellow", "error": "red"}.get(event.level)
             text = f"{name}: {event.text}"
-            teller.do(lambda: err.print(text, style=style, markup=False))
+            teller.do(lambda: err.print(text, style=style, markup=False, soft_wrap=True))
 
         async with serving_fleet(aircraft, fleet, tell) as agents:
-            if as_json:
+            if run.json_output:
                 print_json({"fleet": fleet.site, "agents": list(agents)})
             else:
                 names = ", ".join(agents)

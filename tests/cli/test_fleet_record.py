@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -16,6 +19,7 @@ from m100link.station.config import Settings
 from m100link.station.fleet import recorded_apart
 from m100link.station.run import _flights
 from tests.cli.test_fleet import Site, site
+from tests.waiting import PATIENCE
 
 __all__ = ["site"]
 
@@ -58,6 +62,41 @@ def test_each_connection_leaves_a_log_that_is_whole(site: Site, tmp_path: Path) 
     for name in ("a1", "a2"):
         [path] = (tmp_path / "m100link/flights" / name).iterdir()
         assert read(path).summary().is_whole
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize("is_json", [False, True])
+def test_what_happens_is_told_once_and_on_one_line(
+    site: Site, tmp_path: Path, is_json: bool
+) -> None:
+    words = ["agent", "sim://", "--name", "a1", *(["--log-json"] if is_json else [])]
+    folder = tmp_path / ("a long name of a folder " * 4).strip()
+    agent = subprocess.Popen(
+        [sys.executable, "-m", "m100link", "fleet", *words, "--record", str(folder)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=site.environment,
+    )
+    try:
+        site.listed(1)
+        assert site.ask("takeoff", "a1")[0] == 0
+        holder = site.start("lease", "a1", "--json")
+        assert holder.stdout is not None
+        assert holder.stdout.readline()
+        holder.kill()  # the agent warns: its lease ends by silence
+        ends = time.monotonic() + PATIENCE
+        while time.monotonic() < ends and site.listed(1)[0]["holder"]:
+            time.sleep(0.1)
+    finally:
+        agent.send_signal(signal.SIGTERM)
+        _, told = agent.communicate(timeout=PATIENCE)
+    lines = told.splitlines()
+    assert sum("gave control back (expired)" in line for line in lines) == 1
+    assert sum(f"recorded into {folder}/a1/" in line for line in lines) == (0 if is_json else 1)
+    if is_json:
+        expired = [json.loads(line) for line in lines if "expired" in line]
+        assert [(one["level"], one["aircraft"]) for one in expired] == [("WARNING", "a1")]
 
 
 @pytest.mark.pty
