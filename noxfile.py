@@ -489,6 +489,14 @@ def faults(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def orders(session: nox.Session) -> None:
+    """Orders to a fleet in bad weather, and over cables that are cut to an agent that is killed."""
+    install(session, PACKAGE, *group("test"))
+    session.run("python", "-m", "tests.faults.fleet_orders", *session.posargs)
+    session.run("python", "-m", "tests.faults.fleet_kills")
+
+
+@nox.session(default=False)
 def fuzz(session: nox.Session) -> None:
     """Mutated inputs for whatever reads bytes of others; half an hour. `-- --engine atheris`."""
     install(session, PACKAGE, *group("test"))

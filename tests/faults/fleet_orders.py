@@ -15,6 +15,7 @@ import argparse
 import asyncio
 import sys
 from collections import Counter, deque
+from collections.abc import Iterable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 
@@ -38,7 +39,7 @@ from m100link.sim import VirtualClockEventLoop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
 
-__all__ = ["Counted", "run"]
+__all__ = ["Counted", "Ordering", "run"]
 
 # Of several at once under one lease the newest wins, and those that it overtook are refused.
 _TASKS = 1
@@ -70,6 +71,68 @@ class Counted:
         return not (self.twice or self.false_ok or self.hidden)
 
 
+class Ordering:
+    """Who orders, keeps the lease, and notes what each order is told as.
+
+    Args:
+        count: Orders.
+        activates: Let the aircraft be activated whenever the lease is a new one.
+
+    Attributes:
+        told: What became of each, by its number.
+    """
+
+    def __init__(self, count: int, *, activates: bool = False) -> None:
+        self.told: dict[int, Outcome] = {}
+        self._activates = activates
+        self._lease: Reply | None = None
+        self._numbers = iter(range(count))
+
+    async def keep(self, asker: Asker) -> None:
+        """Have the lease as far as that is possible, until cancelled."""
+        while True:
+            try:
+                if self._lease is None:
+                    lease = await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+                    if self._activates:
+                        activate = Ask(0, Action.ACTIVATE)
+                        await asker.ask(activate, fence=lease.number, token=lease.token)
+                    self._lease = lease
+                renewal = LeaseAsk(0, LeaseAction.RENEW, token=self._lease.token)
+                await asyncio.sleep(0.3)
+                await asker.try_once(renewal, within=0.5)
+            except M100Error:
+                self._lease = None  # it ended, or its agent did: another one is asked for
+                await asyncio.sleep(0.3)
+
+    async def order(self, asker: Asker) -> None:
+        """Give one order after the other."""
+        for number in self._numbers:
+            while self._lease is None:  # noqa: ASYNC110 - another task has it
+                await asyncio.sleep(0.1)
+            ask = Ask(0, Action.SEND_TO_MOBILE, data=b"%d" % number)
+            lease = self._lease
+            try:
+                await asker.ask(ask, fence=lease.number, token=lease.token)
+                self.told[number] = Outcome.OK
+            except M100Error as error:
+                self.told[number] = outcome_of(error)
+                if self.told[number] is Outcome.STALE_LEASE and self._lease is lease:
+                    self._lease = None
+
+    def counted(self, received: Iterable[bytes], restarts: int) -> Counted:
+        """Compare what was told with what arrived at the app."""
+        arrived = Counter(map(int, received))
+        good = (Outcome.OK, Outcome.UNKNOWN)
+        return Counted(
+            outcomes=Counter(self.told.values()),
+            restarts=restarts,
+            twice=sum(times > 1 for times in arrived.values()),
+            false_ok=sum(told is Outcome.OK and not arrived[n] for n, told in self.told.items()),
+            hidden=sum(told not in good and arrived[n] > 0 for n, told in self.told.items()),
+        )
+
+
 class Run:
     """One aircraft, its agent, and who orders.
 
@@ -85,9 +148,7 @@ class Run:
         self.aircraft = VirtualAircraft(seed=seed)
         self.aircraft.vehicle.app.received = deque()
         self.ledger = MemoryLedger()
-        self.told: dict[int, Outcome] = {}
-        self._lease: Reply | None = None
-        self._numbers = iter(range(count))
+        self._ordering = Ordering(count)
 
     async def run(self) -> Counted:
         """Send all orders."""
@@ -110,15 +171,15 @@ class Run:
             await asyncio.sleep(0.1)
             await stack.enter_async_context(fleet)
             self.network.weather = _WEATHER
-            keeping = agent.background.spawn(self._keep(fleet["a1"].asker), "lease")
+            keeping = agent.background.spawn(self._ordering.keep(fleet["a1"].asker), "lease")
             async with asyncio.TaskGroup() as group:
                 for _ in range(_TASKS):
-                    group.create_task(self._order(fleet["a1"].asker))
+                    group.create_task(self._ordering.order(fleet["a1"].asker))
             self.network.weather = Weather()
             await asyncio.sleep(5.0)  # what was late has come
             keeping.cancel()
             agent_task.cancel()
-        return self._counted()
+        return self._ordering.counted(self.aircraft.vehicle.app.received, self._restarts)
 
     async def _agents(self, client: AgentClient) -> None:
         """One agent after the other; each knows of the one before what is in its ledger."""
@@ -128,7 +189,7 @@ class Run:
             one = FleetAgent(client, bus, _KEYS, self.ledger)
             work = asyncio.ensure_future(one.run())
             try:
-                while not (due and len(self.told) >= due[0]):  # noqa: ASYNC110 - virtual time
+                while not (due and len(self._ordering.told) >= due[0]):  # noqa: ASYNC110 - virtual time
                     await asyncio.sleep(0.05)
                 due.pop(0)
             finally:
@@ -136,43 +197,6 @@ class Run:
                 await asyncio.gather(work, return_exceptions=True)
                 self.network.cut(bus)
             self.ledger = MemoryLedger(self.ledger)
-
-    async def _keep(self, asker: Asker) -> None:
-        while True:
-            try:
-                if self._lease is None:
-                    self._lease = await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
-                renewal = LeaseAsk(0, LeaseAction.RENEW, token=self._lease.token)
-                await asyncio.sleep(0.3)
-                await asker.try_once(renewal, within=0.5)
-            except M100Error:
-                self._lease = None  # it ended, or its agent did: another one is asked for
-                await asyncio.sleep(0.3)
-
-    async def _order(self, asker: Asker) -> None:
-        for number in self._numbers:
-            while self._lease is None:  # noqa: ASYNC110 - virtual time
-                await asyncio.sleep(0.1)
-            ask = Ask(0, Action.SEND_TO_MOBILE, data=b"%d" % number)
-            lease = self._lease
-            try:
-                await asker.ask(ask, fence=lease.number, token=lease.token)
-                self.told[number] = Outcome.OK
-            except M100Error as error:
-                self.told[number] = outcome_of(error)
-                if self.told[number] is Outcome.STALE_LEASE and self._lease is lease:
-                    self._lease = None
-
-    def _counted(self) -> Counted:
-        arrived = Counter(map(int, self.aircraft.vehicle.app.received))
-        good = (Outcome.OK, Outcome.UNKNOWN)
-        return Counted(
-            outcomes=Counter(self.told.values()),
-            restarts=self._restarts,
-            twice=sum(times > 1 for times in arrived.values()),
-            false_ok=sum(told is Outcome.OK and not arrived[n] for n, told in self.told.items()),
-            hidden=sum(told not in good and arrived[n] > 0 for n, told in self.told.items()),
-        )
 
 
 def run(seed: int, count: int, restarts: int) -> Counted:
