@@ -58,6 +58,7 @@ _CLOCK_S = 2.0
 _RENEWAL_S = 0.4
 """A tab renews with each beat; that often it goes over the network, be the last answered or not."""
 
+_UNANSWERED_S = 4.0
 _LET_GO_S = 1.0
 _MOST_TOKENS = 8
 _MOST_ASKS = 64
@@ -117,6 +118,7 @@ class FleetChannel:
         self._tokens: dict[int, str] = {}
         self._renewed_at = -_RENEWAL_S
         self._asks = 0
+        self._answered_at = self._clock()
         self.unread = self.old = 0
         self._sending: dict[type[Any], Callable[[Any], None]] = {
             LeaseAsk: self._send_lease_ask,
@@ -208,9 +210,13 @@ class FleetChannel:
         for answer in answers:
             message = self._read(answer.payload)
             if isinstance(message, Hello) and self._greeted(message):
-                self._agent_clock.heard(asked_at, message.at, answered_at)
+                self._heard_clock(asked_at, message.at, answered_at)
                 return True
         return False
+
+    def _heard_clock(self, asked_at: float, its: float, answered_at: float) -> None:
+        self._answered_at = answered_at
+        self._agent_clock.heard(asked_at, its, answered_at)
 
     def _greeted(self, hello: Hello) -> bool:
         """Whether it is still the agent that it was."""
@@ -326,11 +332,23 @@ class FleetChannel:
             # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
             # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
             self._keep(LeaseAsk(0, LeaseAction.RENEW, token=token))
+            self._require_answers()
             self._setpoints.send(
                 steer.fence, token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
             )
         except M100Error as error:
             self._deliver(SteerRefused(steer.fence, Fault.of(error)))
+
+    def _require_answers(self) -> None:
+        """What the agent's clock showed long ago says nothing of how slow the way is by now."""
+        silent = self._clock() - self._answered_at
+        if silent > _UNANSWERED_S:
+            raise UsageError(
+                f"{self._keys.name} has answered nothing for {silent:.0f} s: nobody knows whether "
+                "it flies what is sent",
+                cause="the way there and back is cut, or takes too long",
+                remedy="let go, and look where the aircraft is",
+            )
 
     # -- the lease -------------------------------------------------------------------------------
 
@@ -354,7 +372,7 @@ class FleetChannel:
             _logger.info("%s: %s", self._keys.name, error.seen)  # who has it is told by the agent
             return
         if reply is not None:
-            self._agent_clock.heard(asked_at, reply.clock, self._clock())
+            self._heard_clock(asked_at, reply.clock, self._clock())
             if reply.fault is not None:
                 self._deliver(SteerRefused(fence, reply.fault))
 
@@ -363,7 +381,7 @@ class FleetChannel:
         made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
         reply = await self._asker_of(ask.name).ask(replace(ask, id=0), clock=made_at)
         now = self._clock()
-        self._agent_clock.heard(asked_at, reply.clock, now)
+        self._heard_clock(asked_at, reply.clock, now)
         if ask.action in (LeaseAction.ACQUIRE, LeaseAction.CONFIRM):
             # By what is told none of them ends: that may be old, lost on the way, or of a stranger,
             # and who believes to have control has to be able to steer, and to give it back.
