@@ -58,6 +58,8 @@ END_TIMEOUT_S = 15.0
 
 _CHUNK_SIZE = 1 << 20
 
+_LOOKS, _LOOK_S = 10, 0.001
+
 
 @dataclass
 class _Batch:
@@ -275,7 +277,10 @@ def _new_file(place: Path) -> tuple[Path, IO[bytes]]:
     for path in names:
         try:
             stream = path.open("xb")
-            _lock(stream)
+            for _ in range(_LOOKS):
+                if _lock(stream):
+                    break
+                time.sleep(_LOOK_S)  # somebody looks at this very moment whether it is written
             return path, stream
         except FileExistsError:  # by another process perhaps, in this very moment
             continue

@@ -360,3 +360,15 @@ async def main():
 
 asyncio.run(main())
 """
+
+
+def test_a_log_is_ours_also_when_somebody_looks_at_it_as_it_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever lists logs has the lock of each for a moment; without ours it counts as written."""
+    lock, looks = recorder._lock, iter([False, False])
+    monkeypatch.setattr(recorder, "_lock", lambda stream: next(looks, True) and lock(stream))
+    one = Recorder(tmp_path)
+    monkeypatch.undo()
+    assert recorder.is_being_written(one.path)
+    one._end()
