@@ -37,8 +37,8 @@ class Site:
         self.environment = os.environ | {"M100LINK_FLEET": place, "XDG_STATE_HOME": str(state)}
         self.place = place
 
-    def start(self, *words: str) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "m100link", "fleet", *words]
+    def start(self, *words: str, verb: str = "fleet") -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "m100link", verb, *words]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=self.environment)
         self._stack.callback(self._end, process)
         return process
