@@ -138,3 +138,14 @@ def test_a_notebook_shows_every_item_with_its_age(clock: Clock, state: AircraftS
     assert "<td>quaternion</td><td>q0 1, q1 0, q2 0, q3 0</td>" in html
     assert "<td>position</td><td></td><td>never</td>" in html
     assert html.count("<tr>") == 1 + len(ITEMS)
+
+
+@pytest.mark.parametrize("hertz", [1.0, 5.0, 100.0])
+def test_what_no_rate_is_made_of_any_more_is_forgotten(state: AircraftState, hertz: float) -> None:
+    """A wall holds a thousand of these, and runs for months."""
+    for number in range(3000):
+        state.update(sample(100.0 + number / hertz, **ATTITUDE))
+    [cell] = {one for one in state._cells.values() if one.count}
+    assert len(cell.arrivals) <= 2.5 * hertz + 2
+    assert state.statistics(Attitude).rate_hz == pytest.approx(hertz)
+    assert state.statistics(Attitude).count == 3000
