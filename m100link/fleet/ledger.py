@@ -38,6 +38,8 @@ MOST_KEPT = 20_000
 FENCES_AT_ONCE = 1000
 """Numbers of leases that are reserved at once: an agent that begins anew starts above them."""
 
+_MOST_FENCE = 1 << 53
+
 
 @dataclass(frozen=True, slots=True)
 class LeftAloft:
@@ -186,11 +188,11 @@ class FileLedger:
         for line in lines:
             try:
                 kept = json.loads(line)
-            except ValueError:
+            except (ValueError, RecursionError):
                 continue  # cut off by the loss of power as it was written: it had not begun
-            if isinstance(kept, dict) and type(kept.get("flies")) is int:
+            if isinstance(kept, dict) and _is_fence(kept.get("flies")):
                 self._flown = kept
-            elif isinstance(kept, dict) and type(kept.get("fence")) is int:
+            elif isinstance(kept, dict) and _is_fence(kept.get("fence")):
                 fence = max(fence, kept["fence"])
             elif isinstance(kept, dict) and isinstance(kept.get("id"), str):
                 at = _up_of(kept, boot)
@@ -290,6 +292,11 @@ class FileLedger:
         """Close the file; another agent may have it then."""
         self._file.close()
         self._lock.close()
+
+
+def _is_fence(value: object) -> bool:
+    """Whether it can be the number of a lease: one that no message carries is from a bad disk."""
+    return type(value) is int and 0 <= value < _MOST_FENCE
 
 
 def _begun(identity: str, boot: str, up: float) -> str:

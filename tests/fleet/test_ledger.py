@@ -171,3 +171,18 @@ def test_a_run_of_this_computer_has_a_name_and_an_age() -> None:
     (boot, before), (same, after) = since_boot(), since_boot()
     assert boot == same
     assert 0.0 < before <= after
+
+
+@pytest.mark.parametrize("damage", ["[" * 100_000, '{"fence": 1' + "0" * 30 + "}", "\x00" * 4096])
+async def test_what_a_bad_disk_made_of_a_line_costs_that_line(tmp_path: Path, damage: str) -> None:
+    """The deepest of brackets raised, and no message carries the number of such a lease."""
+    path = tmp_path / "a1.jsonl"
+    first = opened(path, 1000.0, "boot", 50.0)
+    await first.begin("one")
+    first.close()
+    with path.open("a") as stream:
+        stream.write(f"{damage}\n")
+    after = opened(path, 1000.0, "boot", 51.0)
+    assert after.begun == {"one": 50.0}
+    assert after.leases_before == FENCES_AT_ONCE
+    after.close()
