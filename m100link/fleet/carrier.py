@@ -117,6 +117,9 @@ class FleetChannel:
         self._holder = LeaseChanged(0, "")
         self._tokens: dict[int, str] = {}
         self._renewed_at = -_RENEWAL_S
+        # Why the newest setpoint that the agent told of was not flown. A page shows what is true of
+        # the newest beat: it is told again with each, until the agent says that they fly.
+        self._unflown: Fault | None = None
         self._asks = 0
         self._answered_at = self._clock()
         self.unread = self.old = 0
@@ -269,7 +272,7 @@ class FleetChannel:
         is_overtaken = change.number < self._holder.number and self._told_at < self._granted_at
         if change.number == self._holder.number or is_overtaken:
             return
-        self._holder = change
+        self._holder, self._unflown = change, None
         self._deliver(change)
 
     def _deliver(self, message: Message) -> None:
@@ -327,7 +330,7 @@ class FleetChannel:
     def _steer(self, steer: Steer) -> None:
         try:
             token = self._tokens.get(steer.fence)
-            if token is None:
+            if token is None or steer.fence != self._holder.number:
                 raise LeaseRefused(f"lease {steer.fence} is not in force")
             # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
             # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
@@ -336,6 +339,8 @@ class FleetChannel:
             self._setpoints.send(
                 steer.fence, token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
             )
+            if self._unflown is not None:
+                self._deliver(SteerRefused(steer.fence, self._unflown))
         except M100Error as error:
             self._deliver(SteerRefused(steer.fence, Fault.of(error)))
 
@@ -373,6 +378,7 @@ class FleetChannel:
             return
         if reply is not None:
             self._heard_clock(asked_at, reply.clock, self._clock())
+            self._unflown = reply.fault
             if reply.fault is not None:
                 self._deliver(SteerRefused(fence, reply.fault))
 

@@ -150,7 +150,16 @@ async def test_who_holds_a_key_through_a_cut_is_told_that_it_flies_nothing(rig: 
         await steered(far, lease, 5.0)
         assert one.speed < 0.3
         assert one.client.holder.number == lease.number
-        assert any("the stream of setpoints had ended" in error.seen for error in refused)
+        refused.clear()
+        await steered(far, lease, 2.0)
+        assert len(refused) >= 40, "a page forgets with each beat what was told before"
+        assert all("the stream of setpoints had ended" in error.seen for error in refused)
+        await anyio.sleep(1.0)
+        await steered(far, lease, 2.0)  # it was let go of, and pressed anew
+        refused.clear()
+        await steered(far, lease, 1.0)
+        assert one.speed > 2.0
+        assert not refused
 
 
 async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> None:
@@ -186,6 +195,11 @@ async def test_stop_and_landing_need_no_lease(rig: Rig) -> None:
             taken = await other.confirm(offer.token)
             await rig.until(lambda: far.holder.number == taken.number)
             assert not far.holds(lease)
+            refused: list[M100Error] = []
+            far.on_steer_refused.append(lambda _, error: refused.append(error))
+            far.steer(lease, NORTH)
+            await rig.until(lambda: refused, within=1.0)
+            assert "is not in force" in refused[0].seen
             assert other.holds(taken)
         assert one.height > 1.0
 
