@@ -304,8 +304,15 @@ class Supervised:
             except TimeoutError:
                 pass
             asked_at = clock()
+            last = aircraft.link.last_received_at or heard_at
+            if aircraft.link.is_asking and asked_at - last < CHECK_INTERVAL:
+                # At a version query an aircraft may forget what it has answered: the repeat of a
+                # command whose answer was late would be carried out a second time. So is one that
+                # begins meanwhile, where the query itself is repeated: it is asked once.
+                heard_at = last
+                continue
             try:
-                version = await aircraft.version()
+                version = await aircraft._requests.query_version(tries=1)
             except AckTimeout as error:
                 self.round_trip = None
                 heard_at = max(heard_at, aircraft.link.last_received_at or heard_at)

@@ -144,6 +144,11 @@ class Link(asyncio.Protocol):
         written = self._bytes_sent, self._frames_sent, self._dropped_writes
         return counted(self._endpoint, *written, self._round_trips.counted())
 
+    @property
+    def is_asking(self) -> bool:
+        """Whether a request waits for its answer."""
+        return bool(self._pending)
+
     async def request(
         self,
         data: bytes,
