@@ -66,6 +66,15 @@ CHECK_INTERVAL = 2.0
 SILENCE = 3.0
 """Seconds without an answer or a byte after which a connection counts as lost."""
 
+_MOST_PASSED_OVER = 2
+"""Looks that are left out while commands wait; then it is asked, lest one that was switched off and
+on is never noticed by a program that asks without a pause."""
+
+_GAP_S = 0.01
+
+_ANSWER_S = 1.5
+"""Seconds that the one question is waited for: a line by radio or network takes its time."""
+
 _EVENTS = 100
 
 _S, _I = SupervisionState, SupervisionInput
@@ -296,6 +305,7 @@ class Supervised:
         """
         clock = asyncio.get_running_loop().time
         heard_at = clock()
+        passed_over = 0
         while True:
             try:
                 async with asyncio.timeout(CHECK_INTERVAL):
@@ -303,16 +313,15 @@ class Supervised:
                 raise error or LinkLost("the line went away")
             except TimeoutError:
                 pass
-            asked_at = clock()
             last = aircraft.link.last_received_at or heard_at
-            if aircraft.link.is_asking and asked_at - last < CHECK_INTERVAL:
-                # At a version query an aircraft may forget what it has answered: the repeat of a
-                # command whose answer was late would be carried out a second time. So is one that
-                # begins meanwhile, where the query itself is repeated: it is asked once.
-                heard_at = last
+            is_heard = clock() - last < CHECK_INTERVAL
+            if is_heard and passed_over < _MOST_PASSED_OVER and not await _gap(aircraft):
+                heard_at, passed_over = last, passed_over + 1
                 continue
+            passed_over = 0
+            asked_at = clock()
             try:
-                version = await aircraft._requests.query_version(tries=1)
+                version = await aircraft._requests.query_version(timeout=_ANSWER_S, tries=1)
             except AckTimeout as error:
                 self.round_trip = None
                 heard_at = max(heard_at, aircraft.link.last_received_at or heard_at)
@@ -336,6 +345,20 @@ class Supervised:
         await self._activate(aircraft)
         self.aircraft = aircraft
         self._feed(_I.ACTIVATED)
+
+
+async def _gap(aircraft: Aircraft) -> bool:
+    """Wait for a moment in which no command waits for its answer; whether there was one.
+
+    At a version query an aircraft may forget what it has answered: the repeat of a command whose
+    answer was late would be carried out a second time. So would one that begins meanwhile, where
+    the query itself is repeated: it is asked once.
+    """
+    for _ in range(round(CHECK_INTERVAL / _GAP_S)):
+        if not aircraft.link.is_asking:
+            return True
+        await asyncio.sleep(_GAP_S)
+    return False
 
 
 def _why(error: M100Error | None) -> str:

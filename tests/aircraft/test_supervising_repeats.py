@@ -54,3 +54,25 @@ async def test_a_line_on_which_nothing_is_heard_is_lost_while_requests_wait() ->
                 await asyncio.sleep(0.1)
         asking.cancel()
         await asyncio.gather(asking, return_exceptions=True)
+
+
+async def test_a_line_that_is_asked_without_a_pause_is_looked_at_all_the_same() -> None:
+    """One that was switched off and on meanwhile is not active any more: somebody has to see."""
+    end = ConnectableAircraft(seed=1, firmware="1.0")
+    async with supervised(Cable(end)) as one:
+        aircraft = await one.connected()
+        end.set_faults(m100link.sim.LineFaults(delay=0.15))
+
+        async def ask(number: int) -> None:
+            await asyncio.sleep(0.05 * number)
+            while True:
+                await aircraft.send_to_mobile(b"x")
+
+        asking = [asyncio.ensure_future(ask(number)) for number in range(4)]
+        await asyncio.sleep(1.0)
+        one.round_trip = -1.0
+        await asyncio.sleep(15.0)
+        assert one.round_trip > 0.0
+        for task in asking:
+            task.cancel()
+        await asyncio.gather(*asking, return_exceptions=True)
