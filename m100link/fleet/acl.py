@@ -72,7 +72,9 @@ def _keys(rights: Rights, patterns: Iterable[str], ends: Iterable[str]) -> list[
 
 
 def _tokens(rights: Rights, patterns: Iterable[str]) -> list[str]:
-    return [f"{LIVE}/{rights.site}/{_word(pattern)}" for pattern in patterns]
+    words = [_word(one) for one in patterns]
+    apart = [f"{LIVE}/{rights.site}/{word}" for word in words]
+    return apart + [f"m100/{rights.site}/{word}/live" for word in words]
 
 
 def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:

@@ -146,7 +146,8 @@ class FleetAgent:
             self.client.on_event.append(self._on_event)
             # No task is woken for each of a hundred packages a second.
             self.client.on_sample.append(self._on_sample)
-            hold(bus.declare(keys.live))
+            for token in (keys.live, keys.live_beside):
+                hold(bus.declare(token))
             self._lost.inherit(self._ledger.aloft)
             try:
                 async with asyncio.TaskGroup() as group:

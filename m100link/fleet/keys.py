@@ -87,6 +87,11 @@ class Keys:
         return f"{LIVE}/{self.site}/{self.name}"
 
     @property
+    def live_beside(self) -> str:
+        """The same token among the other keys, where whoever writes a tool looks for it first."""
+        return self.of("live")
+
+    @property
     def telemetry(self) -> str:
         """Every package, as it came; sent while somebody listens."""
         return self.of("tel")
