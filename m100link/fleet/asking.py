@@ -42,10 +42,6 @@ def nobody_there(name: str) -> Unreachable:
     )
 
 
-class _Unreadable(OutcomeUnknown):
-    """Whoever answered may well have done it, and what he says cannot be read."""
-
-
 def _unsigned(order: Order) -> Order:
     """Without an identity the router alone decides who may ask."""
     return order
@@ -143,11 +139,10 @@ class Asker:
             M100Error: As :meth:`ask`.
         """
         order = self._order(message)
-        try:
-            reply = await self._one(self._key(message), pack(order), order.id, within)
-        except _Unreadable:
+        reply = await self._one(self._key(message), pack(order), order.id, within)
+        if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
-        return None if reply is None or reply.progress is not Progress.DONE else _raised(reply)
+        return _raised(reply)
 
     def _its_at_least(self) -> float:
         """What the agent's clock shows by now, at the earliest; 0: nobody knows."""
@@ -189,6 +184,9 @@ class Asker:
             asked, what = (self._keys.status(order.id), b"") if is_sent else (key, payload)
             reply = await self._one(asked, what, order.id)
             is_sent = True
+            if isinstance(reply, MessageError):
+                # Whoever answered may well have done it, and what he says cannot be read.
+                raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
             if reply is None:
                 await asyncio.sleep(_AGAIN_S)
                 continue
@@ -216,11 +214,11 @@ class Asker:
 
     async def _one(
         self, key: str, payload: bytes, identity: str, within: float = _ANSWER_S
-    ) -> Reply | None:
-        """One answer; None for none.
+    ) -> Reply | MessageError | None:
+        """One answer, or why there are only such as cannot be read; None for none.
 
         Raises:
-            OutcomeUnknown: There are only answers that cannot be read, or those of two agents.
+            OutcomeUnknown: There are answers of two agents.
         """
         answers = await self._bus.ask(key, payload, timeout=within)
         replies: list[Reply] = []
@@ -237,9 +235,7 @@ class Asker:
                 remedy="end one of them, and look at both aircraft",
             )
         if not ours:
-            if unread is not None:
-                raise _Unreadable(unread.seen, cause=unread.cause, remedy=unread.remedy)
-            return None
+            return unread
         self.heard_at, self.its_clock = self._clock(), ours[0].clock
         return ours[0]
 
