@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from m100link.errors import UsageError
-from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import check_name
 from m100link.log.folder import state_folder
 
@@ -28,14 +27,19 @@ def lease_file(site: str, name: str, environment: Mapping[str, str] | None = Non
 
 
 @contextmanager
-def shared(site: str, name: str, control: FleetControl) -> Iterator[None]:
+def shared(site: str, name: str, proof: tuple[int, str]) -> Iterator[None]:
     """Let other commands of this account order under a lease while the block runs.
+
+    Args:
+        site: Of the fleet.
+        name: Of the aircraft.
+        proof: Number and secret of the lease.
 
     Raises:
         UsageError: The file cannot be written.
     """
     path = lease_file(site, name)
-    fence, token = control.proof
+    fence, token = proof
     text = json.dumps({"fence": fence, "token": token})
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)

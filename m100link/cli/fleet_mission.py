@@ -82,7 +82,7 @@ def fly(
                 options.open() as fleet,
                 fleet[name].control(take_over=take_over) as control,
             ):
-                with shared(options.site, name, control):
+                with shared(options.site, name, control.proof):
                     mission = control.waypoint_mission(found, take_off=take_off)
                     show.mission = mission
                     async with mission:

@@ -193,7 +193,7 @@ def lease(
                 print_json({"name": name, "fence": control.fence})
             else:
                 out.print(f"{name}: lease {control.fence}, until Ctrl-C", markup=False)
-            with shared(options.site, name, control):
+            with shared(options.site, name, control.proof):
                 await ended.wait()
 
     return run_async(run())

@@ -128,25 +128,18 @@ def test_mistakes_are_told_before_anything_flies(site: Site, plan: Path, tmp_pat
     assert until(site, lambda card: card["stage"] == "none")
 
 
-class Held:
-    """A control block, as far as its proof is concerned."""
-
-    def __init__(self, fence: int) -> None:
-        self.proof = fence, f"secret {fence}"
-
-
 def test_a_lease_is_shared_with_nobody_else_and_no_longer_than_it_is_held(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = lease_file("site", "a1")
     assert path.is_relative_to(tmp_path)
-    with shared("site", "a1", Held(3)):  # type: ignore[arg-type]
+    with shared("site", "a1", (3, "secret 3")):
         assert borrowed("site", "a1") == (3, "secret 3")
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         with pytest.raises(UsageError, match="no command of this account"):
             borrowed("site", "a2")
-        with shared("site", "a1", Held(4)):  # type: ignore[arg-type]
+        with shared("site", "a1", (4, "secret 4")):
             assert borrowed("site", "a1") == (4, "secret 4")
     assert not path.exists()
     for junk in ("", "[]", "{", '{"fence": "x", "token": 1}'):
@@ -157,7 +150,7 @@ def test_a_lease_is_shared_with_nobody_else_and_no_longer_than_it_is_held(
     other = tmp_path / "other"
     other.write_text("mine")
     path.symlink_to(other)
-    with shared("site", "a1", Held(5)):  # type: ignore[arg-type]
+    with shared("site", "a1", (5, "secret 5")):
         assert not path.is_symlink()
     assert other.read_text() == "mine"
     monkeypatch.delenv("XDG_RUNTIME_DIR")

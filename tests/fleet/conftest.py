@@ -126,6 +126,14 @@ class Rig:
         one = OnBoard(self, name, virtual, ledger or MemoryLedger())
         return await self.stack.enter_async_context(one.running(**options))
 
+    def cut(self, fleet: Fleet) -> None:
+        """Cut a pilot off from all others, without a word."""
+        self.network.cut(_in_memory(fleet))
+
+    def join(self, fleet: Fleet) -> None:
+        """The pilot's cable is whole again."""
+        self.network.join(_in_memory(fleet))
+
     async def served(self, name: str) -> OnBoard:
         """An aircraft whose agent tells fronts that are elsewhere, too."""
         one = await self.aircraft(name)
@@ -137,6 +145,11 @@ class Rig:
     async def pilot(self, name: str = "pilot", **options: Any) -> Fleet:
         fleet = Fleet(self.network.session(), site=SITE, name=name, utc=self.utc, **options)
         return await self.stack.enter_async_context(fleet)
+
+
+def _in_memory(fleet: Fleet) -> MemoryBus:
+    assert isinstance(fleet.bus, MemoryBus)
+    return fleet.bus
 
 
 @pytest.fixture

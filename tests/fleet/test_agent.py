@@ -327,20 +327,20 @@ async def test_setpoints_of_the_holder_fly(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("reason", "more"),
+    ("reason", "age", "by"),
     [
-        (Dropped.LATE, {"age": 0.25}),
-        (Dropped.LATE, {"age": -0.25}),
-        (Dropped.STALE, {"by": 1}),
-        (Dropped.STALE, {"by": -1}),
+        (Dropped.LATE, 0.25, 0),
+        (Dropped.LATE, -0.25, 0),
+        (Dropped.STALE, 0.0, 1),
+        (Dropped.STALE, 0.0, -1),
     ],
 )
 async def test_setpoints_that_are_old_or_of_another_lease_do_not(
-    rig: Rig, reason: Dropped, more: dict[str, float]
+    rig: Rig, reason: Dropped, age: float, by: int
 ) -> None:
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
-    await fly(one, got, 3.0, **more)  # type: ignore[arg-type] # parameters of the test
+    await fly(one, got, 3.0, age=age, by=by)
     assert one.speed < 0.3
     assert one.fleet_agent.dropped == {reason: 60}
 

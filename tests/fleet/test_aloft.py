@@ -13,7 +13,7 @@ from m100link.errors import M100Error, UsageError
 from m100link.fleet.aloft import KEPT_AGAIN_S
 from m100link.fleet.client import Fleet
 from m100link.fleet.ledger import LeftAloft, MemoryLedger
-from m100link.fleet.lost import INHERITED_S, LostPlan
+from m100link.fleet.lost import INHERITED_S, LostAction, LostPlan
 from m100link.protocol.setpoint import Setpoint
 from tests.fleet.conftest import OnBoard, Rig
 
@@ -37,7 +37,7 @@ async def killed_in_flight(rig: Rig, lost: LostPlan = LAND) -> OnBoard:
     one.agent.background.spawn(fly(), "a pilot")
     await rig.until(lambda: one.speed > 2.5)
     one.kill()
-    rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+    rig.cut(pilot)
     assert one.height > 1.0
     return one
 
@@ -47,8 +47,8 @@ def said(one: OnBoard) -> str:
 
 
 @pytest.mark.parametrize("action", ["land", "home"])
-async def test_the_next_agent_does_what_was_configured(rig: Rig, action: str) -> None:
-    plan = LostPlan(action, 3.0)  # type: ignore[arg-type] # a parameter of the test
+async def test_the_next_agent_does_what_was_configured(rig: Rig, action: LostAction) -> None:
+    plan = LostPlan(action, 3.0)
     one = await (await killed_in_flight(rig, plan)).next(lost=plan)
     began = anyio.current_time()
     await anyio.sleep(2.5)
@@ -60,7 +60,8 @@ async def test_the_next_agent_does_what_was_configured(rig: Rig, action: str) ->
     await rig.until(lambda: one.client.holder.number == 0)
     await anyio.sleep(0.1)
     assert one.ledger.aloft is not None
-    assert MemoryLedger(one.ledger).aloft is None  # type: ignore[arg-type] # one in memory
+    assert isinstance(one.ledger, MemoryLedger)
+    assert MemoryLedger(one.ledger).aloft is None
 
 
 async def test_one_that_hovers_by_its_plan_is_left_to_the_pilot_and_that_is_said(rig: Rig) -> None:
@@ -120,7 +121,7 @@ async def test_one_on_the_ground_stays_there(rig: Rig) -> None:
     await rig.until(lambda: before.client.state.has_authority)
     await anyio.sleep(1.0)
     before.kill()
-    rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+    rig.cut(pilot)
     one = await before.next(lost=LAND)
     await anyio.sleep(20.0)
     assert one.height < 0.1

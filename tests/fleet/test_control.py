@@ -54,7 +54,7 @@ async def test_a_pilot_who_is_cut_off_longer_than_the_lease_is_told(rig: Rig) ->
     with pytest.raises(OutcomeUnknown, match="the lease has ended"):
         async with pilot["a1"].control() as control:
             await control.take_off()
-            rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+            rig.cut(pilot)
             began = anyio.current_time()
             await anyio.sleep(60.0)
     assert 2.0 < anyio.current_time() - began < 5.0

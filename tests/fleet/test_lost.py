@@ -11,7 +11,7 @@ from m100link.agent.actions import LeaseAction
 from m100link.agent.messages import LeaseAsk
 from m100link.errors import FleetError, GuardRefused, UsageError
 from m100link.fleet.client import Fleet
-from m100link.fleet.lost import LostPlan
+from m100link.fleet.lost import LostAction, LostPlan
 from m100link.fleet.stream import Dropped
 from m100link.protocol.setpoint import Setpoint
 from tests.fleet.conftest import OnBoard, Rig
@@ -29,7 +29,7 @@ async def fly_and_be_cut(rig: Rig, one: OnBoard, pilot: Fleet, *, seconds: float
             async with control.hold(NORTH):
                 await anyio.sleep(4.0)
                 assert one.speed > 2.5
-                rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+                rig.cut(pilot)
                 await anyio.sleep(2.0)
                 assert one.speed < 0.3
                 await anyio.sleep(seconds)
@@ -40,20 +40,20 @@ async def test_hovers_within_two_seconds_and_the_lease_ends(rig: Rig) -> None:
     await fly_and_be_cut(rig, one, pilot, seconds=10.0)
     assert one.client.holder.number == 0
     assert one.height > 1.0, "by default it hovers, and the pilot with the remote control flies"
-    rig.network.join(pilot.bus)  # type: ignore[arg-type] # one in memory
+    rig.join(pilot)
     await anyio.sleep(5.0)
     assert one.speed < 0.3, "nothing resumes by itself"
 
 
 @pytest.mark.parametrize("action", ["land", "home"])
-async def test_lands_or_goes_home_when_that_is_configured(rig: Rig, action: str) -> None:
-    plan = LostPlan(action, 3.0)  # type: ignore[arg-type] # a parameter of the test
+async def test_lands_or_goes_home_when_that_is_configured(rig: Rig, action: LostAction) -> None:
+    plan = LostPlan(action, 3.0)
     one, pilot = await rig.aircraft("a1", lost=plan), await rig.pilot()
     await fly_and_be_cut(rig, one, pilot, seconds=30.0)
     cut_at = anyio.current_time()
     await rig.until(lambda: one.height < 0.1, within=120.0)
     assert anyio.current_time() - cut_at < 120.0
-    rig.network.join(pilot.bus)  # type: ignore[arg-type] # one in memory
+    rig.join(pilot)
     await anyio.sleep(10.0)
     assert one.height < 0.1
 
@@ -86,7 +86,7 @@ async def lose_the_pilot(rig: Rig, one: OnBoard) -> None:
         with pytest.raises(FleetError):
             async with pilot["a1"].control() as control:
                 await control.take_off()
-                rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+                rig.cut(pilot)
                 await anyio.sleep(30.0)
 
     one.agent.background.spawn(fly(), "a pilot")
@@ -155,9 +155,9 @@ async def test_a_stream_that_was_cut_for_less_than_the_lease_does_not_go_on(rig:
             await control.take_off()
             async with control.hold(NORTH):
                 await anyio.sleep(4.0)
-                rig.network.cut(pilot.bus)  # type: ignore[arg-type] # one in memory
+                rig.cut(pilot)
                 await anyio.sleep(1.5)
-                rig.network.join(pilot.bus)  # type: ignore[arg-type] # one in memory
+                rig.join(pilot)
                 await anyio.sleep(10.0)
     assert one.speed < 0.3
     assert one.fleet_agent.dropped[Dropped.BROKEN] > 0

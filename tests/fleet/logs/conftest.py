@@ -6,7 +6,7 @@ import asyncio
 import random
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 
@@ -59,13 +59,11 @@ class Road:
         self.here = self.network.session()
         self.token = self.board.declare(KEYS.live)
 
-    def service(self, **options: object) -> LogService:
-        options = {"apart": AtOnce()} | options
-        return LogService(self.board, KEYS, self.shelf, **options)  # type: ignore[arg-type]
+    def service(self, **options: Any) -> LogService:
+        return LogService(self.board, KEYS, self.shelf, **{"apart": AtOnce()} | options)
 
-    def asker(self, bus: MemoryBus | None = None, **options: object) -> Asker:
-        options = {"utc": lambda: UTC} | options
-        return Asker(bus or self.here, KEYS, "anna", **options)  # type: ignore[arg-type]
+    def asker(self, bus: MemoryBus | None = None, **options: Any) -> Asker:
+        return Asker(bus or self.here, KEYS, "anna", **{"utc": lambda: UTC} | options)
 
     def fetcher(self, **options: object) -> LogFetcher:
         bus = self.network.session()

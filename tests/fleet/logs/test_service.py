@@ -122,7 +122,9 @@ async def test_of_a_flood_few_wait_and_the_rest_is_not_even_read(road: Road) -> 
         assert (await asked(road, LogQuestion(What.PIECE, FIRST, 0, 5)))[1] == bytes_of(300_000)[:5]
 
 
-async def test_a_digest_is_made_once_for_all_who_ask_and_one_at_a_time(road: Road) -> None:
+async def test_a_digest_is_made_once_for_all_who_ask_and_one_at_a_time(
+    road: Road, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made: list[tuple[str, int]] = []
 
     async with serving(road) as service:
@@ -132,7 +134,7 @@ async def test_a_digest_is_made_once_for_all_who_ask_and_one_at_a_time(road: Roa
             made.append((log, length))
             return digest(log, length, is_wanted)
 
-        service._shelf.digest = counted  # type: ignore[method-assign]
+        monkeypatch.setattr(service._shelf, "digest", counted)
         question = LogQuestion(What.DIGEST, FIRST, 0, 300_000)
         found: list[bytes] = []
 

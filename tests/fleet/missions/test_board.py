@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from typing import Any
 
 import anyio
 import pytest
@@ -14,7 +15,7 @@ from m100link.bus.memory import Weather
 from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
 from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import Keys
-from m100link.fleet.lost import LostPlan
+from m100link.fleet.lost import LostAction, LostPlan
 from m100link.fleet.missions.board import digest_of
 from m100link.fleet.missions.stages import MissionStage
 from m100link.fleet.outcome import Outcome
@@ -98,24 +99,26 @@ async def test_what_is_no_plan_is_refused_and_flies_nothing(rig: Rig) -> None:
         assert one.height < 0.1
 
 
-async def test_an_upload_that_is_lost_in_the_middle_of_its_staging_flies_nothing(rig: Rig) -> None:
+async def test_an_upload_that_is_lost_in_the_middle_of_its_staging_flies_nothing(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     one = await on_board(rig)
     plan = away(one, 20, 60, 100)
     async with (await rig.pilot())["a1"].control() as control:
         good = await control.missions.upload(plan)
         ask, asked = one.client.ask, 0
 
-        async def breaks(action: Action, *arguments: object, **more: object) -> object:
+        async def breaks(action: Action, *arguments: Any, **more: Any) -> object:
             nonlocal asked
             asked += action is Action.MISSION_POINT
             if asked == 2:
                 raise UsageError("cut off")
-            return await ask(action, *arguments, **more)  # type: ignore[arg-type]
+            return await ask(action, *arguments, **more)
 
-        one.client.ask = breaks  # type: ignore[method-assign, assignment]
-        with pytest.raises(UsageError, match="cut off"):
-            await control.missions.upload(away(one, 30, 70, 110))
-        one.client.ask = ask  # type: ignore[method-assign]
+        with monkeypatch.context() as patched:
+            patched.setattr(one.client, "ask", breaks)
+            with pytest.raises(UsageError, match="cut off"):
+                await control.missions.upload(away(one, 30, 70, 110))
         for digest in (good, ""):
             with pytest.raises(UsageError):
                 await control.missions.start(digest, take_off=True)
@@ -245,16 +248,16 @@ async def test_a_start_that_waited_behind_a_stop_does_not_fly(rig: Rig) -> None:
 
 @pytest.mark.parametrize(("action", "height"), [("hover", 6.0), ("land", 0.0)])
 async def test_when_the_pilot_is_lost_it_does_what_lost_says(
-    rig: Rig, action: str, height: float
+    rig: Rig, action: LostAction, height: float
 ) -> None:
-    one = await on_board(rig, lost=LostPlan(action, 4.0))  # type: ignore[arg-type]
+    one = await on_board(rig, lost=LostPlan(action, 4.0))
     pilot = await rig.pilot()
     with pytest.raises(M100Error):
         async with pilot["a1"].control() as control:
             await flying(rig, one, control)
             await anyio.sleep(3.0)
             assert one.speed > 2.0
-            rig.network.cut(pilot.bus)  # type: ignore[arg-type]
+            rig.cut(pilot)
             cut_at = anyio.current_time()
             await rig.until(lambda: one.speed < 0.3, within=10.0)
             assert anyio.current_time() - cut_at < 6.0
@@ -295,7 +298,9 @@ async def test_a_refusal_of_the_aircraft_is_told_and_leaves_it_on_the_ground(rig
     assert one.fleet_agent.missions.stage is not MissionStage.FLYING
 
 
-async def test_of_a_flood_of_questions_few_cost_anything(rig: Rig) -> None:
+async def test_of_a_flood_of_questions_few_cost_anything(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     one = await on_board(rig)
     missions, made = one.fleet_agent.missions, 0
     card = missions.card
@@ -305,7 +310,7 @@ async def test_of_a_flood_of_questions_few_cost_anything(rig: Rig) -> None:
         made += 1
         return card(name, boot)
 
-    missions.card = counted  # type: ignore[method-assign]
+    monkeypatch.setattr(missions, "card", counted)
     pilot = await rig.pilot()
     for _ in range(50):
         async with anyio.create_task_group() as group:

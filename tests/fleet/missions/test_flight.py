@@ -23,7 +23,7 @@ from m100link.flight.missions.events import (
     Uploaded,
 )
 from m100link.missions.plan import AtEnd
-from tests.fleet.conftest import SITE, Rig
+from tests.fleet.conftest import SITE, OnBoard, Rig
 from tests.fleet.missions.conftest import away, kind, on_board
 
 pytestmark = pytest.mark.anyio
@@ -101,8 +101,10 @@ async def test_paused_resumed_and_stopped_are_told(rig: Rig) -> None:
         await control.fly_to(**here(rig, one))  # something else may fly
 
 
-def here(rig: Rig, one: object) -> dict[str, float]:
-    position = one.client.telemetry.position  # type: ignore[attr-defined]
+def here(rig: Rig, one: OnBoard) -> dict[str, float]:
+    telemetry = one.client.telemetry
+    position = None if telemetry is None else telemetry.position
+    assert position is not None
     return {
         "latitude_deg": position.latitude_deg,
         "longitude_deg": position.longitude_deg,

@@ -6,7 +6,7 @@ import anyio
 import pytest
 
 from m100link.errors import M100Error
-from m100link.fleet.lost import LostPlan
+from m100link.fleet.lost import LostAction, LostPlan
 from m100link.fleet.missions.stages import MissionStage
 from tests.fleet.conftest import Rig
 from tests.fleet.missions.conftest import away, kind, on_board
@@ -16,9 +16,9 @@ pytestmark = pytest.mark.anyio
 
 @pytest.mark.parametrize("action", ["hover", "land"])
 async def test_the_next_agent_ends_the_mission_and_does_what_lost_says(
-    rig: Rig, action: str
+    rig: Rig, action: LostAction
 ) -> None:
-    plan = LostPlan(action, 4.0)  # type: ignore[arg-type]
+    plan = LostPlan(action, 4.0)
     one = await on_board(rig, lost=plan)
     pilot = await rig.pilot()
     with pytest.raises(M100Error):
