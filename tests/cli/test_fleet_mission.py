@@ -37,7 +37,8 @@ def plan(site: Site, tmp_path: Path) -> Path:
     frame = LocalFrame(card["latitude_deg"], card["longitude_deg"])
     points = [Waypoint(*frame.to_geodetic(north, 0), height=6) for north in (10, 40)]
     path = tmp_path / "plan.json"
-    path.write_text(WaypointPlan(points, speed=8).to_json())
+    # Slow: it lasts longer than a busy machine takes to begin two more commands.
+    path.write_text(WaypointPlan(points, speed=2).to_json())
     return path
 
 
