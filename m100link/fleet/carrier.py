@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from m100link.agent.actions import Action, LeaseAction, Stage
+from m100link.agent.actions import LeaseAction, Stage
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.client import MAX_SILENCE
 from m100link.agent.fault import Fault, MessageError, agent_gone
@@ -44,6 +44,7 @@ from m100link.errors import M100Error, UsageError
 from m100link.fleet.asking import Asker
 from m100link.fleet.clock import AgentClock
 from m100link.fleet.keys import Keys
+from m100link.fleet.orders import revokes
 from m100link.fleet.payloads import Reply, unpack_message
 from m100link.fleet.sending import SetpointSender
 
@@ -62,8 +63,6 @@ _UNANSWERED_S = 4.0
 _LET_GO_S = 1.0
 _MOST_TOKENS = 8
 _MOST_ASKS = 64
-_ENDS_MOVEMENT = (Action.STOP, Action.HALT, Action.LAND)
-"""What is never refused here, however much waits for answers."""
 
 
 async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetChannel:
@@ -297,8 +296,8 @@ class FleetChannel:
             self._deliver(Outcome(identity, Stage.DONE, None, reply.text, reply.number))
 
     def _spawn(self, message: Any, doing: Callable[[], Any], name: str) -> None:
-        ends_movement = isinstance(message, Ask) and message.action in _ENDS_MOVEMENT
-        if self._asks >= _MOST_ASKS and not ends_movement:
+        # What ends a movement is never refused here, however much waits for answers.
+        if self._asks >= _MOST_ASKS and not revokes(message):
             error = UsageError(f"{self._asks} questions of this front wait already")
             self._answer(message.id, None, error)
             return
