@@ -13,7 +13,11 @@ from m100link.errors import M100Error
 from m100link.fleet.show.checks import SKEW_S
 from m100link.fleet.show.track import TimedTrack, Vector
 
-__all__ = ["LeftShow", "ShowRefused", "TrackSteering", "Why"]
+__all__ = ["MOST_EARLY_S", "LeftShow", "ShowRefused", "TrackSteering", "Why"]
+
+MOST_EARLY_S = 120.0
+"""Seconds from the order to begin to the beginning, at most: so long an aircraft hovers at its
+place, and nobody who conducts is missed any more."""
 
 _LAG_S = 0.65
 """By how much the velocity follows what is asked for; of the model of the virtual aircraft."""
@@ -31,6 +35,7 @@ class Why(Enum):
 
     CLOCK = "clock"
     LATE = "late"
+    EARLY = "early"
     PLACE = "place"
     TUBE = "tube"
     CONDUCTOR = "conductor"
@@ -160,11 +165,11 @@ class TrackSteering:
             here: Where it is.
 
         Raises:
-            ShowRefused: The clock may be wrong by more than 50 ms, the time is over, or it is not
-                at its first point.
+            ShowRefused: The clock may be wrong by more than 50 ms, the time is over or more than
+                two minutes away, or it is not at its first point.
         """
         name, tube = self._track.name, self._track.tube_m
-        if not bound <= SKEW_S:  # NaN is none
+        if not 0 <= bound <= SKEW_S:  # NaN is none
             raise ShowRefused(
                 f"{name} may be wrong about the time by {_milliseconds(bound)}; "
                 f"{_milliseconds(SKEW_S)} are allowed",
@@ -174,7 +179,17 @@ class TrackSteering:
                 cause="the way to the fleet's clock is slow or lossy, or it has not answered",
                 remedy="wait for more round trips, or bring both into one network",
             )
-        if not 0 < early < math.inf:
+        if early > MOST_EARLY_S:
+            raise ShowRefused(
+                f"{name} would begin in {early:.0f} s; {MOST_EARLY_S:g} s are allowed",
+                why=Why.EARLY,
+                measured=early,
+                limit=MOST_EARLY_S,
+                cause="the order names a time of another clock, or somebody means to wait in the "
+                "air",
+                remedy="name a time within two minutes; wait on the ground for a later one",
+            )
+        if not early > 0:
             raise ShowRefused(
                 f"{name} should have begun {-early:.2f} s ago",
                 why=Why.LATE,
@@ -249,4 +264,4 @@ class TrackSteering:
 
 
 def _milliseconds(seconds: float) -> str:
-    return f"{seconds * 1000:.0f} ms" if math.isfinite(seconds) else "any amount"
+    return f"{seconds * 1000:.0f} ms" if 0 <= seconds < math.inf else "any amount"

@@ -255,7 +255,7 @@ async def test_nothing_begins_too_late() -> None:
     [flown] = row(1)
     async with in_place(flown) as (_, control):
         follower = TrackFollower(control, flown, Unsure(0.0))
-        for start_at in (asyncio.get_running_loop().time() - 0.5, -math.inf, math.inf, math.nan):
+        for start_at in (asyncio.get_running_loop().time() - 0.5, -math.inf, math.nan):
             with pytest.raises(ShowRefused) as caught:
                 await follower.fly(start_at)
             assert caught.value.why is Why.LATE

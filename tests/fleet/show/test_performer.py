@@ -9,7 +9,7 @@ import pytest
 
 from m100link.errors import M100Error, NoAuthority, UsageError
 from m100link.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer, Stage
-from m100link.fleet.show.steering import LeftShow, ShowRefused, Why
+from m100link.fleet.show.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
 from m100link.fleet.show.track import BadShow
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
@@ -208,7 +208,16 @@ async def test_the_pilot_who_leaves_f_has_it(stand: Stand) -> None:
 
 @pytest.mark.parametrize(
     ("early", "bound", "why"),
-    [(2.0, 0.051, Why.CLOCK), (-0.1, 0.0, Why.LATE), (math.nan, 0.0, Why.LATE)],
+    [
+        (2.0, 0.051, Why.CLOCK),
+        (2.0, -0.001, Why.CLOCK),
+        (2.0, math.nan, Why.CLOCK),
+        (-0.1, 0.0, Why.LATE),
+        (math.nan, 0.0, Why.LATE),
+        (MOST_EARLY_S + 0.1, 0.0, Why.EARLY),
+        (1e9, 0.0, Why.EARLY),
+        (math.inf, 0.0, Why.EARLY),
+    ],
 )
 async def test_it_does_not_begin_by_a_wrong_time(
     stand: Stand, early: float, bound: float, why: Why
@@ -217,7 +226,16 @@ async def test_it_does_not_begin_by_a_wrong_time(
     with pytest.raises(ShowRefused) as caught:
         performer.start(FLOWN.digest, stand.one.client.now + early, bound)
     assert caught.value.why is why
+    assert caught.value.remedy
     assert performer.stage is READY
+
+
+async def test_two_minutes_are_waited_and_the_track_is_flown_then(stand: Stand) -> None:
+    performer = await stand.to(READY)
+    performer.start(FLOWN.digest, stand.one.client.now + MOST_EARLY_S, 0.0)
+    await anyio.sleep(MOST_EARLY_S - 1.0)
+    assert (performer.stage, stand.one.speed < 0.1) == (FLYING, True)
+    await stand.rig.until(lambda: performer.stage is OVER)
 
 
 async def test_a_track_of_another_or_of_none(stand: Stand) -> None:
