@@ -19,6 +19,7 @@ from m100link.agent.guided import ChangeHeight, FlyTo
 from m100link.agent.lease import Lease
 from m100link.agent.messages import Event, Topic
 from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
+from m100link.fleet.age import OrderAges
 from m100link.fleet.show.ahead import Ahead, Neighbours, by_speed, by_track
 from m100link.fleet.show.clock import DRIFT
 from m100link.fleet.show.steering import LeftShow, TrackSteering, Why
@@ -77,6 +78,7 @@ ALLOWED: dict[Order, frozenset[Stage]] = {
 
 
 _BUSY = (Stage.PLACING, Stage.READY, Stage.FLYING)
+_IN_SHOW = (Stage.LOADED, *_BUSY)
 
 
 class Performer:
@@ -92,6 +94,7 @@ class Performer:
         track: What it is loaded with; None for nothing.
         farthest_m: Farthest from its track, by its own telemetry.
         neighbours: The others of the show; None when it was loaded without a word about them.
+        ages: Which orders come too late: nobody waits for them, or it was stopped since.
     """
 
     def __init__(self, client: AgentClient, name: str) -> None:
@@ -102,6 +105,7 @@ class Performer:
         self.track: TimedTrack | None = None
         self.farthest_m = 0.0
         self.neighbours: Neighbours | None = None
+        self.ages = OrderAges()
         # When its show begins, by the agent's clock; None before that is known.
         self._start_at: float | None = None
         self._leave: Leave = "land"
@@ -114,8 +118,11 @@ class Performer:
         client.on_authority_taken.append(self._gave_way)
 
     def close(self) -> None:
-        """Leave, and hear nothing more of the agent."""
+        """Leave, and hear nothing more of the agent; not even a landing is seen to its end."""
         self.leave()
+        if self._work is not None:
+            self._work.cancel()
+        self._let_go()
         self._client.on_event.remove(self._hear)
         self._client.on_steer_refused.remove(self._steer_refused)
         self._client.on_authority_taken.remove(self._gave_way)
@@ -124,6 +131,8 @@ class Performer:
 
     def _hear(self, event: Event) -> None:
         if event.topic in (Topic.STOPPED, Topic.HALTED):
+            # An order to take off may be on its way here, of somebody who has not seen it.
+            self.ages.revoke(self._client.now)
             self._gave_way(NoAuthority(f"{self._name} was stopped: {event.text}"))
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
@@ -131,7 +140,7 @@ class Performer:
             self._refused = error
 
     def _gave_way(self, error: M100Error) -> None:
-        if self.stage in _BUSY:
+        if self.stage in _IN_SHOW:
             self.fault = error
             self.leave()
 
@@ -142,10 +151,13 @@ class Performer:
     # -- what it is told -------------------------------------------------------------------------
 
     def _require(self, order: Order) -> None:
-        if self.stage not in ALLOWED[order]:
+        is_landing = order is Order.LOAD and self._lease is not None
+        if self.stage not in ALLOWED[order] or is_landing:
+            stage = f"{self.stage.value}{' and landing' * is_landing}"
+            left = "" if self.fault is None else f"it left: {self.fault.seen}"
             raise UsageError(
-                f"{self._name} is {self.stage.value} and cannot {order.value}",
-                cause="two conduct the same show, or an order came late",
+                f"{self._name} is {stage} and cannot {order.value}",
+                cause=left or "two conduct the same show, or an order came late",
                 remedy="let it leave, and begin anew: load, place, start",
             )
 
@@ -217,11 +229,16 @@ class Performer:
         self._do(lambda: self._fly(track, steering, start_at, bound))
 
     def leave(self) -> None:
-        """End it, wherever it is: control is given back, and it hovers."""
+        """End it, wherever it is: control is given back, and it hovers.
+
+        What lands because its show has ended lands on: STOP ends that.
+        """
+        self.ages.revoke(self._client.now)
+        if self.stage not in _IN_SHOW:
+            return
         if self._work is not None:
             self._work.cancel()
-        if self.stage in _BUSY:
-            self.stage = Stage.LEFT
+        self.stage = Stage.LEFT
         self._let_go()
 
     def ahead(self) -> Ahead | None:

@@ -15,7 +15,6 @@ from m100link.agent.client import AgentClient
 from m100link.agent.fault import MessageError, fault_of
 from m100link.bus.network import Bus, Question
 from m100link.errors import M100Error, NotAllowed
-from m100link.fleet.age import require_young
 from m100link.fleet.agent import Verify
 from m100link.fleet.keys import Keys, name_in
 from m100link.fleet.namesake import Namesakes
@@ -135,6 +134,7 @@ class ShowService:
                 case "piece":
                     self._take_piece(int(wanted["at"]), bytes.fromhex(wanted["data"]))
                 case "load":
+                    self._require_wanted(order)
                     performer.load(
                         bytes(self._pieces),
                         wanted["leave"],
@@ -143,10 +143,11 @@ class ShowService:
                     )
                 case "place":
                     # It takes off: not minutes later, when whoever conducts has given up.
-                    require_young(order.clock, self._client.now)
+                    self._require_wanted(order)
                     self._require_name()
                     performer.place(order.signer or order.by)
                 case "start":
+                    self._require_wanted(order)
                     self._require_name()
                     performer.start(
                         str(wanted["digest"]), float(wanted["at"]), float(wanted["bound"])
@@ -159,6 +160,14 @@ class ShowService:
             if isinstance(error, M100Error):
                 raise
             raise MessageError(f"an order to a show cannot be read: {error!r}") from error
+
+    def _require_wanted(self, order: Order) -> None:
+        """Whether it is waited for still, and was made after whatever ended a show here.
+
+        Raises:
+            GuardRefused: It was not.
+        """
+        self.performer.ages.check(order.clock, self._client.now)
 
     def _require_name(self) -> None:
         if self._namesakes is not None:

@@ -92,7 +92,7 @@ TABLE = {
     (Order.PLACE, LOADED): PLACING,
     (Order.START, READY): FLYING,
     (Order.LEAVE, EMPTY): EMPTY,
-    (Order.LEAVE, LOADED): LOADED,
+    (Order.LEAVE, LOADED): LEFT,  # an order to take its place may be on its way
     (Order.LEAVE, PLACING): LEFT,
     (Order.LEAVE, READY): LEFT,
     (Order.LEAVE, FLYING): LEFT,
@@ -170,6 +170,34 @@ async def test_out_of_its_tube_it_leaves_as_it_was_told(stand: Stand, leave: Lea
     assert (stand.one.height == 0.0) == (leave == "land")
     assert stand.one.speed < 0.1
     assert stand.one.client.holder.number == 0, "whoever comes next may have control"
+
+
+async def test_stop_by_anybody_ends_what_has_not_taken_off_yet(stand: Stand) -> None:
+    performer = await stand.to(LOADED)
+    await (await stand.rig.pilot("anybody"))["a1"].stop()
+    assert performer.stage is LEFT
+    with pytest.raises(UsageError, match="left and cannot place") as caught:
+        performer.place("anna")
+    assert "a1 was stopped" in caught.value.cause
+    await anyio.sleep(10.0)
+    assert stand.one.height == 0.0
+
+
+async def test_one_that_lands_because_it_left_lands_on_whatever_else_it_is_told(
+    stand: Stand,
+) -> None:
+    """The conductor lets all leave because one did: that one is not to hover half-way down."""
+    performer = await stand.to(FLYING, leave="land")
+    await anyio.sleep(5.0)
+    stand.one.aircraft.vehicle.flight.dynamics.east += 3.0
+    await stand.rig.until(lambda: performer.stage is LEFT)
+    await anyio.sleep(1.5)
+    performer.leave()
+    with pytest.raises(UsageError, match="left and landing and cannot load"):
+        performer.load(FLOWN.to_bytes(), "land")
+    await stand.rig.until(lambda: stand.one.height == 0.0, within=15.0)
+    await stand.rig.until(lambda: stand.one.client.holder.number == 0, within=5.0)
+    performer.load(FLOWN.to_bytes(), "land")
 
 
 @pytest.mark.parametrize("stage", [PLACING, READY, FLYING])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
 from typing import Any
 
 import anyio
@@ -159,6 +160,30 @@ async def test_a_take_off_that_nobody_waits_for_is_not_begun(
     assert "nobody waits" in reply.fault.seen
     assert json.loads(reply.text)["stage"] == "loaded"
     assert (await asked.order({"do": "place"}, 10)).outcome is Outcome.OK
+
+
+@pytest.mark.parametrize("how", ["leave", "stop"])
+async def test_what_was_ordered_before_it_ended_and_comes_later_does_not_take_off(
+    asked: Asked, how: str
+) -> None:
+    """Each try of a conductor is an order of its own: all it sent may come behind its last word."""
+    await asked.order(PIECE, 1)
+    made = anyio.current_time()
+    if how == "leave":
+        await asked.order({"do": "leave"}, 2)
+    else:
+        await (await asked.rig.pilot("anybody"))["a1"].stop()
+    await anyio.sleep(1.0)
+    for number, wanted in enumerate((LOAD, {"do": "place"}), start=10):
+        message = SHOW + json.dumps(wanted).encode()
+        late = Order(f"{number:032x}", "a1", "anna", 0, 0.0, message, made - 0.01)
+        reply = await asked.ask(pack(late))
+        assert reply.fault is not None
+        assert "was asked for after it was made" in reply.fault.seen
+    await asked.order(LOAD, 20)
+    reply = await asked.ask(pack(replace(late, id=f"{30:032x}")))
+    assert json.loads(reply.text)["stage"] == "loaded"
+    assert (await asked.order({"do": "place"}, 21)).outcome is Outcome.OK
 
 
 async def test_what_is_too_long_for_a_piece_is_not_read(asked: Asked) -> None:
