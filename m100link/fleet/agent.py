@@ -45,6 +45,7 @@ from m100link.fleet.payloads import (
     unpack,
     unpack_steer,
 )
+from m100link.fleet.revoked import Since, nobody
 from m100link.fleet.stream import Dropped, SetpointStream, broken
 from m100link.fleet.thinning import WALL_WITHIN_S, Thinner
 from m100link.protocol.records import Battery, Position
@@ -78,6 +79,7 @@ class FleetAgent:
         ledger: What outlives it.
         lost: What happens when whoever flies is lost.
         verify: Looks at each order; without it the router alone decides who may ask.
+        revoked: Who is shut out.
         utc: POSIX time, s.
 
     Attributes:
@@ -96,6 +98,7 @@ class FleetAgent:
         *,
         lost: LostPlan | None = None,
         verify: Verify | None = None,
+        revoked: Since = nobody,
         utc: Callable[[], float] = time.time,
     ) -> None:
         self.client = client
@@ -111,7 +114,7 @@ class FleetAgent:
         self.dropped: Counter[Dropped] = Counter()
         self._book = OrderBook(ledger.begun)
         self._ages = OrderAges()
-        self._orders = Orders(client, ledger)
+        self._orders = Orders(client, ledger, revoked)
         self._aloft = Aloft(client, ledger)
         descend = partial(self._orders.descend, take_over=False)
         self._lost = Lost(client, self._lost_plan, descend, self._aloft)
@@ -162,6 +165,14 @@ class FleetAgent:
     def missions(self) -> Missions:
         """What flies by plans."""
         return self._orders.missions
+
+    def shut_out(self) -> None:
+        """Somebody was revoked: what he flies hovers, and his lease ends as if he fell silent."""
+        who = self._orders.shut_out()
+        if who:
+            self._ages.revoke(self.client.now)
+            self.client.note(f"{who} is revoked: this aircraft hovers", "error")
+            self.client.background.spawn(self.client.stop(), "stop of who is revoked")
 
     async def require_alone(self) -> None:
         """Look whether the name is free; one whose agent was killed is seen for a while yet.

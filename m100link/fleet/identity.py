@@ -18,6 +18,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import (
 )
 
 from m100link.errors import NotAllowed, UsageError
+from m100link.fleet.revoked import Since, nobody
 from m100link.fleet.rights import Right, Rights
 
 __all__ = ["STOP_WINDOW_S", "WINDOW_S", "Claim", "Gate", "OrderRefused", "Reason", "Signer"]
@@ -39,6 +40,7 @@ class Reason(Enum):
     UNKNOWN_KEY = "unknown key"
     BAD_SIGNATURE = "bad signature"
     WRONG_AIRCRAFT = "wrong aircraft"
+    REVOKED = "revoked"
     NOT_ALLOWED = "not allowed"
     EXPIRED = "expired"
     REPLAYED = "replayed"
@@ -143,9 +145,18 @@ class Gate:
         began_at: When it began to look, POSIX time, s: what was signed before may have been let
             through by who was there before, and is not, but for what stops. (A clock that is ahead
             gets around that by so much; what moves the aircraft has to be kept on disk besides.)
+        revoked: Who is shut out.
     """
 
-    def __init__(self, rights: Rights, aircraft: str, *, began_at: float) -> None:
+    def __init__(
+        self,
+        rights: Rights,
+        aircraft: str,
+        *,
+        began_at: float,
+        revoked: Since = nobody,
+    ) -> None:
+        self._revoked = revoked
         self._rights = rights
         self._aircraft = aircraft
         self._began_at = began_at
@@ -179,6 +190,15 @@ class Gate:
                 signer=who,
                 cause="somebody sent on what was meant for another aircraft",
                 remedy="give the order to the aircraft it is for",
+            )
+        since = self._revoked(who)
+        if since:
+            raise OrderRefused(
+                f"{who} is revoked since {since}",
+                reason=Reason.REVOKED,
+                signer=who,
+                cause="its certificate and key are said to be lost, or it may not be here any more",
+                remedy="whoever it is needs a certificate, a key and rights under another name",
             )
         identity = self._rights.identity(who)
         if identity is None or not identity.may(right, self._aircraft):

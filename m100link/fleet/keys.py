@@ -127,6 +127,11 @@ class Keys:
         return self.of("lease")
 
     @property
+    def revoked(self) -> str:
+        """A list of revoked names is brought here, and which one is in force is asked."""
+        return self.of("revoked")
+
+    @property
     def setpoint(self) -> str:
         """Setpoints are sent here."""
         return self.of("setpoint")

@@ -17,10 +17,11 @@ from m100link.agent.fault import Fault, MessageError, fault_of
 from m100link.agent.guided import GuidedOrder
 from m100link.agent.lease import Flown, Lease, LeaseHeld
 from m100link.agent.messages import Ask, LeaseAsk, Message, PlanTold
-from m100link.errors import M100Error, MissionRunning, StaleLease, TaskRefused
+from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
 from m100link.fleet.ledger import Ledger
 from m100link.fleet.missions.board import Missions
 from m100link.fleet.payloads import Order
+from m100link.fleet.revoked import Since, nobody
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
@@ -86,6 +87,7 @@ class Orders:
     Args:
         client: What knows the agent.
         ledger: What is kept.
+        revoked: Who is shut out.
 
     Attributes:
         missions: What flies by plans.
@@ -93,7 +95,11 @@ class Orders:
         refused: Why the last setpoint was not flown; told when the lease is renewed.
     """
 
-    def __init__(self, client: AgentClient, ledger: Ledger) -> None:
+    def __init__(self, client: AgentClient, ledger: Ledger, revoked: Since = nobody) -> None:
+        self._revoked = revoked
+        # Who signed for each lease, and for the landing under way: they may be revoked meanwhile.
+        self._signers: dict[int, str] = {}
+        self._descent_signers: set[str] = set()
         self._client = client
         self._ledger = ledger
         self.missions = Missions(client)
@@ -118,6 +124,19 @@ class Orders:
         self.refused = None
         number = self._client.holder.number
         self.tokens = {one: token for one, token in self.tokens.items() if one >= number > 0}
+        self._signers = {one: who for one, who in self._signers.items() if one in self.tokens}
+
+    def shut_out(self) -> str:
+        """Let nobody who is revoked steer any more; who did until now, empty for nobody."""
+        found = ""
+        descent = None if self._descent is None or self._descent.done() else self._descent
+        if descent is not None and all(map(self._revoked, self._descent_signers)):
+            descent.cancel()
+            found = ", ".join(sorted(self._descent_signers))
+        for number, who in self._signers.items():
+            if self._revoked(who) and self.tokens.pop(number, ""):
+                found = who
+        return found
 
     async def carry_out(self, order: Order, message: Message) -> Done:
         """Do what is asked for.
@@ -145,7 +164,7 @@ class Orders:
             client.halt(message.text or f"{order.by}: hover", self._lease_if_any(order))
             return Done()
         if message.action is Action.LAND and not order.fence:
-            await self.descend(Task.LAND, f"landing for {order.by}")
+            await self.descend(Task.LAND, f"landing for {order.by}", signer=order.signer)
             return Done()
         lease = None if message.action is Action.VERSION else self.lease_for(order, message)
         if message.action is Action.ACTIVATE and client.state.is_activated:
@@ -200,13 +219,18 @@ class Orders:
             raise StaleLease(f"lease {order.fence} is not in force{who}")
         return lease
 
-    async def _grant(self, lease: Lease) -> Done:
+    async def _grant(self, order: Order, lease: Lease) -> Done:
+        since = self._revoked(order.signer)
+        if since:  # while it was being granted
+            self._client.let_go(lease)
+            raise NotAllowed(f"{order.signer} is revoked since {since}")
         self.tokens[lease.number] = lease.token
+        self._signers[lease.number] = order.signer
         await self._ledger.granted(lease.number)
         return Done(lease.name, lease.number, lease.token)
 
     async def _acquire(self, order: Order, ask: LeaseAsk) -> Done:
-        return await self._grant(await self._client.acquire(order.by))
+        return await self._grant(order, await self._client.acquire(order.by))
 
     async def _renew(self, order: Order, ask: LeaseAsk) -> Done:
         lease = await self._client.renew(ask.token)
@@ -222,7 +246,7 @@ class Orders:
         return Done(offer.from_name, offer.number, offer.token)
 
     async def _confirm(self, order: Order, ask: LeaseAsk) -> Done:
-        return await self._grant(await self._client.confirm(ask.token))
+        return await self._grant(order, await self._client.confirm(ask.token))
 
     # -- down ------------------------------------------------------------------------------------
 
@@ -233,7 +257,9 @@ class Orders:
         status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
         return None if status is None else status.phase
 
-    async def descend(self, task: Task, who: str, *, take_over: bool = True) -> None:
+    async def descend(
+        self, task: Task, who: str, *, take_over: bool = True, signer: str = ""
+    ) -> None:
         """Land, here or at home, whoever has the lease: it is taken over for that long.
 
         Who asks while the aircraft lands already waits for the same landing.
@@ -242,6 +268,7 @@ class Orders:
             task: Land, or go home.
             who: Under which name.
             take_over: Whether the lease is taken from who has it.
+            signer: Who asked for it; empty when nobody signed.
 
         Raises:
             LeaseHeld: Somebody has the lease, and it is not to be taken over.
@@ -252,9 +279,11 @@ class Orders:
         is_under_way = self._descent is not None and not self._descent.done()
         if self._descent is None or not is_under_way or task is not self._descends_by:
             self._descends_by = task
+            self._descent_signers.clear()
             self._descent = self._client.background.spawn(
                 self._descended(task, who, take_over=take_over), who
             )
+        self._descent_signers.add(signer)
         await asyncio.shield(self._descent)
 
     async def _descended(self, task: Task, who: str, *, take_over: bool) -> None:

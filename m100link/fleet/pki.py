@@ -12,7 +12,7 @@ import re
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from enum import Enum
 from pathlib import Path
 
@@ -30,8 +30,20 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from m100link.errors import UsageError
 from m100link.fleet.identity import Signer
 from m100link.fleet.keys import NAME
+from m100link.fleet.revocations import AUTHORITY, LIST, Revocations
+from m100link.fleet.revoked import Revoked, sign_revoked
 
-__all__ = ["AUTHORITY_DAYS", "ISSUED_DAYS", "BadAuthority", "Issued", "Kind", "init", "issue"]
+__all__ = [
+    "AUTHORITY_DAYS",
+    "ISSUED_DAYS",
+    "BadAuthority",
+    "Issued",
+    "Kind",
+    "init",
+    "issue",
+    "listed",
+    "revoke",
+]
 
 ISSUED_DAYS = 30
 AUTHORITY_DAYS = 730
@@ -82,10 +94,12 @@ def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
     Args:
         folder: Where its files go; it is made, for its owner alone.
         now: The time, with its zone.
-        force: Write over one that is there: whatever it has issued is worth nothing then.
+        force: Write over one that is there: whatever it has issued is worth nothing then. Who was
+            revoked stays so.
 
     Raises:
         BadAuthority: One is there, or the folder cannot be written.
+        BadRevoked: The list of revoked names there is not its.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "m100link fleet")])
@@ -101,8 +115,12 @@ def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise BadAuthority(f"{folder} cannot be made: {error.strerror}") from error
-    made = Issued(folder / f"{_CA}.pem", folder / f"{_CA}.key", ends)
-    _write({made.key: _pem_of(key), made.certificate: _pem(certificate)}, force=force)
+    made = Issued(folder / AUTHORITY, folder / f"{_CA}.key", ends)
+    files = {made.key: _pem_of(key), made.certificate: _pem(certificate)}
+    if force and (folder / LIST).exists():  # keys that sign outlive certificates
+        before = Revocations.of_folder(folder).revoked
+        files[folder / LIST] = sign_revoked(before.number + 1, before.names, key)
+    _write(files, force=force)
     return made
 
 
@@ -141,6 +159,13 @@ def issue(
             remedy="name the hosts of a router, and of nobody else: --host base --host 10.0.0.1",
         )
     authority, its_key = _authority(folder, now)
+    since = _revoked(folder, authority).names.get(name)
+    if since is not None:
+        raise BadAuthority(
+            f"{name} is revoked since {since}",
+            cause="who is revoked once stays so: nobody could tell the new key from the lost one",
+            remedy="give whoever it is another name, here and in the file of rights",
+        )
     key = ec.generate_private_key(ec.SECP256R1())
     ends = min(now + timedelta(days=ISSUED_DAYS), authority.not_valid_after_utc)
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
@@ -172,6 +197,58 @@ def issue(
         files[signing] = secret.hex().encode() + b"\n"
     _write(files, force=force)
     return Issued(place, its_place, ends, signing, Signer(name, secret).public_key.hex())
+
+
+def revoke(folder: Path, names: Sequence[str], *, now: datetime) -> Revoked:
+    """Shut out names before their certificates end: write the next list, with all before them.
+
+    Args:
+        folder: Of the authority; the list lies there as ``revoked.list``.
+        names: Common names of certificates, which are names of pilots as well.
+        now: The time, with its zone.
+
+    Raises:
+        BadAuthority: There is no authority, it has ended, or a name cannot be.
+        BadRevoked: The list that lies there is not the authority's, or is full.
+    """
+    authority, its_key = _authority(folder, now)
+    before = _revoked(folder, authority)
+    for name in names:
+        if not NAME.fullmatch(name):
+            raise BadAuthority(f"{name!r} is no name of a certificate", remedy="as issue named it")
+    since = now.astimezone(UTC).date().isoformat()
+    found = {**dict.fromkeys(names, since), **before.names}
+    if found == before.names:
+        return before  # all of them are shut out already
+    data = sign_revoked(before.number + 1, found, its_key)
+    _write({folder / LIST: data}, force=True)
+    return Revoked.verified(data, authority)
+
+
+def listed(folder: Path) -> list[tuple[str, datetime, str]]:
+    """Certificates of a folder: name, when it ends, and since when it is revoked, or empty.
+
+    Raises:
+        UsageError: There is no authority, or a list of revoked names that is not its.
+    """
+    revoked = Revocations.of_folder(folder).revoked.names
+    found = {}
+    for place in sorted(folder.glob("*.pem")):
+        if place.name == AUTHORITY:
+            continue
+        try:
+            ends = x509.load_pem_x509_certificate(place.read_bytes()).not_valid_after_utc
+        except (OSError, ValueError) as error:
+            raise BadAuthority(f"{place} holds no certificate") from error
+        found[place.stem] = ends
+    return [(name, ends, revoked.get(name, "")) for name, ends in found.items()]
+
+
+def _revoked(folder: Path, authority: x509.Certificate) -> Revoked:
+    """The list that lies in the folder of the authority."""
+    found = Revocations(authority, folder / LIST)
+    found.read()
+    return found.revoked
 
 
 def _kept(path: Path) -> bytes:
@@ -233,7 +310,7 @@ def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.Ellipt
         BadAuthority: They are not there, are none, do not belong together, or have ended.
     """
     try:
-        certificate = x509.load_pem_x509_certificate((folder / f"{_CA}.pem").read_bytes())
+        certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
         key = load_pem_private_key((folder / f"{_CA}.key").read_bytes(), None)
     except OSError as error:
         raise BadAuthority(

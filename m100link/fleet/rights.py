@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Self
@@ -96,6 +96,18 @@ class Rights:
     site: str
     aircraft: Mapping[str, str]
     identities: Mapping[str, Identity]
+
+    def without(self, names: Collection[str]) -> Self:
+        """The same without who has a name, or a certificate of a name, among these."""
+        return replace(
+            self,
+            aircraft={one: cn for one, cn in self.aircraft.items() if cn not in names},
+            identities={
+                name: one
+                for name, one in self.identities.items()
+                if name not in names and one.common_name not in names
+            },
+        )
 
     def identity(self, name: str) -> Identity | None:
         """Who has the name; None for nobody."""

@@ -15,6 +15,7 @@ from m100link.fleet.asking import Sign
 from m100link.fleet.identity import Claim, Gate, Signer
 from m100link.fleet.logs.words import LOG
 from m100link.fleet.payloads import SHOW, Order
+from m100link.fleet.revoked import Since, nobody
 from m100link.fleet.rights import Right, Rights
 from m100link.keyfile import read_key
 
@@ -56,15 +57,21 @@ def signing(signer: Signer) -> Sign:
     return sign
 
 
-def verifying(rights: Rights, names: Iterable[str], utc: Callable[[], float]) -> Verify:
+def verifying(
+    rights: Rights,
+    names: Iterable[str],
+    utc: Callable[[], float],
+    revoked: Since = nobody,
+) -> Verify:
     """What agents look at orders with.
 
     Args:
         rights: Who may do what.
         names: Of their aircraft. An agent looks first whether an order names its own.
         utc: POSIX time, s.
+        revoked: Who is shut out.
     """
-    gates = {name: Gate(rights, name, began_at=utc()) for name in names}
+    gates = {name: Gate(rights, name, began_at=utc(), revoked=revoked) for name in names}
 
     def verify(order: Order) -> None:
         gates[order.aircraft].check(_claim(order), order.signature, _needed(order), utc())

@@ -20,6 +20,8 @@ from m100link.fleet.ledger import FileLedger, Ledger, MemoryLedger
 from m100link.fleet.logs.service import RATE, LogService
 from m100link.fleet.lost import LostPlan
 from m100link.fleet.missions.told import MissionTeller
+from m100link.fleet.revocations import Revocations, RevocationService
+from m100link.fleet.revoked import nobody
 from m100link.fleet.session import open_fleet
 from m100link.fleet.show.service import ShowService
 from m100link.fleet.told import AgentTold
@@ -56,6 +58,7 @@ class FleetSettings:
         ledgers: Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
         options: More options of zenoh, by name, as JSON.
         verify: Looks at each order; None: the router alone decides who may ask.
+        revocations: Who is shut out, whatever the file of rights says.
         log_rate: Bytes of flight logs a second that each aircraft gives away at most.
     """
 
@@ -65,6 +68,7 @@ class FleetSettings:
     ledgers: Path | None = None
     options: dict[str, str] = field(default_factory=dict)
     verify: Verify | None = None
+    revocations: Revocations | None = None
     log_rate: float = RATE
 
 
@@ -127,14 +131,21 @@ def _beside(
     one: FleetAgent, bus: Bus, keys: Keys, settings: Settings, fleet: FleetSettings
 ) -> dict[str, _Service]:
     """What is served for an aircraft beside its agent, by what it is."""
-    verify = fleet.verify
+    verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
-    return {
+    show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes)
+    served: dict[str, _Service] = {
         "fronts": AgentTold(one.client, bus, keys, one.boot),
-        "show": ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes),
+        "show": show,
         "missions": MissionTeller(one.missions, bus, keys, one.boot),
         "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate),
     }
+    if revocations is not None:
+        shut_out = (one.shut_out, lambda: show.shut_out(revocations.since))
+        served["revoked"] = RevocationService(
+            bus, keys, one.boot, revocations, shut_out=shut_out, note=one.client.note
+        )
+    return served
 
 
 def _ledger(stack: AsyncExitStack, fleet: FleetSettings, keys: Keys) -> Ledger:
@@ -160,4 +171,7 @@ async def _agent(
     ours, its = memory_channels()
     owner.service.attach(its)
     client = await stack.enter_async_context(AgentClient(ours, "fleet"))
-    return FleetAgent(client, bus, keys, ledger, lost=fleet.lost, verify=fleet.verify)
+    revoked = nobody if fleet.revocations is None else fleet.revocations.since
+    return FleetAgent(
+        client, bus, keys, ledger, lost=fleet.lost, verify=fleet.verify, revoked=revoked
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections import defaultdict
 from dataclasses import fields, replace
 from typing import Any
 
@@ -182,6 +183,17 @@ def test_what_was_signed_before_the_agent_began_is_refused_but_a_stop_is_not() -
     assert reason(order(at=NOW - 1), at=anew) is Reason.EXPIRED
     assert reason(order(at=NOW - 1), at=anew, right=Right.STOP) is None
     assert reason(order("2", at=NOW), at=anew) is None
+
+
+def test_who_is_revoked_is_told_so_but_only_who_proves_to_be_it() -> None:
+    revoked = defaultdict(str, anna="2026-11-22").__getitem__
+    at = Gate(RIGHTS, "a1", began_at=NOW - 60, revoked=revoked)
+    for right in Right:
+        assert reason(order(), at=at, right=right) is Reason.REVOKED
+    assert reason(order(), bytes(64), at=at) is Reason.BAD_SIGNATURE
+    assert reason(order(signer="bert"), at=at, right=Right.STOP) is None
+    with pytest.raises(OrderRefused, match="anna is revoked since 2026-11-22"):
+        at.check(order(), ANNA.sign(order()), Right.STOP, NOW)
 
 
 # -- once -----------------------------------------------------------------------------------------

@@ -20,7 +20,18 @@ from cryptography.x509.verification import (
 )
 
 from m100link.fleet.identity import Signer
-from m100link.fleet.pki import AUTHORITY_DAYS, ISSUED_DAYS, BadAuthority, Kind, init, issue
+from m100link.fleet.pki import (
+    AUTHORITY_DAYS,
+    ISSUED_DAYS,
+    BadAuthority,
+    Kind,
+    init,
+    issue,
+    listed,
+    revoke,
+)
+from m100link.fleet.revocations import Revocations
+from m100link.fleet.revoked import BadRevoked
 from m100link.keyfile import read_token
 
 NOW = datetime(2026, 11, 22, 14, 0, tzinfo=UTC)
@@ -194,3 +205,56 @@ def test_a_signing_key_that_is_none_is_not_replaced(folder: Path) -> None:
     with pytest.raises(BadAuthority, match="holds no signing key"):
         issue(folder, Kind.PILOT, "anna", now=NOW, force=True)
     assert (folder / "anna.signing.key").read_text() == "no key"
+
+
+# -- who lost a key -------------------------------------------------------------------------------
+
+
+def test_lists_count_and_hold_everybody_who_was_ever_revoked(folder: Path) -> None:
+    assert listed(folder) == []
+    issue(folder, Kind.PILOT, "anna", now=NOW)
+    first = revoke(folder, ["anna"], now=NOW)
+    second = revoke(folder, ["bert", "anna"], now=NOW + timedelta(days=1))
+    assert (first.number, dict(first.names)) == (1, {"anna": "2026-11-22"})
+    assert (second.number, dict(second.names)) == (2, {"anna": "2026-11-22", "bert": "2026-11-23"})
+    assert revoke(folder, ["bert"], now=NOW).data == second.data, "nobody new is no new list"
+    assert listed(folder) == [("anna", NOW + timedelta(days=ISSUED_DAYS), "2026-11-22")]
+
+
+def test_who_is_revoked_gets_no_certificate_under_that_name_again(folder: Path) -> None:
+    issue(folder, Kind.PILOT, "anna", now=NOW)
+    revoke(folder, ["anna"], now=NOW)
+    with pytest.raises(BadAuthority, match="anna is revoked since 2026-11-22"):
+        issue(folder, Kind.PILOT, "anna", now=NOW, force=True)
+    assert issue(folder, Kind.PILOT, "anna-2", now=NOW).public_key
+
+
+def test_a_list_of_somebody_else_in_the_folder_is_no_beginning(
+    folder: Path, tmp_path: Path
+) -> None:
+    init(tmp_path / "other", now=NOW)
+    revoke(tmp_path / "other", ["eve"], now=NOW)
+    (folder / "revoked.list").write_bytes((tmp_path / "other" / "revoked.list").read_bytes())
+    for do in (
+        lambda: revoke(folder, ["anna"], now=NOW),
+        lambda: issue(folder, Kind.PILOT, "anna", now=NOW),
+        lambda: init(folder, now=NOW, force=True),
+    ):
+        with pytest.raises(BadRevoked):
+            do()
+
+
+def test_a_new_authority_in_the_folder_keeps_shut_out_who_was(folder: Path) -> None:
+    """Keys that sign orders outlive certificates."""
+    revoke(folder, ["anna"], now=NOW)
+    init(folder, now=NOW, force=True)
+    found = Revocations.of_folder(folder)
+    assert (found.number, found.since("anna")) == (2, "2026-11-22")
+
+
+def test_what_cannot_be_a_name_is_not_revoked(folder: Path) -> None:
+    with pytest.raises(BadAuthority, match="no name of a certificate"):
+        revoke(folder, ["anna.pem"], now=NOW)
+    (folder / "x.pem").write_text("nothing")
+    with pytest.raises(BadAuthority, match="no certificate"):
+        listed(folder)

@@ -99,3 +99,27 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     (tmp_path / "rights.toml").write_bytes(b"#" * (1024 * 1024 + 1))
     with pytest.raises(BadRights, match="too large"):
         Rights.read(tmp_path / "rights.toml")
+
+
+def test_without_somebody_nothing_is_left_of_him_by_either_name() -> None:
+    rights = Rights.parse(
+        """
+[aircraft.a1]
+[aircraft.a2]
+common_name = "board-2"
+[identity.anna]
+common_name = "laptop-7"
+fly = ["*"]
+[identity.bert]
+stop = ["*"]
+"""
+    )
+    for names, aircraft, people in (
+        ({"anna"}, {"a1", "a2"}, {"bert"}),
+        ({"laptop-7"}, {"a1", "a2"}, {"bert"}),
+        ({"board-2", "bert"}, {"a1"}, {"anna"}),
+        ({"a2"}, {"a1", "a2"}, {"anna", "bert"}),  # no certificate has that name
+        ((), {"a1", "a2"}, {"anna", "bert"}),
+    ):
+        left = rights.without(names)
+        assert (set(left.aircraft), set(left.identities)) == (aircraft, people)

@@ -144,6 +144,10 @@ class Performer:
             self.fault = error
             self.leave()
 
+    def shut_out(self, error: M100Error) -> None:
+        """Whoever placed it may not any more: it leaves, for this reason."""
+        self._gave_way(error)
+
     def heard(self) -> None:
         """Whoever conducts is there."""
         self._heard_at = self._client.now

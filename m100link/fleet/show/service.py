@@ -20,6 +20,7 @@ from m100link.fleet.keys import Keys, name_in
 from m100link.fleet.namesake import Namesakes
 from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import SHOW, VERSION, Order, Progress, Reply, pack, unpack
+from m100link.fleet.revoked import Since
 from m100link.fleet.show.ahead import Ahead
 from m100link.fleet.show.performer import Performer
 from m100link.fleet.show.track import MAX_POINTS, BadShow
@@ -62,6 +63,7 @@ class ShowService:
         # What became of orders that were let through: the network may bring one twice.
         self._known: dict[str, M100Error | None] = {}
         self._pieces = bytearray()
+        self._placed_by = ""
 
     async def run(self) -> None:
         """Answer until this is cancelled; whatever flies then leaves the show, and hovers."""
@@ -77,6 +79,12 @@ class ShowService:
                 if ahead is not None:
                     places.put(bytes([VERSION]) + ahead.to_bytes())
                 await asyncio.sleep(_TELL_S)
+
+    def shut_out(self, revoked: Since) -> None:
+        """Leave the show of who is revoked: it hovers."""
+        since = self._placed_by and revoked(self._placed_by)
+        if since:
+            self.performer.shut_out(NotAllowed(f"{self._placed_by} is revoked since {since}"))
 
     def _on_place(self, key: str, payload: bytes) -> None:
         neighbours = self.performer.neighbours
@@ -145,6 +153,7 @@ class ShowService:
                     # It takes off: not minutes later, when whoever conducts has given up.
                     self._require_wanted(order)
                     self._require_name()
+                    self._placed_by = order.signer
                     performer.place(order.signer or order.by)
                 case "start":
                     self._require_wanted(order)
