@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,6 +26,8 @@ from m100link.fleet.acl import router_config
 from m100link.fleet.keys import DEFAULT_SITE
 from m100link.fleet.logs.service import RATE
 from m100link.fleet.lost import LostAction, LostPlan
+from m100link.fleet.revocations import Revocations
+from m100link.fleet.revoked import nobody
 from m100link.fleet.rights import Rights
 from m100link.fleet.session import open_fleet
 from m100link.fleet.signing import tls_options, verifying
@@ -87,7 +90,8 @@ def router(
         name: Of its certificate.
         pki: Folder with its certificate and key (M100LINK_PKI): who comes by tls/ needs one, too.
         rights: File of rights: what it does not allow is not routed. Needs --pki, because who
-            somebody is stands in the certificate.
+            somebody is stands in the certificate. Who is in revoked.list there may do nothing; a
+            newer list counts from the next start.
         json_output: Print one line of JSON when it runs.
         log: What is logged.
     """
@@ -98,7 +102,10 @@ def router(
                 "the rules of --rights know everybody by a certificate",
                 remedy="--pki FOLDER, and --listen tls/… alone",
             )
-        options["access_control"] = json.dumps(router_config(Rights.read(rights)))
+        revoked = Revocations.of_folder(pki).revoked
+        options["access_control"] = json.dumps(
+            router_config(Rights.read(rights).without(revoked.names))
+        )
 
     async def run() -> None:
         ended = until_told()
@@ -145,7 +152,8 @@ def agent(
             when the agent is killed; by default in the user's folder for the state of programs,
             and nowhere for virtual aircraft.
         pki: Folder with its certificate and key, for a router behind tls/ (M100LINK_PKI).
-        rights: File of rights: orders that are not signed by who may are refused.
+        rights: File of rights: orders that are not signed by who may are refused. With --pki so
+            are those of who is in revoked.list there, which fleet pki push brings up to date.
         log_rate: Megabytes of flight logs a second that each aircraft gives away at most.
         options: See below.
     """
@@ -168,8 +176,15 @@ def agent(
     if pki is not None:
         fleet = replace(fleet, options=tls_options(pki, name))
     if rights is not None:
-        fleet = replace(fleet, verify=verifying(Rights.read(rights), aircraft, time.time))
+        fleet = replace(fleet, **_checking(Rights.read(rights), aircraft, pki))
     return run_async(_serve(aircraft, fleet, options.run))
+
+
+def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[str, Any]:
+    """What agents look at orders with, and whom they believe nothing any more."""
+    found = None if pki is None else Revocations.of_folder(pki, rights)
+    revoked = nobody if found is None else found.since
+    return {"verify": verifying(rights, names, time.time, revoked), "revocations": found}
 
 
 async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:

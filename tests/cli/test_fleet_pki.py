@@ -86,3 +86,42 @@ def test_rules_of_a_router_are_written(cli: CommandLine, rights: str, tmp_path: 
     assert json.loads(target.read_text()) == {"access_control": found}
     assert cli("fleet", "acl", "zenoh", rights, str(target)).status == ExitCode.USAGE
     assert cli("fleet", "acl", "zenoh", rights, "/dev/full", "--force").status == ExitCode.USAGE
+
+
+# -- who lost a laptop ----------------------------------------------------------------------------
+
+
+def test_who_is_revoked_is_said_wherever_somebody_looks(
+    cli: CommandLine, folder: str, rights: str
+) -> None:
+    for name in ("anna", "bert"):
+        assert cli("fleet", "pki", "issue", "pilot", name, "--folder", folder).status == 0
+    outcome = cli("fleet", "pki", "revoke", "anna", "--folder", folder)
+    [since] = outcome.objects[0]["names"].values()
+    assert outcome.objects == [{"number": 1, "names": {"anna": since}}]
+    words = cli("fleet", "pki", "revoke", "wall", "--folder", folder, "--table").out
+    assert "list 2" in words
+    assert f"anna: revoked since {since}" in words
+    listed = cli("fleet", "pki", "list", "--folder", folder).objects
+    assert [(one["name"], one["revoked"]) for one in listed] == [("anna", since), ("bert", None)]
+    words = cli("fleet", "pki", "list", "--folder", folder, "--table").out
+    assert words.splitlines()[0] == f"anna: revoked since {since}"
+    assert words.splitlines()[1].startswith("bert: ends 20")
+    [told] = cli("fleet", "acl", "check", rights, "--who", "anna", "--pki", folder).objects
+    assert (told["revoked"], told["may"]) == (since, {"a1": None, "a2": None})
+    words = cli("fleet", "acl", "check", rights, "--who", "anna", "--pki", folder, "--table").out
+    assert words.splitlines() == [
+        f"anna (certificate anna, revoked since {since})",
+        "  a1: nothing",
+        "  a2: nothing",
+    ]
+    rules = cli("fleet", "acl", "zenoh", rights, "-", "--pki", folder).out
+    assert "anna" not in rules
+    assert "anna" in cli("fleet", "acl", "zenoh", rights, "-").out
+
+
+def test_a_list_is_brought_by_who_has_one(cli: CommandLine, folder: str) -> None:
+    outcome = cli("fleet", "pki", "push", "--all", "--pki", folder)
+    assert outcome.status == ExitCode.USAGE
+    assert "pki revoke makes it" in outcome.err
+    assert cli("fleet", "pki", "revoke", "--folder", folder).status == ExitCode.USAGE
