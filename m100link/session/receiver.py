@@ -119,6 +119,14 @@ class Receiver:
         """Lose all memory, as at power-on."""
         self._memories.clear()
 
+    def forget_answered(self) -> None:
+        """Lose what was answered. What is at work is not among it: its answer is still to be given.
+
+        Of frames that come together the later ones are at work as the first one is carried out.
+        """
+        at_work = {s: memory for s, memory in self._memories.items() if memory.wire is None}
+        self._memories = at_work
+
     def next_output(self) -> bytes | None:
         """The next bytes to write, oldest first."""
         return self.output.popleft() if self.output else None

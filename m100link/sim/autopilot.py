@@ -167,7 +167,7 @@ class Autopilot:
                 encrypted = frame.encrypted and not reply.plain
                 self.endpoint.acknowledge(frame, reply.payload, now=now, encrypted=encrypted)
                 if reply.begins_anew:
-                    self.endpoint.receiver.forget()
+                    self.endpoint.receiver.forget_answered()
 
     def _is_readable(self, frame: Frame) -> bool:
         return self._has_key and self._commands.knows(frame.data)

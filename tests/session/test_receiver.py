@@ -129,6 +129,17 @@ def test_a_command_still_at_work_is_not_forgotten() -> None:
     assert receiver.receive_command(command(2, 7), 100) is None
 
 
+def test_what_is_at_work_is_answered_although_what_was_answered_is_forgotten() -> None:
+    receiver = Receiver()
+    receiver.receive_command(command(2, 7), 0)
+    receiver.forget_answered()
+    assert receiver.receive_command(command(2, 7), 0) is None, "it is at work"
+    receiver.acknowledge(command(2, 7), b"done", now=0)
+    assert len(sent(receiver)) == 1
+    receiver.forget_answered()
+    assert receiver.receive_command(command(2, 7), 0) is not None
+
+
 def test_forgetting_is_as_after_power_on() -> None:
     receiver = Receiver()
     receiver.receive_command(command(2, 0), 0)

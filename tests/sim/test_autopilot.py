@@ -153,6 +153,19 @@ def test_a_version_query_forgets_every_stored_ack() -> None:
     assert len(host.acks(2, 0)) == 2
 
 
+def test_what_comes_together_with_a_version_query_is_answered_and_carried_out_once() -> None:
+    """As over a line that stood still for a moment: both are read at once."""
+    host = Host()
+    host.activate()
+    message = SendToMobile(b"1").encode(host.profile)
+    query = encode_frame(VERSION, session=2, sequence=7)
+    host.send_raw(query + encode_frame(message, session=3, sequence=8))
+    assert len(host.acks(3, 8)) == 1
+    host.send(message, session=3, sequence=8)
+    assert list(host.aircraft.app.received) == [b"1"]
+    assert len(host.acks(3, 8)) == 2
+
+
 def test_reboot_forgets_stored_acks() -> None:
     host = Host()
     host.send(VERSION, session=2, sequence=0)
