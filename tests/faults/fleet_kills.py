@@ -38,6 +38,8 @@ __all__ = ["Proxy", "run"]
 CUT_S = 2.0
 """Seconds between two cuts."""
 
+_WHILE_KILLED = 10
+
 
 class Proxy:
     """A way to the router that can be cut.
@@ -153,10 +155,14 @@ async def _cut_again_and_again(proxy: Proxy) -> None:
 async def _kill_now_and_then(
     site: Site, ordering: Ordering, due: list[int], tell: Callable[[str], None]
 ) -> None:
-    for count in due:
-        while len(ordering.told) < count:  # noqa: ASYNC110 - what is waited for has no event
+    count = ordering.most
+    for at, after in zip(due, [*due[1:], count], strict=True):
+        # Some are given while it is killed and begins anew; the rest wait until it is back.
+        ordering.most = min(at + _WHILE_KILLED, after)
+        while len(ordering.told) < at:  # noqa: ASYNC110 - what is waited for has no event
             await asyncio.sleep(0.01)
         await site.kill_agent()
+        ordering.most = after
         tell(f"{len(ordering.told)} orders, {site.proxy.cuts} connections cut, agent killed")
 
 

@@ -80,10 +80,12 @@ class Ordering:
 
     Attributes:
         told: What became of each, by its number.
+        most: How many may be told by now; what is to happen among them may take its time.
     """
 
     def __init__(self, count: int, *, activates: bool = False) -> None:
         self.told: dict[int, Outcome] = {}
+        self.most = count
         self._activates = activates
         self._lease: Reply | None = None
         self._numbers = iter(range(count))
@@ -108,10 +110,11 @@ class Ordering:
     async def order(self, asker: Asker) -> None:
         """Give one order after the other."""
         for number in self._numbers:
-            while self._lease is None:  # noqa: ASYNC110 - another task has it
+            while not await self._may_order(asker, number):  # noqa: ASYNC110 - others do that
                 await asyncio.sleep(0.1)
             ask = Ask(0, Action.SEND_TO_MOBILE, data=b"%d" % number)
             lease = self._lease
+            assert lease is not None
             try:
                 await asker.ask(ask, fence=lease.number, token=lease.token)
                 self.told[number] = Outcome.OK
@@ -119,6 +122,11 @@ class Ordering:
                 self.told[number] = outcome_of(error)
                 if self.told[number] is Outcome.STALE_LEASE and self._lease is lease:
                     self._lease = None
+
+    async def _may_order(self, asker: Asker, number: int) -> bool:
+        """Whether an order would be one: to an agent that is not there none is sent."""
+        is_due = number < self.most and self._lease is not None
+        return is_due and await asker.is_there() and self._lease is not None
 
     def counted(self, received: Iterable[bytes], restarts: int) -> Counted:
         """Compare what was told with what arrived at the app."""
