@@ -22,7 +22,7 @@ from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import Above0
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
-from m100link.fleet.asking import Sign
+from m100link.fleet.asking import PATIENCE_S, Sign
 from m100link.fleet.client import Fleet, FleetAircraft, connect
 from m100link.fleet.keys import DEFAULT_SITE, in_order
 from m100link.fleet.outcome import Result
@@ -64,6 +64,8 @@ class FleetOptions:
         name: Who asks, for other people; the identity, or user and host, by default.
         identity: Who signs orders, and whose certificate is shown to a router behind tls/.
         pki: Folder with that certificate and key (M100LINK_PKI).
+        patience: Seconds without any answer after which it is unknown what became of an order; over
+            a way of 3 s an answer takes 6.5 s.
         json_output: Print one JSON object per line.
         log: What is logged.
     """
@@ -75,10 +77,11 @@ class FleetOptions:
     name: str | None = None
     identity: str | None = None
     pki: Annotated[Path, Parameter(env_var="M100LINK_PKI")] = Path()
+    patience: Annotated[float, Above0] = PATIENCE_S
     json_output: Annotated[bool, Parameter(name="--json")] = False
     log: LogOptions = AS_IT_IS
 
-    def open(self, patience: float = 5.0) -> AbstractAsyncContextManager[Fleet]:
+    def open(self) -> AbstractAsyncContextManager[Fleet]:
         """The fleet."""
         options = {} if self.identity is None else tls_options(self.pki, self.identity)
         return connect(
@@ -87,7 +90,7 @@ class FleetOptions:
             name=self.who,
             sign=self.sign(),
             options=options,
-            patience=patience,
+            patience=self.patience,
         )
 
     @property

@@ -17,7 +17,7 @@ ORDER_AGE = "order_age"
 """Name of the guard: what it refuses was not carried out."""
 
 MOST_AGE_S = 5.0
-"""Seconds after which nobody waits for an order; its asker has told that the outcome is unknown."""
+"""Seconds after which an order is not begun any more, by the agent's clock: nobody counts on it."""
 
 
 class OrderAges:

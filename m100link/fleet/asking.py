@@ -10,24 +10,27 @@ from __future__ import annotations
 import asyncio
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from m100link.agent.fault import MessageError
 from m100link.agent.message_bytes import encode
 from m100link.agent.messages import LeaseAsk, Message
-from m100link.bus.network import Bus
+from m100link.bus.network import Answer, Bus
 from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
 from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import Order, Progress, Reply, pack, unpack
+from m100link.fleet.questions import Questions
 from m100link.fleet.show.clock import DRIFT
 
 __all__ = ["PATIENCE_S", "Asker", "Sign", "nobody_there"]
 
-PATIENCE_S = 5.0
-"""Seconds without any answer after which the outcome counts as unknown."""
+PATIENCE_S = 10.0
+"""Seconds without any answer after which the outcome counts as unknown.
 
-_ANSWER_S = 1.5
+Over a way of 3 s an answer needs 6.5 s, and what is lost is asked for again.
+"""
+
 _AGAIN_S = 0.1
 
 Sign = Callable[[Order], Order]
@@ -60,6 +63,7 @@ class Asker:
         utc: POSIX time, s.
 
     Attributes:
+        patience: As given.
         heard_at: When it answered last, on the event loop's clock; None: never.
         its_clock: What the agent's own clock showed in that answer, s.
     """
@@ -80,7 +84,7 @@ class Asker:
         self._keys = keys
         self._name = name
         self._sign = sign
-        self._patience = patience
+        self.patience = patience
         self._utc = utc
         self._clock = asyncio.get_running_loop().time
         self.heard_at: float | None = None
@@ -89,7 +93,7 @@ class Asker:
     async def is_there(self) -> bool:
         """Whether its agent shows itself."""
         live = self._keys.live
-        return self._is_known() or live in await self._bus.tokens(live, timeout=_ANSWER_S)
+        return self._is_known() or live in await self._bus.tokens(live, timeout=self.patience)
 
     async def ask(
         self,
@@ -123,7 +127,7 @@ class Asker:
             raise nobody_there(self._keys.name)
         order = self._order(message, fence, token, clock or self._its_at_least(), identity)
         key = self._key(message)
-        return _raised(await self._answered(key, order, patience or self._patience))
+        return _raised(await self._answered(key, order, patience or self.patience))
 
     async def try_once(self, message: Message, *, within: float) -> Reply | None:
         """Ask for what may be asked again, such as the renewal of a lease.
@@ -139,7 +143,8 @@ class Asker:
             M100Error: As :meth:`ask`.
         """
         order = self._order(message)
-        reply = await self._one(self._key(message), pack(order), order.id, within)
+        answers = await self._bus.ask(self._key(message), pack(order), timeout=within)
+        reply = self._read(answers, order.id)
         if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
         return _raised(reply)
@@ -176,33 +181,55 @@ class Asker:
         return self._sign(Order(named, self._keys.name, self._name, fence, at, message, clock))
 
     async def _answered(self, key: str, order: Order, patience: float) -> Reply:
-        payload = pack(order)
+        payload, status = pack(order), self._keys.status(order.id)
         silent_since = began = self._clock()
-        is_sent = False
-        while self._clock() - silent_since < patience:
-            # Only what never arrived is sent, and sent again.
-            asked, what = (self._keys.status(order.id), b"") if is_sent else (key, payload)
-            reply = await self._one(asked, what, order.id)
-            is_sent = True
-            if isinstance(reply, MessageError):
-                # Whoever answered may well have done it, and what he says cannot be read.
-                raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
-            if reply is None:
-                await asyncio.sleep(_AGAIN_S)
-                continue
-            silent_since = self._clock()
-            if reply.progress is Progress.DONE:
-                return reply
-            if reply.progress is Progress.NEVER:
-                if self._clock() - began >= patience:
-                    raise self._never_arrives()
-                is_sent = False
-                await asyncio.sleep(_AGAIN_S)
+        sent = 0  # the question that the order was; 0: it is to be sent
+        async with Questions(self._bus) as questions:
+            while (left := silent_since + patience - self._clock()) > 0:
+                if not sent:
+                    # Only what never arrived is sent, and sent again.
+                    sent = questions.ask(key, payload, within=left)
+                elif questions.is_due:
+                    questions.ask(status, within=left)
+                number, reply = await self._next(questions, order.id, min(left, questions.left))
+                if isinstance(reply, MessageError):
+                    # Whoever answered may well have done it, and what he says cannot be read.
+                    raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
+                if reply is None:
+                    if questions.is_due:
+                        await asyncio.sleep(_AGAIN_S)
+                    continue
+                silent_since = self._clock()
+                if reply.progress is Progress.DONE:
+                    return reply
+                # What was asked before the order was sent again says nothing of that.
+                if reply.progress is Progress.NEVER and number > sent:
+                    if self._clock() - began >= patience:
+                        raise self._never_arrives()
+                    sent = 0
+                    await asyncio.sleep(_AGAIN_S)
         raise OutcomeUnknown(
             f"{self._keys.name} gave no answer for {patience:g} s",
-            cause="the way there or back is cut, its agent hangs, or the router lets no answer "
-            "pass to this identity",
+            cause="the way there or back is cut or takes longer, its agent hangs, or the router "
+            "lets no answer pass to this identity",
         )
+
+    async def _next(
+        self, questions: Questions, identity: str, within: float
+    ) -> tuple[int, Reply | MessageError | None]:
+        """The next answer and the number of its question; none when it is to be asked again."""
+        until = self._clock() + within
+        while (left := until - self._clock()) > 0:
+            ended = await questions.answered(left)
+            if ended is None:
+                break
+            number, answers = ended
+            found = self._read(answers, identity)
+            if found is not None:
+                return number, found
+            if questions.is_due:  # nobody was there for the newest one
+                break
+        return 0, None
 
     def _never_arrives(self) -> OutcomeUnknown:
         """It answers what became of the order, and the order does not come to it."""
@@ -212,15 +239,12 @@ class Asker:
             remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
         )
 
-    async def _one(
-        self, key: str, payload: bytes, identity: str, within: float = _ANSWER_S
-    ) -> Reply | MessageError | None:
+    def _read(self, answers: Iterable[Answer], identity: str) -> Reply | MessageError | None:
         """One answer, or why there are only such as cannot be read; None for none.
 
         Raises:
             OutcomeUnknown: There are answers of two agents.
         """
-        answers = await self._bus.ask(key, payload, timeout=within)
         replies: list[Reply] = []
         unread: MessageError | None = None
         for one in answers:

@@ -33,6 +33,9 @@ from m100link.fleet.thinning import WALL_WITHIN_S
 __all__ = ["Change", "Fleet", "FleetAircraft", "connect"]
 
 _ANSWER_S = 1.5
+_LANDINGS_ASKED = 3
+"""Once to hear what time it is there, once to be lost on the way."""
+
 _MOST_CHANGES = 4096
 
 
@@ -110,16 +113,21 @@ class FleetAircraft:
         """Land in place, whoever has control: it is taken over for that long. Needs no lease.
 
         Raises:
-            GuardRefused: It came there more than 5 s after it was asked for, and was not begun.
+            GuardRefused: It came there more than 5 s after it was asked for, three times, and was
+                not begun: the way there and back takes longer.
             M100Error: As :meth:`m100link.Control.land`, and :class:`m100link.errors.FleetError`.
         """
-        try:
-            await self._asker.ask(Ask(0, Action.LAND))
-        except GuardRefused as error:
-            if error.guard != ORDER_AGE:
-                raise
-            # It was not begun, and the answer told what time it is there: that is known now.
-            await self._asker.ask(Ask(0, Action.LAND))
+        for _ in range(_LANDINGS_ASKED):
+            try:
+                await self._asker.ask(Ask(0, Action.LAND))
+            except GuardRefused as error:
+                if error.guard != ORDER_AGE:
+                    raise
+                # It was not begun, and the answer told what time it is there: that is known now.
+                late = error
+            else:
+                return
+        raise late
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, task. Needs no lease.
@@ -163,7 +171,7 @@ class FleetAircraft:
         """
         if not await self._asker.is_there():
             raise nobody_there(self.name)
-        return await mission_card(self._bus, self.keys)
+        return await mission_card(self._bus, self.keys, patience=self._asker.patience)
 
     def _fetcher(self) -> LogFetcher:
         return LogFetcher(self._bus, self.keys, self._asker)
@@ -205,7 +213,8 @@ class Fleet:
         site: Which site.
         name: Who this is, for people.
         sign: Signs orders.
-        patience: Seconds without any answer after which an outcome is unknown.
+        patience: Seconds without any answer after which an outcome is unknown. An order over a way
+            of so many seconds needs more than twice as long.
         utc: POSIX time, s.
     """
 
@@ -271,7 +280,7 @@ class Fleet:
             event.set()
 
     async def _tokens(self) -> list[str]:
-        tokens = await self.bus.tokens(self.keys.live, timeout=_ANSWER_S)
+        tokens = await self.bus.tokens(self.keys.live, timeout=self._options["patience"])
         return list(filter(None, map(name_in, tokens)))
 
     @property

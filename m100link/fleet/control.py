@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Literal, Self
 
 from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.background import BackgroundTasks
 from m100link.agent.guided import FlyTo
 from m100link.agent.lease import LeaseHeld
 from m100link.agent.messages import Ask, LeaseAsk, Message
@@ -79,6 +80,7 @@ class FleetControl:
         self._renewed_at = 0.0
         self._renewing: asyncio.Task[None] | None = None
         self._owner: asyncio.Task[object] | None = None
+        self._has_entered = False
         self._lost: M100Error | None = None
         self._refused: M100Error | None = None
 
@@ -113,9 +115,11 @@ class FleetControl:
         try:
             await self._do(Action.ACTIVATE)
             await self._do(Action.OBTAIN)
-        except BaseException:
+        except BaseException as error:
             await self._leave()
+            self._raise_lost(error)
             raise
+        self._has_entered = True
         return self
 
     async def __aexit__(
@@ -124,16 +128,21 @@ class FleetControl:
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        lost = self._lost
-        was_cancelled_here = lost is not None and exc_type is asyncio.CancelledError
+        is_lost = self._lost is not None
         try:
-            if lost is None and self._stop == "land":
+            if not is_lost and self._stop == "land":
                 await self.land()
         finally:
             await self._leave()
-        if was_cancelled_here and lost is not None and self._owner is not None:
+        if is_lost:
+            self._raise_lost(exc)
+
+    def _raise_lost(self, exc: BaseException | None) -> None:
+        """Raise why the lease was lost, where that is what has ended the block."""
+        if isinstance(exc, asyncio.CancelledError) and self._lost is not None:
+            assert self._owner is not None
             self._owner.uncancel()
-            raise lost from exc
+            raise self._lost from exc
 
     async def _leave(self) -> None:
         if self._renewing is not None:
@@ -167,30 +176,53 @@ class FleetControl:
         return reply
 
     async def _renew(self) -> None:
-        """Renew the lease until it is lost; then whoever flies is told."""
-        while self._lost is None and self._lease is not None:
-            await asyncio.sleep(_RENEWAL_S)
-            asked_at = self._clock()
-            try:
-                ask = LeaseAsk(0, LeaseAction.RENEW, token=self._lease.token)
-                reply = await self._asker.try_once(ask, within=_RENEWAL_S)
-            except M100Error as error:
-                self._lose(error)
-                return
-            if reply is not None:
-                self._renewed_at = self._clock()
-                self._agent_clock.heard(asked_at, reply.clock, self._renewed_at)
-                if reply.fault is not None:
-                    self._refused = reply.fault.error()
-            elif self._clock() - self._renewed_at > _LEASE_S:
-                self._lose(
-                    OutcomeUnknown(
-                        f"{self._keys.name} gave no answer for {_LEASE_S:g} s: the lease has ended",
-                        remedy="it hovers, then does what its agent was told by --lost",
-                    )
-                )
+        """Renew the lease until it is lost; then whoever flies is told.
+
+        None waits for the answer to the one before: on board the lease ends 3 s after the last one
+        came, however long the answers take.
+        """
+        asking = BackgroundTasks()
+        try:
+            while self._lost is None and self._lease is not None:
+                asking.spawn(self._renew_once(self._lease), "renewal of a lease")
+                await asyncio.sleep(_RENEWAL_S)
+                if self._clock() - self._renewed_at > _LEASE_S:
+                    self._lose(self._silent())
+        finally:
+            asking.cancel()
+
+    def _silent(self) -> M100Error:
+        """Why the lease is over when no renewal was answered."""
+        if not self._has_entered:  # nothing was asked for under it that moves anything
+            return StaleLease(
+                f"{self._keys.name} answered no renewal within {_LEASE_S:g} s: the lease cannot be "
+                "held",
+                cause="the way there and back takes longer than a lease lasts without a word, or "
+                "is cut",
+                remedy="land and stop need no lease",
+            )
+        return OutcomeUnknown(
+            f"{self._keys.name} gave no answer for {_LEASE_S:g} s: the lease has ended",
+            remedy="it hovers, then does what its agent was told by --lost",
+        )
+
+    async def _renew_once(self, lease: Reply) -> None:
+        asked_at = self._clock()
+        ask = LeaseAsk(0, LeaseAction.RENEW, token=lease.token)
+        try:
+            reply = await self._asker.try_once(ask, within=_LEASE_S)
+        except M100Error as error:
+            self._lose(error)
+            return
+        if reply is not None:
+            self._renewed_at = self._clock()
+            self._agent_clock.heard(asked_at, reply.clock, self._renewed_at)
+            if reply.fault is not None:
+                self._refused = reply.fault.error()
 
     def _lose(self, error: M100Error) -> None:
+        if self._lost is not None:
+            return
         self._lost = error
         if self._owner is not None:
             self._owner.cancel()

@@ -80,6 +80,24 @@ async def test_a_stop_ends_a_hold_until_the_pilot_begins_anew(rig: Rig) -> None:
         assert one.speed < 0.3
 
 
+async def test_a_lease_that_is_lost_before_the_block_begins_is_told(rig: Rig) -> None:
+    """And the task of who asked is not cancelled instead."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    control = pilot["a1"].control()
+
+    async def cut() -> None:
+        await rig.until(lambda: control.fence)
+        rig.cut(pilot)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(cut)
+        rig.network.weather = Weather(delay_s=0.4)
+        with pytest.raises(StaleLease, match="cannot be held"):
+            async with control:
+                raise AssertionError("nobody can fly")
+    assert one.height < 0.1
+
+
 async def test_setpoints_need_a_clock_that_is_known(rig: Rig) -> None:
     await rig.aircraft("a1")
     pilot = await rig.pilot()

@@ -19,9 +19,11 @@ from m100link.agent.messages import Ask, Message
 from m100link.agent.plan_told import told_of
 from m100link.bus.network import Bus
 from m100link.errors import M100Error, MissionAborted, OutcomeUnknown
+from m100link.fleet.asking import PATIENCE_S
 from m100link.fleet.keys import Keys
 from m100link.fleet.missions.stages import MissionStage
 from m100link.fleet.payloads import MissionCard, Reply, unpack
+from m100link.fleet.questions import Questions
 from m100link.flight.missions.events import (
     Finished,
     MissionEvent,
@@ -39,15 +41,13 @@ __all__ = ["FleetMission", "MissionOrders", "mission_card"]
 
 _logger = logging.getLogger(__name__)
 
-_ANSWER_S = 1.5
 _LOOK_S = 0.5
-_PATIENCE_S = 5.0
 _AGAIN_S = 0.2
 
 OrderUnderLease = Callable[[Message], Awaitable[Reply]]
 
 
-async def mission_card(bus: Bus, keys: Keys, *, patience: float = _PATIENCE_S) -> MissionCard:
+async def mission_card(bus: Bus, keys: Keys, *, patience: float = PATIENCE_S) -> MissionCard:
     """Where the mission of an aircraft is.
 
     Raises:
@@ -56,18 +56,21 @@ async def mission_card(bus: Bus, keys: Keys, *, patience: float = _PATIENCE_S) -
     """
     clock = asyncio.get_running_loop().time
     until, unread = clock() + patience, None
-    while True:
-        for answer in await bus.ask(keys.mission, timeout=_ANSWER_S):
-            try:
-                card: MissionCard = unpack(MissionCard, answer.payload)
-            except MessageError as error:
-                unread = error
-                continue
-            if card.name == keys.name:
-                return card
-        if clock() >= until:
-            break
-        await asyncio.sleep(_AGAIN_S)
+    async with Questions(bus) as questions:
+        while (left := until - clock()) > 0:
+            if questions.is_due:
+                questions.ask(keys.mission, within=left)
+            ended = await questions.answered(min(left, questions.left))
+            for answer in [] if ended is None else ended[1]:
+                try:
+                    card: MissionCard = unpack(MissionCard, answer.payload)
+                except MessageError as error:
+                    unread = error
+                    continue
+                if card.name == keys.name:
+                    return card
+            if questions.is_due:
+                await asyncio.sleep(_AGAIN_S)
     if unread is not None:
         raise unread
     raise OutcomeUnknown(
@@ -276,7 +279,7 @@ class FleetMission:
         clock = asyncio.get_running_loop().time
         self._is_stopped = True
         await self._orders.stop()
-        until = clock() + _PATIENCE_S
+        until = clock() + PATIENCE_S
         while not self.is_over:
             if clock() > until:
                 raise OutcomeUnknown(
