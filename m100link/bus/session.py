@@ -11,8 +11,9 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import threading
 from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,7 @@ LARGEST = 1 << 20
 """Bytes of the longest message that a session puts together: zenoh's own limit is a gigabyte."""
 
 _AGAIN_S = 0.5
+_CLOSE_S = 1.0
 _MOST_ANSWERS = 256
 """Of one probe: more of them would wait in zenoh until the question ends."""
 
@@ -399,7 +401,29 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
     try:
         yield ZenohBus(session, opening.largest)
     finally:
-        await asyncio.to_thread(session.close)
+        await _closed(session)
+
+
+async def _closed(session: zenoh.Session) -> None:
+    """Close a session; one whose router does not answer is left to a thread of its own.
+
+    There zenoh waits for its last try to connect, ten seconds long, and then raises: whoever
+    leaves the block would hear of it that much later why he had to, or of zenoh instead.
+    """
+    loop, is_closed = asyncio.get_running_loop(), asyncio.Event()
+
+    def close() -> None:
+        _unless_closed(session.close)
+        with suppress(RuntimeError):  # nobody waits any more, and the loop has ended
+            loop.call_soon_threadsafe(is_closed.set)
+
+    # None of the executor's: the loop would wait for it as it ends.
+    threading.Thread(target=close, name="m100link: end of a session", daemon=True).start()
+    try:
+        async with asyncio.timeout(_CLOSE_S):
+            await is_closed.wait()
+    except TimeoutError:
+        _logger.info("a session is being closed whose router does not answer")
 
 
 def _config(opening: Opening) -> zenoh.Config:

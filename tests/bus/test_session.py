@@ -159,6 +159,32 @@ async def test_what_cannot_be_opened_is_told_in_the_words_of_who_needs_it(
     assert " at /" not in str(caught.value)  # a place in zenoh's source helps nobody
 
 
+@pytest.mark.parametrize("way", ["waits", "raises"])
+async def test_whoever_leaves_hears_why_and_not_of_a_session_that_does_not_close(
+    monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    """Of a router that is cut off zenoh's close waits for ten seconds, and then raises."""
+    import zenoh
+
+    may_end, ended = threading.Event(), threading.Event()
+
+    class CutOff:
+        def close(self) -> None:
+            if way == "waits":
+                may_end.wait()
+            ended.set()
+            raise zenoh.ZError("close operation timed out!")
+
+    monkeypatch.setattr(zenoh, "open", lambda config: CutOff())
+    with anyio.fail_after(PATIENCE):
+        with pytest.raises(UsageError, match="why"):
+            async with open_session(opening("client")):
+                raise UsageError("why")
+    assert ended.is_set() is (way == "raises")
+    may_end.set()
+    assert ended.wait(PATIENCE)
+
+
 async def test_an_option_that_cannot_be() -> None:
     with pytest.raises(UsageError, match="cannot be in a session"):
         async with open_session(Opening("a test", "x", {"mode": '"captain"'})):
