@@ -11,9 +11,10 @@ from m100link.bus.session import LARGEST, Opening, ZenohBus, open_session
 
 __all__ = ["LEASE_MS", "open_fleet"]
 
-LEASE_MS = 1500
+LEASE_MS = 1200
 """Milliseconds after which a silent end of a connection counts as gone; zenoh's own 10 s would
-leave an aircraft on the wall that long after its cable was cut."""
+leave an aircraft on the wall that long after its cable was cut. Where only the way to an agent is
+cut, what it sends goes on to arrive for 0.7 s: until as much waits as TCP sends unacknowledged."""
 
 FIRST_MS = 2000
 """Milliseconds in which a router has to answer the first time."""

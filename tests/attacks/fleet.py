@@ -38,14 +38,14 @@ from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.waiting import until
 
-__all__ = ["LOSSES", "Loss", "Measured", "lose"]
+__all__ = ["LOSSES", "STILL_M_S", "WITHIN_S", "Loss", "Measured", "Site", "flying", "lose"]
 
 STILL_M_S = 0.3
 WITHIN_S = 2.0
 _LOST_AFTER_S = 2.0
 
 _PILOT = """
-import asyncio, sys
+import asyncio, json, sys
 import m100link
 
 async def main():
@@ -56,7 +56,10 @@ async def main():
             async with control.hold(north):
                 await asyncio.sleep(600.0)
 
-asyncio.run(main())
+try:
+    asyncio.run(main())
+except m100link.M100Error as error:
+    print(json.dumps({"told": type(error).__name__, "seen": error.seen}), flush=True)
 """
 
 
@@ -112,7 +115,9 @@ class Measured:
 class Site:
     """Aircraft, and the processes beside it."""
 
-    def __init__(self, stack: AsyncExitStack, seed: int, folder: Path) -> None:
+    def __init__(
+        self, stack: AsyncExitStack, seed: int, folder: Path, hosts: dict[str, str] | None = None
+    ) -> None:
         self._stack = stack
         self._folder = folder
         self.aircraft = VirtualAircraft(seed=seed)
@@ -123,8 +128,15 @@ class Site:
         self.url = f"{port.device}:230400"
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
-            self.place = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+            self.port = probe.getsockname()[1]
+        # Each may come to the router by an address of its own.
+        self._hosts = hosts or {}
+        self.place = self.place_of("watcher")
         self.processes: dict[str, asyncio.subprocess.Process] = {}
+
+    def place_of(self, who: str) -> str:
+        """Where somebody reaches the router."""
+        return f"tcp/{self._hosts.get(who, '127.0.0.1')}:{self.port}"
 
     @property
     def speed(self) -> float:
@@ -133,14 +145,17 @@ class Site:
     async def start(self, who: str) -> None:
         """Start router, agent or pilot."""
         fleet = (sys.executable, "-m", "m100link", "fleet")
+        places = dict.fromkeys((self.place, *map(self.place_of, self._hosts)))
+        listens = [word for place in places for word in ("--listen", place)]
         commands = {
-            "router": (*fleet, "router", "--listen", self.place, "--json"),
+            "router": (*fleet, "router", *listens, "--json"),
             "agent": (
-                *(*fleet, "agent", self.url, "--name", "a1", "--connect", self.place, "--json"),
+                *(*fleet, "agent", self.url, "--name", "a1", "--json"),
+                *("--connect", self.place_of("agent")),
                 *("--lost", "land", "--lost-after", f"{_LOST_AFTER_S:g}"),
                 *("--ledger", str(self._folder)),
             ),
-            "pilot": (sys.executable, "-c", _PILOT, self.place),
+            "pilot": (sys.executable, "-c", _PILOT, self.place_of("pilot")),
         }
         process = await asyncio.create_subprocess_exec(
             *commands[who],
@@ -204,11 +219,11 @@ async def _ended(process: asyncio.subprocess.Process) -> None:
 
 
 @asynccontextmanager
-async def flying(seed: int) -> AsyncIterator[Site]:
+async def flying(seed: int, hosts: dict[str, str] | None = None) -> AsyncIterator[Site]:
     """A site whose aircraft flies north."""
     async with AsyncExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        site = Site(stack, seed, folder)
+        site = Site(stack, seed, folder, hosts)
         for who in ("router", "agent", "pilot"):
             await site.start(who)
         await until(lambda: site.speed > 2.5)

@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 
 from tests.attacks.fleet import LOSSES, STILL_M_S, WITHIN_S, Loss, lose
+from tests.attacks.fleet_legs import CUTS, Cut
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]
 
@@ -49,3 +50,25 @@ def test_a_cable_that_is_cut_without_a_word_costs_a_hover_and_nothing_resumes() 
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert ended.stdout.startswith("cable   cut      still")
+
+
+def may_drop_packets() -> str:
+    """Why this user may not drop packets in a network of its own; empty if he may."""
+    if not may_have_a_network():
+        return "needs a network namespace of its own"
+    if shutil.which("iptables") is None:
+        return "needs iptables"
+    rule = "iptables -w -A INPUT -p tcp -d 127.0.0.2 --dport 7 -j DROP"
+    tried = subprocess.run(["unshare", "-n", "sh", "-c", rule], check=False, capture_output=True)
+    return "" if tried.returncode == 0 else f"iptables: {tried.stderr.decode().strip()}"
+
+
+@pytest.mark.skipif(bool(may_drop_packets()), reason=may_drop_packets() or "it may")
+@pytest.mark.parametrize("cut", CUTS, ids=str)
+def test_a_leg_that_is_cut_costs_a_hover_and_whoever_is_told_is_told_the_truth(cut: Cut) -> None:
+    flown = f"ip link set lo up && exec {sys.executable} -m tests.attacks.fleet_legs --only '{cut}'"
+    ended = subprocess.run(
+        ["unshare", "-n", "sh", "-c", flown], check=False, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert ended.stdout.startswith(str(cut))
