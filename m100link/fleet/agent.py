@@ -34,7 +34,7 @@ from m100link.fleet.ledger import Ledger
 from m100link.fleet.lost import Lost, LostPlan
 from m100link.fleet.missions.board import Missions
 from m100link.fleet.namesake import Namesakes
-from m100link.fleet.orders import Done, Orders, is_kept, lands, moves, revokes, takes
+from m100link.fleet.orders import Done, Orders, acquires, is_kept, lands, moves, revokes, takes
 from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import (
     Card,
@@ -332,7 +332,8 @@ class FleetAgent:
             # Looked at before a stranger's words are worth a disk's time.
             if self._orders.lease_for(order, message) is not None:
                 self._ages.hear(order.fence, order.clock, self.client.now)
-        elif takes(message):
+        elif takes(message) or (acquires(message) and order.clock):
+            # Who never heard this clock cannot say when, and takes nothing from anybody.
             require_young(order.clock, self.client.now)
         elif revokes(message):
             if lands(message):

@@ -149,6 +149,23 @@ class Asker:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
         return _raised(reply)
 
+    async def look(self, identity: str = "", *, within: float) -> Reply | None:
+        """Ask once what became of an order; of none, what time it is there.
+
+        Args:
+            identity: Of the order.
+            within: Seconds.
+
+        Returns:
+            The answer, whatever it says; None when none came in time that can be read.
+
+        Raises:
+            OutcomeUnknown: Two agents answered.
+        """
+        named = identity or uuid.uuid4().hex
+        reply = self._read(await self._bus.ask(self._keys.status(named), timeout=within), named)
+        return reply if isinstance(reply, Reply) else None
+
     def _its_at_least(self) -> float:
         """What the agent's clock shows by now, at the earliest; 0: nobody knows."""
         if self.heard_at is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import uuid
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -32,7 +33,8 @@ from m100link.fleet.asking import Asker
 from m100link.fleet.clock import AgentClock
 from m100link.fleet.keys import Keys
 from m100link.fleet.missions.flight import FleetMission, MissionOrders
-from m100link.fleet.payloads import Reply
+from m100link.fleet.payloads import Progress, Reply
+from m100link.fleet.questions import STEP_S
 from m100link.fleet.sending import SetpointSender
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
@@ -43,6 +45,8 @@ _logger = logging.getLogger(__name__)
 
 _RENEWAL_S = 0.5
 _LEASE_S = 3.0
+_GIVEN_BACK_S = 1.0
+_AGAIN_S = 0.1
 
 
 class FleetControl:
@@ -107,6 +111,9 @@ class FleetControl:
         return self._agent_clock.bound_s
 
     async def __aenter__(self) -> Self:
+        # An order that says when it was made is not carried out when nobody waits for it any more.
+        if await self._asker.is_there():
+            await self._asker.look(within=STEP_S)
         lease = await self._ask_lease(LeaseAction.ACQUIRE)
         self._lease, self._renewed_at = lease, self._clock()
         self._setpoints = SetpointSender(self._bus, self._keys, self._agent_clock)
@@ -164,16 +171,35 @@ class FleetControl:
     # -- the lease -------------------------------------------------------------------------------
 
     async def _ask_lease(self, action: LeaseAction, token: str = "") -> Reply:
-        asked_at = self._clock()
+        asked_at, identity = self._clock(), uuid.uuid4().hex
         try:
-            reply = await self._asker.ask(LeaseAsk(0, action, self._name, token))
+            ask = LeaseAsk(0, action, self._name, token)
+            reply = await self._asker.ask(ask, identity=identity)
         except LeaseHeld:
             if not self._is_take_over or action is not LeaseAction.ACQUIRE:
                 raise
             offer = await self._ask_lease(LeaseAction.TAKE_OVER)
             return await self._ask_lease(LeaseAction.CONFIRM, offer.token)
+        except (OutcomeUnknown, asyncio.CancelledError):
+            await self._give_back(identity)
+            raise
         self._agent_clock.heard(asked_at, reply.clock, self._clock())
         return reply
+
+    async def _give_back(self, identity: str) -> None:
+        """Give a lease back that was granted, or is about to be, to who waits for it no more."""
+        until = self._clock() + _GIVEN_BACK_S
+        while (left := until - self._clock()) > 0:
+            try:
+                found = await self._asker.look(identity, within=left)
+            except FleetError as error:  # what ended the wait for it is what is told
+                _logger.warning("%s: its lease is left to silence: %s", self._keys.name, error.seen)
+                return
+            if found is not None and found.progress is Progress.DONE:
+                if found.token:
+                    await self._try(LeaseAsk(0, LeaseAction.RELEASE, token=found.token))
+                return
+            await asyncio.sleep(_AGAIN_S)
 
     async def _renew(self) -> None:
         """Renew the lease until it is lost; then whoever flies is told.

@@ -25,7 +25,7 @@ from m100link.fleet.revoked import Since, nobody
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = ["Done", "Orders", "is_kept", "lands", "moves", "revokes", "takes"]
+__all__ = ["Done", "Orders", "acquires", "is_kept", "lands", "moves", "revokes", "takes"]
 
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
@@ -74,6 +74,11 @@ def moves(message: Message) -> bool:
 def takes(message: Message) -> bool:
     """Whether it takes the lease from who has it: nobody loses it to who waits for it no more."""
     return isinstance(message, LeaseAsk) and message.action is LeaseAction.CONFIRM
+
+
+def acquires(message: Message) -> bool:
+    """Whether it takes a lease that is free: granted to nobody, nobody has it for three seconds."""
+    return isinstance(message, LeaseAsk) and message.action is LeaseAction.ACQUIRE
 
 
 def lands(message: Message) -> bool:

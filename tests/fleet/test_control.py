@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import anyio
 import pytest
 
+from m100link.agent.actions import Action, LeaseAction
 from m100link.agent.lease import LeaseHeld
+from m100link.agent.messages import Ask, LeaseAsk
 from m100link.bus.memory import Weather
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.geodesy import LocalFrame
@@ -96,6 +100,44 @@ async def test_a_lease_that_is_lost_before_the_block_begins_is_told(rig: Rig) ->
             async with control:
                 raise AssertionError("nobody can fly")
     assert one.height < 0.1
+
+
+async def test_a_lease_that_nobody_waits_for_any_more_is_not_granted(rig: Rig) -> None:
+    one, pilot, other = await rig.aircraft("a1"), await rig.pilot(patience=1.0), await rig.pilot()
+    asker = pilot["a1"].asker
+    await asker.ask(Ask(0, Action.VERSION))  # its clock is known now
+    rig.network.weather = Weather(delay_s=5.5)
+    with pytest.raises(OutcomeUnknown):
+        await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+    rig.network.weather = Weather()
+    for _ in range(100):
+        await anyio.sleep(0.1)
+        assert one.client.holder.number == 0
+    async with other["a1"].control():
+        assert one.client.holder.number
+
+
+@pytest.mark.parametrize("after", [0.1, 0.3, 0.5])
+async def test_a_lease_that_comes_to_who_was_ended_meanwhile_goes_back(
+    rig: Rig, after: float
+) -> None:
+    """By Ctrl-C, while the order is on its way, or its answer."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+
+    async def fly() -> None:
+        async with pilot["a1"].control():
+            raise AssertionError("it was ended before")
+
+    rig.network.weather = Weather(delay_s=0.3)
+    entering = asyncio.ensure_future(fly())
+    await anyio.sleep(0.6 + after)  # the agent's clock is known
+    entering.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await entering
+    await anyio.sleep(0.35)  # the word that gives it back is on its way
+    assert one.client.holder.number == 0
+    assert [e.text for e in one.client.events if "has control" in e.text], "it was granted"
+    assert not [e.text for e in one.client.events if "expired" in e.text]
 
 
 async def test_setpoints_need_a_clock_that_is_known(rig: Rig) -> None:
