@@ -143,6 +143,9 @@ class Performer:
         if self.stage in _IN_SHOW:
             self.fault = error
             self.leave()
+        elif self.stage is Stage.LEFT and isinstance(self.fault, NoAuthority):
+            # It was told that nothing is flown before it was told who took the aircraft.
+            self.fault = error
 
     def shut_out(self, error: M100Error) -> None:
         """Whoever placed it may not any more: it leaves, for this reason."""

@@ -7,7 +7,7 @@ import math
 import anyio
 import pytest
 
-from m100link.errors import M100Error, NoAuthority, UsageError
+from m100link.errors import AuthorityLost, M100Error, NoAuthority, UsageError
 from m100link.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer, Stage
 from m100link.fleet.show.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
 from m100link.fleet.show.track import BadShow
@@ -232,6 +232,17 @@ async def test_the_pilot_who_leaves_f_has_it(stand: Stand) -> None:
     await stand.rig.until(lambda: performer.stage is LEFT, within=2.0)
     await anyio.sleep(5.0)
     assert stand.one.height > 2.0
+
+
+async def test_who_took_it_is_told_also_when_a_setpoint_was_refused_first(stand: Stand) -> None:
+    performer, client = await stand.to(FLYING), stand.one.client
+    await anyio.sleep(1.0)
+    for callback in client.on_steer_refused:
+        callback(client.holder.number, NoAuthority("nothing was sent"))
+    await stand.rig.until(lambda: performer.stage is LEFT, within=2.0)
+    for told in client.on_authority_taken:
+        told(AuthorityLost("the pilot moved the mode switch out of F"))
+    assert isinstance(performer.fault, AuthorityLost)
 
 
 @pytest.mark.parametrize(
