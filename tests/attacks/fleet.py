@@ -38,7 +38,17 @@ from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.waiting import until
 
-__all__ = ["LOSSES", "STILL_M_S", "WITHIN_S", "Loss", "Measured", "Site", "flying", "lose"]
+__all__ = [
+    "LOSSES",
+    "STILL_M_S",
+    "WITHIN_S",
+    "Loss",
+    "Measured",
+    "Site",
+    "ended",
+    "flying",
+    "lose",
+]
 
 STILL_M_S = 0.3
 WITHIN_S = 2.0
@@ -165,7 +175,7 @@ class Site:
             | {"M100LINK_APP_ID": str(DEMO_APP_ID), "M100LINK_KEY": DEMO_KEY.reveal().hex()},
         )
         self.processes[who] = process
-        self._stack.push_async_callback(_ended, process)
+        self._stack.push_async_callback(ended, process)
         if who != "pilot":
             assert process.stdout is not None
             assert json.loads(await process.stdout.readline())
@@ -211,7 +221,8 @@ async def _set_loopback(state: str) -> None:
     assert await process.wait() == 0, "only in a network of one's own"
 
 
-async def _ended(process: asyncio.subprocess.Process) -> None:
+async def ended(process: asyncio.subprocess.Process) -> None:
+    """A process has, frozen or not."""
     with contextlib.suppress(ProcessLookupError):
         process.send_signal(signal.SIGCONT)
         process.kill()
