@@ -3,7 +3,8 @@
 What the check of a show found holds for tracks. In the air one may be blown off its track, one may
 have left and hover in another's way, or land through it. So each tells where it will be, and looks
 at what the others tell; whoever would come nearer to another one than the show allows, leaves.
-Nobody counts on the other one to give way.
+Nobody counts on the other one to give way. One that is silent may stand anywhere on the way that it
+told last: :mod:`~m100link.fleet.show.silence` says why whoever misses it decides soon.
 """
 
 from __future__ import annotations
@@ -14,9 +15,19 @@ from dataclasses import dataclass
 from typing import Self
 
 from m100link.fleet.show.distance import apart
+from m100link.fleet.show.silence import RestOfTrack, nearest
 from m100link.fleet.show.track import BadShow, TimedTrack, Vector
 
-__all__ = ["AHEAD_S", "SILENT_S", "Ahead", "Near", "Neighbours", "by_speed", "by_track"]
+__all__ = [
+    "AHEAD_S",
+    "SETTLED_S",
+    "SILENT_S",
+    "Ahead",
+    "Near",
+    "Neighbours",
+    "by_speed",
+    "by_track",
+]
 
 AHEAD_S = 10.0
 """Seconds that are looked ahead."""
@@ -24,12 +35,17 @@ AHEAD_S = 10.0
 SILENT_S = 1.0
 """Seconds without a word after which nobody knows whether an aircraft flies on."""
 
+SETTLED_S = 8.0
+"""Seconds without a word after which one has to know whether it flies on: whoever leaves then has
+stopped on the way that it told last, which is as long as :data:`AHEAD_S`."""
+
+_EVADED_S = 5.0
+"""Seconds before it would come to where a silent one may stand; it stops in two."""
 _STEP_S = 0.5
 _STEPS = round(AHEAD_S / _STEP_S)
 _FINE_S = 0.1
 """Between two looks: in that time two of 10 m/s come 2 m nearer, which changes 3 m by 0.2 m."""
-_STOPS_S = (0.0, 1.0, 2.0)
-"""Seconds after its last word by when one that is not flown any more may have stopped."""
+_LOOK_S = 0.2
 _MOST = 1000
 _MOST_BYTES = 4096
 _MOST_M = 1e6
@@ -66,10 +82,10 @@ class Ahead:
             a[2] + (b[2] - a[2]) * share,
         )
 
-    def stopped(self, at: float) -> Ahead:
-        """The same one, if nobody flies it from a time on: it hovers or lands there."""
-        place = self.place(at)
-        return Ahead(self.show, self.name, at, (place, place), at)
+    def stands(self) -> list[Vector]:
+        """Where it may stand if nobody flies it any more: its way, each tenth of a second."""
+        many = round((len(self.places) - 1) * _STEP_S / _FINE_S)
+        return [self.place(self.at + index * _FINE_S) for index in range(many + 1)]
 
     @property
     def way(self) -> float:
@@ -131,11 +147,13 @@ class Near:
         name: Which one.
         at: When it first is nearer than allowed, s from the beginning of the show.
         distance_m: How near it is then.
+        silent_s: For how long it has been silent, if it is one that may stand there; else 0.
     """
 
     name: str
     at: float
     distance_m: float
+    silent_s: float = 0.0
 
 
 class Neighbours:
@@ -145,42 +163,59 @@ class Neighbours:
         show: Which show, by its digest.
         name: Of this aircraft.
         least_m: How near two may come to each other, m.
+
+    Raises:
+        BadShow: That is no distance.
     """
 
     def __init__(self, show: str, name: str, least_m: float) -> None:
+        if not 0 <= least_m <= 1000:
+            raise BadShow(f"two aircraft cannot have {least_m:g} m between them")
         self.show, self.name, self.least_m = show, name, least_m
         self._heard: dict[str, tuple[Ahead, float]] = {}
+        # Of silent ones that were decided about: their last word.
+        self._settled: dict[str, float] = {}
 
     def hear(self, ahead: Ahead, now: float) -> None:
         """One tells where it will be; those of other shows are not compared."""
         if ahead.show != self.show or ahead.name == self.name:
             return
-        if ahead.name in self._heard or len(self._heard) < _MOST:
+        known = self._heard.get(ahead.name)
+        if known is None and len(self._heard) >= _MOST:
+            return
+        if known is None or ahead.at >= known[0].at:  # the network may bring an older one later
             self._heard[ahead.name] = ahead, now
 
-    def near(self, own: Ahead, now: float) -> Near | None:
+    def near(self, own: Ahead, now: float, rest: RestOfTrack | None = None) -> Near | None:
         """The first that comes too near; None for nobody.
-
-        One that is silent, while others are heard, may have been killed and hover where it was: it
-        counts as there, too. When nobody is heard it is this one that is cut off, and what the
-        others do nobody here knows: they fly what was checked.
 
         Args:
             own: Where this one will be.
             now: s, by the clock of :meth:`hear`.
+            rest: What it has to fly still; None if it flies no track.
         """
-        is_cut_off = all(now - at > SILENT_S for _, at in self._heard.values())
         found: list[Near] = []
         for ahead, heard_at in self._heard.values():
-            ways = [ahead] if own.at < ahead.at + AHEAD_S else []
-            if now - heard_at > SILENT_S and not is_cut_off:
-                ways += (ahead.stopped(ahead.at + after) for after in _STOPS_S)
-            found += filter(None, (self._meets(own, way) for way in ways))
+            if own.at < ahead.at + AHEAD_S:
+                found += filter(None, [self._meets(own, ahead)])
+            # What was long on its way is as old as it says.
+            silent = max(now - heard_at, own.at - ahead.at)
+            if silent > SILENT_S:
+                found += filter(None, [self._stands(own, ahead, silent)])
+            if silent > SETTLED_S and rest and self._settled.get(ahead.name) != ahead.at:
+                self._settled[ahead.name] = ahead.at
+                at = rest.meets(ahead.stands(), self.least_m, own.at)
+                if at is not None:
+                    found.append(Near(ahead.name, at, self.least_m, silent))
         return min(found, key=lambda near: near.at, default=None)
 
-    def _meets(self, own: Ahead, other: Ahead) -> Near | None:
+    def _is_far(self, own: Ahead, other: Ahead) -> bool:
         between = math.dist(own.places[0][:2], other.place(own.at)[:2])
-        if between > self.least_m + own.way + other.way:
+        return between > self.least_m + own.way + other.way
+
+    def _meets(self, own: Ahead, other: Ahead) -> Near | None:
+        """Whether the two come too near if each flies on as it told."""
+        if self._is_far(own, other):
             return None
         for step in range(round(AHEAD_S / _FINE_S) + 1):
             at = own.at + step * _FINE_S
@@ -192,4 +227,18 @@ class Neighbours:
             )
             if distance < self.least_m:
                 return Near(other.name, at, distance)
+        return None
+
+    def _stands(self, own: Ahead, other: Ahead, silent: float) -> Near | None:
+        """Whether this one comes too near to where the other one may have stopped by then."""
+        if self._is_far(own, other):
+            return None
+        stands = other.stands()
+        for step in range(round(_EVADED_S / _LOOK_S) + 1):
+            at = own.at + step * _LOOK_S
+            # It is not farther on its way than it would be if it flew.
+            by_then = stands[: max(1, round((at - other.at) / _FINE_S) + 1)]
+            distance = nearest(own.place(at), by_then, has_ended=at >= own.down_from)
+            if distance < self.least_m:
+                return Near(other.name, at, distance, silent)
         return None

@@ -22,6 +22,7 @@ from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.fleet.age import OrderAges
 from m100link.fleet.show.ahead import Ahead, Neighbours, by_speed, by_track
 from m100link.fleet.show.clock import DRIFT
+from m100link.fleet.show.silence import RestOfTrack
 from m100link.fleet.show.steering import LeftShow, TrackSteering, Why
 from m100link.fleet.show.track import BadShow, TimedTrack, Vector
 from m100link.flight.guards import MAX_COMMAND_M_S
@@ -106,6 +107,7 @@ class Performer:
         self.farthest_m = 0.0
         self.neighbours: Neighbours | None = None
         self.ages = OrderAges()
+        self._rest: RestOfTrack | None = None
         # When its show begins, by the agent's clock; None before that is known.
         self._start_at: float | None = None
         self._leave: Leave = "land"
@@ -184,8 +186,7 @@ class Performer:
             BadShow: It is none, or another aircraft's.
             UsageError: It is in a show.
         """
-        if not 0 <= least_m <= 1000:
-            raise BadShow(f"two aircraft cannot have {least_m:g} m between them")
+        neighbours = Neighbours(show, self._name, least_m) if show else None
         self._require(Order.LOAD)
         track = TimedTrack.from_bytes(data)
         if track.name != self._name:
@@ -193,7 +194,7 @@ class Performer:
         if leave not in ("hover", "land"):
             raise UsageError(f"leave cannot be {leave!r}", remedy="hover or land")
         self.track, self._leave, self.fault = track, leave, None
-        self.neighbours = Neighbours(show, self._name, least_m) if show else None
+        self.neighbours, self._rest = neighbours, RestOfTrack(track)
         self._start_at = None
         self.stage = Stage.LOADED
         return track.digest
@@ -374,18 +375,23 @@ class Performer:
         own, others = self.ahead(), self.neighbours
         if own is None or others is None:
             return
-        near = others.near(own, self._client.now)
-        if near is not None:
-            raise LeftShow(
-                f"{self._name} left the show at {own.at:.1f} s: {near.name} would come as near as "
-                f"{near.distance_m:.1f} m in {near.at - own.at:.1f} s; "
-                f"{others.least_m:g} m are allowed",
-                why=Why.NEAR,
-                at=own.at,
-                measured=near.distance_m,
-                limit=others.least_m,
-                cause=f"{near.name} or this one is beside its track, or has left it",
-            )
+        near = others.near(own, self._client.now, self._rest)
+        if near is None:
+            return
+        told, cause = "", f"{near.name} or this one is beside its track, or has left it"
+        if near.silent_s:
+            told = f"{near.name} has been silent for {near.silent_s:.1f} s and may stand there: "
+            cause = f"{near.name} was killed, or one of the two is cut off"
+        raise LeftShow(
+            f"{self._name} left the show at {own.at:.1f} s: {told}{near.name} would come as near "
+            f"as {near.distance_m:.1f} m in {near.at - own.at:.1f} s; "
+            f"{others.least_m:g} m are allowed",
+            why=Why.NEAR,
+            at=own.at,
+            measured=near.distance_m,
+            limit=others.least_m,
+            cause=cause,
+        )
 
     async def _end(self) -> None:
         """What follows: it hovers, or lands; and whoever comes next may have control."""

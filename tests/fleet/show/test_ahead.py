@@ -7,7 +7,17 @@ import math
 
 import pytest
 
-from m100link.fleet.show.ahead import AHEAD_S, SILENT_S, Ahead, Neighbours, by_speed, by_track
+from m100link.fleet.show.ahead import (
+    AHEAD_S,
+    SETTLED_S,
+    SILENT_S,
+    Ahead,
+    Near,
+    Neighbours,
+    by_speed,
+    by_track,
+)
+from m100link.fleet.show.silence import RestOfTrack
 from m100link.fleet.show.track import BadShow
 from tests.fleet.show.shows import track
 
@@ -98,19 +108,69 @@ def test_one_that_alone_is_silent_may_hover_where_it_was() -> None:
     both = silent(["a2", "a3"], {"a2": 0.0, "a3": 2.0})
     assert both.near(on_track(7.0), 2.0) is not None
     heard = silent(["a2", "a3"], {"a2": 2.0 - SILENT_S, "a3": 2.0})
-    assert heard.near(on_track(7.0), 2.0) is None, "it flies on, and is past"
+    assert heard.near(on_track(5.0 + SILENT_S), 2.0) is None, "it flies on, and is past"
 
 
-def test_who_hears_nobody_is_cut_off_and_flies_on() -> None:
+def test_who_hears_nobody_counts_them_as_there_too() -> None:
+    """Of two the other one was killed, or this one is cut off: nobody here knows."""
     alone = silent(["a2", "a3"], {"a2": 0.0, "a3": 0.0})
-    assert alone.near(on_track(7.0), 2.0) is None
+    near = alone.near(on_track(7.0), 2.0)
+    assert near is not None
+    assert (near.name, near.silent_s) == ("a2", 2.0)
     ones = neighbours()
     ones.hear(by_track("show", ACROSS, 5.0, ACROSS.moment(5.0).place), 0.0)
     assert ones.near(on_track(7.0), 2.0) is not None, "what it told holds for ten seconds"
+
+
+def test_one_that_is_silent_may_have_stopped_anywhere_on_its_way_and_not_beyond() -> None:
+    fast = track("a2", (0, 20, -24, 4), (20, 20, 40, 4))
+    for at, is_near in ((8.0, True), (30.0, False)):
+        there = fast.moment(5.0).place
+        ones = neighbours()
+        ones.hear(by_track("show", fast, 5.0, there), 5.0)
+        own = by_speed("show", "a1", at, (20.0, 0.0, 4.0), (0.0, 0.0, 0.0))
+        crossed = next(t / 10 for t in range(200) if fast.moment(t / 10).place[1] > -3.0)
+        assert crossed < 13.0
+        assert (ones.near(own, at) is not None) or not is_near
+        assert (ones.near(own, at) is None) or at >= crossed - 10.0
+        elsewhere = by_speed("show", "a1", at, (20.0, 45.0, 4.0), (0.0, 0.0, 0.0))
+        assert ones.near(elsewhere, at) is None, "so far it told nothing"
+
+
+def test_a_silent_one_is_decided_about_in_time_and_once() -> None:
+    """Its way is met half a minute later: who leaves for that is still where it told that it is."""
+    later = track("a1", (0, 0, 0, 4), (10, 0, 9, 4), (40, 40, 9, 4), (70, 40, 0, 4))
+    rest = RestOfTrack(later)
+
+    def at(seconds: float) -> Near | None:
+        own = by_track("show", later, seconds, later.moment(seconds).place)
+        return ones.near(own, seconds, rest)
+
     ones = neighbours()
-    ones.hear(by_speed("show", "a2", 0.0, (30.0, 0.0, 4.0), (0.0, 0.0, 0.0)), 0.0)
-    assert ones.near(on_track(9.9), 9.9) is not None
-    assert ones.near(on_track(10.1), 10.1) is None
+    ones.hear(by_speed("show", "a2", 0.0, (40.0, 5.0, 4.0), (0.0, 0.0, 0.0)), 0.0)
+    assert at(SETTLED_S - 0.2) is None
+    near = at(SETTLED_S + 0.1)
+    assert near is not None
+    assert 30.0 < near.at < 60.0
+    assert near.silent_s == pytest.approx(SETTLED_S + 0.1)
+    assert at(SETTLED_S + 0.3) is None, "whoever flies on has left, or was not asked to"
+    ones.hear(by_speed("show", "a2", 9.0, (40.0, 50.0, 4.0), (0.0, 0.0, 0.0)), 9.0)
+    assert at(9.0 + SETTLED_S + 0.1) is None, "it was heard again, 40 m away"
+
+
+def test_a_word_that_was_long_on_its_way_is_as_old_as_it_says() -> None:
+    ones = neighbours()
+    ones.hear(by_track("show", ACROSS, 1.0, (20.0, 0.0, 4.0)), 7.9)
+    near = ones.near(on_track(8.0), 8.0)
+    assert near is not None
+    assert near.silent_s == pytest.approx(7.0)
+
+
+def test_an_older_word_that_comes_later_changes_nothing() -> None:
+    ones = neighbours()
+    ones.hear(by_speed("show", "a2", 7.9, (20.0, 0.0, 4.0), (0.0, 0.0, 0.0)), 8.0)
+    ones.hear(by_speed("show", "a2", 7.0, (500.0, 0.0, 4.0), (0.0, 0.0, 0.0)), 8.0)
+    assert ones.near(on_track(8.0), 8.0) is not None
 
 
 def test_other_shows_and_itself_are_not_compared() -> None:

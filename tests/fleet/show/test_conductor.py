@@ -52,6 +52,7 @@ class Company:
         self.rig = rig
         self.show = Show("", tuple(row(count)))
         self.on_board: list[OnBoard] = []
+        self.performing: list[ShowService] = []
         self.services: list[asyncio.Task[None]] = []
         self.told: list[str] = []
 
@@ -64,6 +65,7 @@ class Company:
             one = await self.rig.aircraft(track.name, virtual=virtual)
             verify = verifying(RIGHTS, [track.name], self.rig.utc)
             service = ShowService(one.client, one.bus, Keys(SITE, track.name), verify=verify)
+            self.performing.append(service)
             self.services.append(asyncio.ensure_future(service.run()))
             self.on_board.append(one)
 
@@ -294,6 +296,56 @@ async def test_one_that_is_killed_in_anothers_way_is_not_flown_into(rig: Rig) ->
         assert stages(parts) == [None, Stage.LEFT, *[Stage.FLOWN] * 3]
         assert "a1 would come as near as" in parts["a2"].why
         assert await watching > made.show.least_distance_m
+
+
+@asynccontextmanager
+async def two_crossing(rig: Rig) -> AsyncIterator[Company]:
+    """Two, of which the second comes to the way of the first when that one has passed."""
+    made = Company(rig, 0)
+    points = LINE, CROSSING
+    made.show = Show("", tuple(points_track(f"a{n + 1}", *one) for n, one in enumerate(points)))
+    await made.come()
+    yield made
+    for service in made.services:
+        service.cancel()
+    await asyncio.gather(*made.services, return_exceptions=True)
+
+
+@pytest.mark.parametrize("at", [9.0, 11.0])
+async def test_of_two_one_that_is_killed_is_not_flown_into(rig: Rig, at: float) -> None:
+    """Who is left hears nobody, and cannot know whether it is itself that is cut off."""
+    async with two_crossing(rig) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave="hover").fly())
+        await until_it_flies(made, at)
+        watching = asyncio.ensure_future(made.nearest())
+        made.services[0].cancel()
+        rig.network.cut(made.on_board[0].bus)
+        parts = await conducting
+        await anyio.sleep(30.0)
+        watching.cancel()
+        assert await watching > made.show.least_distance_m
+        assert all(one.speed < 0.1 for one in made.on_board)
+        assert stages(parts)[0] is None
+
+
+@pytest.mark.parametrize(("at", "leave"), [(3.0, "hover"), (11.0, "land"), (11.0, "hover")])
+async def test_when_nobody_hears_anybody_no_two_meet_whoever_leaves(
+    rig: Rig, at: float, leave: Leave
+) -> None:
+    """The router is gone: each has to count on the other to be killed, to fly on, or to leave."""
+    async with two_crossing(rig) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave=leave).fly())
+        await until_it_flies(made, at)
+        watching = asyncio.ensure_future(made.nearest())
+        for one in made.on_board:
+            rig.network.cut(one.bus)
+        await conducting
+        await anyio.sleep(60.0)
+        watching.cancel()
+        assert await watching > made.show.least_distance_m
+        first, second = (service.performer.stage for service in made.performing)
+        assert first is Stage.FLOWN, "the other one's way lies behind it, or is not reached by then"
+        assert second in (Stage.FLOWN, Stage.LEFT)
 
 
 async def test_a_track_that_the_guards_on_board_do_not_let_fly_is_not_begun(rig: Rig) -> None:
