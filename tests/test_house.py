@@ -214,6 +214,7 @@ TESTED_ELSEWHERE = {
     "cli/fleet_console.py": ("cli/test_fleet.py", "a page for it"),
     "cli/fleet_watch.py": ("cli/test_fleet.py", "three more verbs of it"),
     "errors/fleet.py": ("test_errors.py", "names and attributes, nothing to run"),
+    "cli/fleet_left.py": ("cli/test_fleet_interrupted.py", "what Ctrl-C at those verbs says"),
     "cli/fleet_lease.py": ("cli/test_fleet_mission.py", "orders from two shells are under one"),
     "fleet/missions/told.py": ("fleet/missions/test_board.py", "a card is what somebody asks for"),
     "fleet/sending.py": ("fleet/test_control.py", "what a pilot sends, and a front far away"),

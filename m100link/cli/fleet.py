@@ -18,6 +18,7 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from m100link.cli.common import err, out, run_async
+from m100link.cli.fleet_left import Begun, Left
 from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import Above0
 from m100link.cli.outcome import ExitCode, print_json
@@ -164,6 +165,24 @@ def _table(names: list[str], cards: dict[str, Card]) -> Table:
 
 # -- what they are asked --------------------------------------------------------------------------
 
+_GOES_BACK = "control goes back, within 3 s at the latest: "
+_TAKE_OFF = Left(
+    f"{_GOES_BACK}what has left the ground hovers",
+    "m100link fleet list shows it, m100link fleet land {name} lands it",
+)
+_LANDING = Left(
+    "a landing that it has heard of goes on",
+    "m100link fleet list shows it, m100link fleet stop {name} ends it: it hovers",
+)
+_STOP = Left(
+    "it stops if it has heard of it",
+    "m100link fleet list shows it, m100link fleet stop {name} again",
+)
+_GOTO = Left(
+    f"{_GOES_BACK}it brakes and hovers",
+    "m100link fleet list shows it, m100link fleet land {name} lands it",
+)
+
 
 def wanted_names(names: tuple[str, ...], everybody: bool) -> list[str] | None:
     """The names, None for all that are there.
@@ -184,12 +203,18 @@ def _each(
     everybody: bool,
     options: FleetOptions,
     do: Callable[[FleetAircraft], Awaitable[object]],
+    left: Left,
 ) -> int:
     wanted = wanted_names(names, everybody)
+    begun = Begun(do, left)
 
     async def run() -> int:
         async with options.open() as fleet:
-            results = await fleet.each(do, wanted)
+            try:
+                results = await fleet.each(begun, wanted)
+            except asyncio.CancelledError:
+                tell_results(begun.results, as_json=options.json_output)
+                raise
         if not results:
             err.print(f"no agent is there at site {options.site}")
             return ExitCode.NO_LINK
@@ -231,7 +256,7 @@ def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OP
         everybody: All of them.
         options: Which fleet.
     """
-    return _each(names, everybody, options, FleetAircraft.take_off)
+    return _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
 
 
 @app.command
@@ -243,7 +268,7 @@ def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIO
         everybody: All of them.
         options: Which fleet.
     """
-    return _each(names, everybody, options, FleetAircraft.land)
+    return _each(names, everybody, options, FleetAircraft.land, _LANDING)
 
 
 @app.command
@@ -255,7 +280,7 @@ def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIO
         everybody: All of them.
         options: Which fleet.
     """
-    return _each(names, everybody, options, FleetAircraft.stop)
+    return _each(names, everybody, options, FleetAircraft.stop, _STOP)
 
 
 @app.command
@@ -286,4 +311,4 @@ def goto(
                 latitude_deg=latitude, longitude_deg=longitude, height=height, speed=speed
             )
 
-    return _each((name,), False, options, fly)
+    return _each((name,), False, options, fly, _GOTO)

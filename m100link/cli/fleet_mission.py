@@ -17,6 +17,7 @@ from m100link.agent.messages import Ask, Message
 from m100link.cli.common import err, out, run_async
 from m100link.cli.fleet import NO_OPTIONS, FleetOptions
 from m100link.cli.fleet_lease import borrowed, shared
+from m100link.cli.fleet_left import Left, told_when_interrupted
 from m100link.cli.mission import event_name, event_words
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.cli.plan import File, FileOptions, read_plan
@@ -163,8 +164,22 @@ class _Show:
 # -- under a lease that another command holds -----------------------------------------------------
 
 
+_SEE = "m100link fleet mission progress {name} shows it"
+_END = f"{_SEE}, m100link fleet stop {{name}} ends it: it hovers"
+_UPLOAD = Left("the plan may be on board; it does not fly", _SEE)
+_START = Left("a mission that it has heard of flies while the lease lasts", _END)
+_PAUSE = Left("it may be paused, or fly on", _END)
+_RESUME = Left("it may be paused still, or fly on", _END)
+_STOP = Left(
+    "it stops if it has heard of it", f"{_SEE}, m100link fleet mission stop {{name}} again"
+)
+
+
 def _ordering(
-    name: str, options: FleetOptions, do: Callable[[MissionOrders, FleetAircraft], Awaitable[str]]
+    name: str,
+    options: FleetOptions,
+    left: Left,
+    do: Callable[[MissionOrders, FleetAircraft], Awaitable[str]],
 ) -> int:
     async def run() -> int:
         fence, token = borrowed(options.site, name)
@@ -176,7 +191,8 @@ def _ordering(
             async def ask(message: Message) -> Reply:
                 return await asker.ask(message, fence=fence, token=token)
 
-            told = await do(MissionOrders(name, ask), aircraft)
+            with told_when_interrupted(name, left):
+                told = await do(MissionOrders(name, ask), aircraft)
         if options.json_output:
             print_json({"name": name, "outcome": "ok", "told": told})
         else:
@@ -204,7 +220,7 @@ def upload(
         digest = await orders.upload(found)
         return f"{len(found.waypoints)} waypoints are on board: {digest[:16]}"
 
-    return _ordering(name, options, do)
+    return _ordering(name, options, _UPLOAD, do)
 
 
 @app.command
@@ -227,7 +243,7 @@ def start(name: str, /, *, take_off: TakeOff = False, options: FleetOptions = NO
         await orders.start(card.digest, take_off=take_off)
         return f"the mission of {card.points} waypoints flies"
 
-    return _ordering(name, options, do)
+    return _ordering(name, options, _START, do)
 
 
 @app.command
@@ -243,7 +259,7 @@ def pause(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
         await orders.pause()
         return "paused"
 
-    return _ordering(name, options, do)
+    return _ordering(name, options, _PAUSE, do)
 
 
 @app.command
@@ -259,7 +275,7 @@ def resume(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
         await orders.resume()
         return "it goes on"
 
-    return _ordering(name, options, do)
+    return _ordering(name, options, _RESUME, do)
 
 
 # -- for everybody --------------------------------------------------------------------------------
@@ -276,7 +292,8 @@ def stop(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
     async def run() -> int:
         async with options.open() as fleet:
-            await fleet[name].stop()
+            with told_when_interrupted(name, _STOP):
+                await fleet[name].stop()
         if options.json_output:
             print_json({"name": name, "outcome": "ok"})
         else:

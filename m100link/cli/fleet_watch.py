@@ -195,5 +195,7 @@ def lease(
                 out.print(f"{name}: lease {control.fence}, until Ctrl-C", markup=False)
             with shared(options.site, name, control.proof):
                 await ended.wait()
+                if not options.json_output:
+                    err.print(f"{name}: control goes back: it hovers", markup=False)
 
     return run_async(run())

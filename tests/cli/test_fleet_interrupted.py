@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import signal
 import socket
@@ -13,9 +14,13 @@ import anyio
 import anyio.to_thread
 import pytest
 
+from m100link.bus.network import Question
+from m100link.cli.fleet_left import Left, told_when_interrupted
 from m100link.fleet.client import Fleet, connect
+from m100link.fleet.keys import DEFAULT_SITE, Keys
 from m100link.fleet.payloads import Card
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from tests.cli.terminal import Terminal, terminal
 from tests.cli.test_fleet import Site, site
 from tests.waiting import PATIENCE
 
@@ -81,6 +86,87 @@ async def test_ctrl_c_leaves_a_hover_and_does_not_break_off_a_landing(site: Site
         await until(watcher, lambda card: card.task == "land")
         await interrupted(landing)
         await until(watcher, lambda card: card.phase == "standby" and not card.holder)
+
+
+CTRL_C = "\x03"
+
+
+def ended(screen: Terminal) -> str:
+    """What a person is told who presses Ctrl-C."""
+    screen.type(CTRL_C)
+    assert screen.end() == _INTERRUPTED, screen.shown
+    return " ".join(screen.shown.split())
+
+
+@pytest.mark.anyio
+async def test_what_goes_on_on_board_is_told_and_ends_as_it_is_told(site: Site) -> None:
+    site.start("agent", "sim://", "--name", "a1")
+    async with connect(site.place, name="watcher") as watcher:
+        await until(watcher, lambda card: card.connection == "connected")
+        with terminal("fleet", "takeoff", "--all", environment=site.environment) as screen:
+            await until(watcher, lambda card: (card.height_m or 0.0) > 0.2)
+            told = await anyio.to_thread.run_sync(ended, screen)
+        assert "a1 unknown interrupted: control goes back" in told
+        assert "what has left the ground hovers" in told
+        assert "m100link fleet land a1" in told
+        await until(watcher, lambda card: not card.holder and not card.task)
+        before = await until(watcher, lambda card: (card.height_m or 0.0) > 0.5)
+        await anyio.sleep(2.0)
+        after = await until(watcher, bool)
+        assert before.height_m is not None
+        assert after.height_m == pytest.approx(before.height_m, abs=1.0), "it hovers"
+
+        latitude, longitude = place(after)
+        async with watcher["a1"].control() as control:
+            await control.fly_to(latitude_deg=latitude, longitude_deg=longitude, height=20.0)
+        with terminal("fleet", "land", "a1", environment=site.environment) as screen:
+            await until(watcher, lambda card: card.task == "land")
+            told = await anyio.to_thread.run_sync(ended, screen)
+        assert "a1 unknown interrupted: a landing that it has heard of goes on" in told
+        assert "m100link fleet stop a1 ends it: it hovers" in told
+        low = await until(watcher, lambda card: (card.height_m or 0.0) < 17.0)
+        assert low.task == "land", "it goes on"
+        assert await anyio.to_thread.run_sync(site.ask, "stop", "a1") == (
+            0,
+            [{"name": "a1", "outcome": "ok"}],
+        )
+        await until(watcher, lambda card: not card.task and not card.holder)
+        before = await until(watcher, bool)
+        await anyio.sleep(2.0)
+        after = await until(watcher, bool)
+        assert (after.height_m or 0.0) > 1.0
+        assert after.height_m == pytest.approx(before.height_m, abs=0.5), "it hovers"
+
+
+@pytest.mark.anyio
+async def test_a_stop_that_nobody_answers_is_unknown_and_told_as_that(site: Site) -> None:
+    keys = Keys(DEFAULT_SITE, "a1")
+    asked: list[Question] = []  # kept: one that is thrown away is answered by nobody, at once
+    async with connect(site.place, name="one that hangs") as there:
+        held = there.bus.declare(keys.live), there.bus.serve(keys.command, asked.append)
+        with terminal("fleet", "stop", "a1", "nobody", environment=site.environment) as screen:
+            with anyio.fail_after(PATIENCE):
+                while not asked:  # noqa: ASYNC110 - the network sets no event
+                    await anyio.sleep(0.05)
+            told = await anyio.to_thread.run_sync(ended, screen)
+        for one in held:
+            one.close()
+    assert "a1 unknown interrupted: it stops if it has heard of it" in told
+    assert "m100link fleet stop a1 again" in told
+
+
+@pytest.mark.anyio
+async def test_what_is_told_of_one_order_is_told_only_when_it_is_interrupted(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    left = Left("it may fly", "m100link fleet stop {name} ends it")
+    with told_when_interrupted("a1", left):
+        pass
+    assert capfd.readouterr().err == ""
+    with pytest.raises(asyncio.CancelledError), told_when_interrupted("a1", left):
+        raise asyncio.CancelledError
+    told = capfd.readouterr().err
+    assert told == "a1: interrupted: it may fly\nm100link fleet stop a1 ends it\n"
 
 
 def simulated(site: Site, path: Path, order: str) -> str:
