@@ -18,6 +18,7 @@ from typing import Any
 from m100link.agent.codec import MAX_BYTES, BadValue, Fields
 from m100link.agent.fault import MessageError
 from m100link.agent.messages import Message, Steer, Telemetry
+from m100link.agent.possible import require_possible
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -155,6 +156,7 @@ def _from_json(data: bytes) -> Message:
         raise MessageError("not a message: it names no kind that this version knows")
     try:
         message: Message = _FIELDS[kind].read(value)
+        require_possible(message)
     except BadValue as error:
         raise MessageError(f"not a message: {kind.__name__}: {error}") from None
     return message

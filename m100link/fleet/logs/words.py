@@ -42,6 +42,8 @@ MOST_ENTRIES = 1000
 """Logs that a list names at most, the newest."""
 
 _MOST_HEAD = 32 * 1024
+_LAST_UTC = 253_402_300_799.0
+"""End of the year 9999: no date can be said of what is later."""
 
 
 class What(Enum):
@@ -182,7 +184,11 @@ def unpack_entries(data: bytes) -> list[LogEntry]:
         entries = [_ENTRY.read(one) for one in found]
     except BadValue as error:
         raise MessageError(f"not a list of logs: {error}") from None
-    return [one for one in entries if is_log_name(one.log) and one.size >= 0]
+    return [
+        one
+        for one in entries
+        if is_log_name(one.log) and one.size >= 0 and 0.0 <= one.at <= _LAST_UTC
+    ]
 
 
 def _json(data: bytes, what: str) -> object:

@@ -65,6 +65,12 @@ def test_a_name_that_no_recorder_gives_is_no_log(name: str) -> None:
     assert unpack_entries(pack_entries([LogEntry(name, 3, 0.0, False)])) == []
 
 
+@pytest.mark.parametrize("at", [-1.0, 1e12, 1e300])
+def test_a_log_of_no_time_is_not_listed(at: float) -> None:
+    """Whoever shows a list says dates."""
+    assert unpack_entries(pack_entries([LogEntry(NAME, 3, at, False)])) == []
+
+
 @pytest.mark.parametrize(("offset", "length"), [(-1, 5), (0, -1), (0, MOST_PIECE + 1)])
 def test_no_more_than_a_piece_can_be_asked_for(offset: int, length: int) -> None:
     with pytest.raises(MessageError, match="no part of a log"):
