@@ -53,3 +53,15 @@ def test_a_class_that_is_not_known_becomes_the_base_that_is() -> None:
 
     assert type(carried(OfAPlugin("no", command="x"))) is AuthorityRefused
     assert type(Fault("FromTheFuture", "seen").error()) is M100Error
+
+
+def test_details_of_a_stranger_leave_an_error_what_it_is() -> None:
+    """Whoever shows it reads its words, and the attributes of its class."""
+    told = {"seen": 5, "remedy": None, "error_code": 7, "args": 1, "manual": "x", "guard": "gps"}
+    error = Fault("GuardRefused", "seen", "cause", "remedy", told).error()
+    assert isinstance(error, GuardRefused)
+    assert str(error) == str(GuardRefused("seen", cause="cause", remedy="remedy"))
+    assert (error.error_code, error.guard) == ("M100-GUARD-REFUSED", "gps")
+    plain = Fault("GuardRefused", "seen").error()
+    assert isinstance(plain, GuardRefused)
+    assert (plain.guard, plain.measured, plain.limit) == ("", None, None)
