@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from m100link.protocol.records import (
     AngularVelocity,
@@ -34,6 +35,9 @@ __all__ = [
     "read",
     "seen_from_afar",
 ]
+
+
+R = TypeVar("R", bound=tuple[Any, ...])
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +102,11 @@ def _place(degrees: float) -> Text:
     return say("instruments.degrees", value=f"{degrees:.6f}")
 
 
+def _is_number(record: tuple[Any, ...]) -> bool:
+    """Whether there is none of NaN and infinity in it: those are no values, however new."""
+    return all(math.isfinite(one) for one in record if isinstance(one, float))
+
+
 def _gimbal(gimbal: Gimbal) -> Text:
     roll, pitch, yaw = map(round, (gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg))
     return say("instruments.gimbal_angles", roll=roll, pitch=pitch, yaw=yaw)
@@ -128,6 +137,8 @@ def read(field: Field, telemetry: AircraftState | None) -> Reading:
     if telemetry is None or record is None:
         never = None if telemetry is None else say("instruments.never")
         return Reading(say("instruments.nothing"), is_stale=True, note=never)
+    if not _is_number(record):
+        return Reading(say("instruments.nothing"), is_stale=True)
     age = telemetry.age(field.record) or 0.0
     if age <= field.stale_after:
         return Reading(field.text(record), is_stale=False)
@@ -147,10 +158,16 @@ class Instruments:
     attitude: tuple[float, float, float] | None
 
 
+def _fresh(telemetry: AircraftState, record: type[R]) -> R | None:
+    """A record of the last second whose values are numbers."""
+    found = telemetry.fresh(record, within=1.0)
+    return found if found is not None and _is_number(found) else None
+
+
 def instruments_of(inputs: Inputs) -> Instruments:
     """The instruments as they are now; what an agent told that is not heard any more is old."""
     telemetry = inputs.telemetry
-    attitude = telemetry.fresh(Attitude, within=1.0) if telemetry is not None else None
+    attitude = _fresh(telemetry, Attitude) if telemetry is not None else None
     return Instruments(
         {field.name: read(field, telemetry) for field in FIELDS},
         (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg) if attitude is not None else None,
@@ -165,10 +182,8 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     age = state.newest_age
     if age is not None:
         message["age"] = round(age, 3)
-    attitude = state.fresh(Attitude, within=1.0)
-    position = state.fresh(Position, within=1.0)
-    velocity = state.fresh(Velocity, within=1.0)
-    rates = state.fresh(AngularVelocity, within=1.0)
+    attitude, position = _fresh(state, Attitude), _fresh(state, Position)
+    velocity, rates = _fresh(state, Velocity), _fresh(state, AngularVelocity)
     rc = state.fresh(RemoteControl, within=1.0)
     status = state.fresh(FlightStatus, within=2.0)
     if status is not None and status.phase is FlightPhase.STANDBY:
