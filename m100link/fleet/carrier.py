@@ -94,6 +94,7 @@ class FleetChannel:
     Attributes:
         unread: Messages that this version cannot read.
         old: Messages that were too long on their way to say anything.
+        untaken: Messages that this side failed over; the first is in the log.
     """
 
     def __init__(self, bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> None:
@@ -121,7 +122,7 @@ class FleetChannel:
         self._unflown: Fault | None = None
         self._asks = 0
         self._answered_at = self._clock()
-        self.unread = self.old = 0
+        self.unread = self.old = self.untaken = 0
         self._sending: dict[type[Any], Callable[[Any], None]] = {
             LeaseAsk: self._send_lease_ask,
             Ask: self._send_ask,
@@ -232,7 +233,13 @@ class FleetChannel:
     def _read(self, payload: bytes) -> Message | None:
         try:
             return unpack_message(payload)
-        except MessageError:
+        except MessageError as error:
+            if not self.unread:
+                _logger.warning(
+                    "what is told of %s cannot be read (more of it is counted): %s",
+                    self._keys.name,
+                    error.seen,
+                )
             self.unread += 1
             return None
 
@@ -280,8 +287,11 @@ class FleetChannel:
         try:
             self._on_message(message)
         except Exception:
-            # As with a socket: what goes wrong at one end does not happen to the other.
-            _logger.exception("a %s was not taken", type(message).__name__)
+            # As with a socket: what goes wrong at one end does not happen to the other. Whoever
+            # tells it again and again would fill a disk.
+            if not self.untaken:
+                _logger.exception("a %s was not taken", type(message).__name__)
+            self.untaken += 1
 
     # -- what goes out ---------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ import pytest
 from m100link.agent.client import AgentClient
 from m100link.agent.guided import FlyTo
 from m100link.agent.lease import Lease, LeaseHeld
-from m100link.agent.messages import LeaseChanged, Topic
+from m100link.agent.messages import LeaseChanged, State, Topic
 from m100link.errors import LinkError, M100Error, StaleLease
 from m100link.fleet.client import Fleet
 from m100link.fleet.keys import Keys
@@ -285,3 +285,41 @@ async def test_a_way_that_is_closed_listens_no_more(rig: Rig) -> None:
     channel.close()
     channel.watch(full=True)
     assert not rig.network.takers("subscribe", Keys(SITE, "a1").telemetry)
+
+
+async def test_what_cannot_be_costs_itself_alone_and_is_told_once(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    await rig.served("a1")
+    channel = await (await rig.pilot()).reach("a1")
+    async with AgentClient(channel, "console") as far:
+        await rig.until(lambda: far.is_connected)
+        told = rig.network.session().publish(Keys(SITE, "a1").told)
+        for _ in range(20):
+            told.put(pack(State(far.now, "cheerful", activation_code=-1)))
+            told.put(b"\x01{")
+        await rig.until(lambda: channel.unread == 40)
+        assert len([one for one in caplog.records if "cannot be read" in one.message]) == 1
+        at = far.state.at
+        await rig.until(lambda: far.state.at > at)
+        assert far.is_connected
+
+
+async def test_what_this_side_fails_over_is_told_once(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    await rig.served("a1")
+    channel = await (await rig.pilot()).reach("a1")
+    async with AgentClient(channel, "console") as far:
+        await rig.until(lambda: far.is_connected)
+
+        def fail(change: LeaseChanged) -> None:
+            raise ValueError("a mistake of this side")
+
+        far.on_lease.append(fail)
+        told = rig.network.session().publish(Keys(SITE, "a1").told)
+        for number in range(10, 20):
+            told.put(pack(LeaseChanged(number, "x")))
+        await rig.until(lambda: channel.untaken >= 10)
+        assert len([one for one in caplog.records if "was not taken" in one.message]) == 1
+        assert far.is_connected
