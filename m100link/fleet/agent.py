@@ -8,6 +8,7 @@ and log are the agent's, so that a network that is lost costs a hover.
 from __future__ import annotations
 
 import asyncio
+import math
 import re
 import time
 import uuid
@@ -112,7 +113,8 @@ class FleetAgent:
         self.namesakes = Namesakes(keys.name, self.boot)
         self._has_namesake = False
         self.dropped: Counter[Dropped] = Counter()
-        self._book = OrderBook(ledger.begun)
+        unsure_before = client.now if ledger.damaged else -math.inf
+        self._book = OrderBook(ledger.begun, unsure_before=unsure_before)
         self._ages = OrderAges()
         self._orders = Orders(client, ledger, revoked)
         self._aloft = Aloft(client, ledger)
@@ -151,6 +153,7 @@ class FleetAgent:
             self.client.on_sample.append(self._on_sample)
             for token in (keys.live, keys.live_beside):
                 hold(bus.declare(token))
+            self._tell_damage()
             self._lost.inherit(self._ledger.aloft)
             try:
                 async with asyncio.TaskGroup() as group:
@@ -173,6 +176,14 @@ class FleetAgent:
             self._ages.revoke(self.client.now)
             self.client.note(f"{who} is revoked: this aircraft hovers", "error")
             self.client.background.spawn(self.client.stop(), "stop of who is revoked")
+
+    def _tell_damage(self) -> None:
+        if self._ledger.damaged:
+            self.client.note(
+                f"{self._ledger.damaged} words of the ledger cannot be read: orders of before are "
+                "told as unknown and not carried out, and nobody is landed for who flew then",
+                "error",
+            )
 
     async def require_alone(self) -> None:
         """Look whether the name is free; one whose agent was killed is seen for a while yet.
@@ -326,7 +337,7 @@ class FleetAgent:
         message = decode(order.message)
         if moves(message):
             self.namesakes.require_none(self.client.now)
-        if self._book.was_begun_before(order.id):
+        if self._may_have_begun(order, message):
             pass  # whatever it comes under now, it may have been done
         elif is_kept(message):
             # Looked at before a stranger's words are worth a disk's time.
@@ -343,11 +354,16 @@ class FleetAgent:
         self._ended[order.id] = asyncio.Event()
         self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
 
+    def _may_have_begun(self, order: Order, message: Message) -> bool:
+        """Whether an agent before began it, or may have where its ledger is damaged."""
+        is_of_before = order.fence and is_kept(message) and self._book.is_unsure(order.clock)
+        return bool(is_of_before) or self._book.was_begun_before(order.id)
+
     async def _carry_out(self, order: Order, message: Message) -> None:
         failed = OutcomeUnknown("the agent failed while it did this", remedy="see its log")
         reply = self._reply(order.id, failed)
         try:
-            if self._book.was_begun_before(order.id):
+            if self._may_have_begun(order, message):
                 reply = self._reply(order.id, _begun_before())
                 return
             if is_kept(message):
@@ -442,7 +458,7 @@ class FleetAgent:
 
 def _begun_before() -> OutcomeUnknown:
     return OutcomeUnknown(
-        "the agent was started anew after it had begun this",
+        "the agent was started anew after it had begun this, or may have",
         cause="it was killed, or its computer was",
         remedy="look at the aircraft: it may or may not have been done",
     )

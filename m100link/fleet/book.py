@@ -5,6 +5,7 @@ An order that comes twice is carried out once: the second one is answered from h
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from m100link.fleet.payloads import Reply
@@ -22,10 +23,12 @@ class OrderBook:
 
     Args:
         before: Ids that an agent of this name begun; what became of them nobody knows.
+        unsure_before: Some of them are lost: what was made before that time may be one, s.
     """
 
-    def __init__(self, before: Iterable[str] = ()) -> None:
+    def __init__(self, before: Iterable[str] = (), *, unsure_before: float = -math.inf) -> None:
         self._before = frozenset(before)
+        self._unsure_before = unsure_before
         self._running: set[str] = set()
         # What became of the others and when, in the order in which they ended.
         self._ended: dict[str, tuple[float, Reply]] = {}
@@ -37,6 +40,10 @@ class OrderBook:
     def was_begun_before(self, identity: str) -> bool:
         """Whether an agent before began it."""
         return identity in self._before
+
+    def is_unsure(self, made_at: float) -> bool:
+        """Whether an agent before may have begun what was made then, and its word of it is lost."""
+        return made_at < self._unsure_before
 
     def begin(self, identity: str, now: float) -> None:
         """It is heard for the first time. Those that ended long ago are forgotten."""

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from m100link.errors import UsageError
 from m100link.fleet.book import KEPT_S
@@ -61,11 +61,14 @@ class Ledger(Protocol):
         begun: Orders that were begun lately, and when, s since the computer was started.
         leases_before: The greatest number that a lease may have had.
         aloft: How the agent before ended, if somebody flew then.
+        damaged: Words that were on the disk and cannot be read any more: each may be an order that
+            was begun, the number of a lease, or who flew.
     """
 
     begun: dict[str, float]
     leases_before: int
     aloft: LeftAloft | None
+    damaged: int
 
     async def begin(self, identity: str) -> None:
         """Keep that an order begins; done when it is kept.
@@ -111,6 +114,7 @@ class MemoryLedger:
     def __init__(self, before: MemoryLedger | None = None) -> None:
         self.begun: dict[str, float] = {} if before is None else before.begun
         self.leases_before: int = 0 if before is None else before.leases_before + FENCES_AT_ONCE
+        self.damaged = 0
         self.flown_under: int = 0 if before is None else before.flown_under
         self.aloft: LeftAloft | None = None
         if self.flown_under:
@@ -150,6 +154,8 @@ class FileLedger:
         self._utc, self._up = utc, up
         # The line that says who flies, as it was written.
         self._flown: dict[str, object] = {}
+        self._is_sure_who_flew = True
+        self.damaged = 0
         self.aloft: LeftAloft | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -182,22 +188,24 @@ class FileLedger:
         fence = 0
         boot, now = self._up()
         try:
-            lines = self._path.read_text("ascii", "replace").splitlines()
+            text = self._path.read_text("ascii", "replace")
         except FileNotFoundError:
             return begun, fence
-        for line in lines:
-            try:
-                kept = json.loads(line)
-            except (ValueError, RecursionError):
-                continue  # cut off by the loss of power as it was written: it had not begun
-            if isinstance(kept, dict) and _is_fence(kept.get("flies")):
-                self._flown = kept
-            elif isinstance(kept, dict) and _is_fence(kept.get("fence")):
+        # What has no end was cut off by the loss of power as it was written: it had not begun.
+        for line in text.split("\n")[:-1]:
+            kept = _word(line)
+            if _is_fence(kept.get("flies")):
+                self._flown, self._is_sure_who_flew = kept, True
+            elif _is_fence(kept.get("fence")):
                 fence = max(fence, kept["fence"])
-            elif isinstance(kept, dict) and isinstance(kept.get("id"), str):
+            elif isinstance(kept.get("id"), str):
                 at = _up_of(kept, boot)
                 begun[kept["id"]] = now if at is None else at
-        return begun, fence
+            else:
+                self.damaged += 1
+                self._is_sure_who_flew = False
+        # It rises by a thousand with each start, and so stays behind the calendar.
+        return begun, max(fence, int(self._utc())) if self.damaged else fence
 
     def _left_aloft(self) -> LeftAloft | None:
         kept = self._flown
@@ -206,6 +214,8 @@ class FileLedger:
             return None
         boot, seconds = self._up()
         up = _up_of(kept, boot)
+        if not self._is_sure_who_flew:
+            return LeftAloft(fence, None)  # a later word is lost: nobody is landed for this one
         if up is not None:
             ago = seconds - up
         elif isinstance(at, int | float):
@@ -297,6 +307,15 @@ class FileLedger:
 def _is_fence(value: object) -> bool:
     """Whether it can be the number of a lease: one that no message carries is from a bad disk."""
     return type(value) is int and 0 <= value < _MOST_FENCE
+
+
+def _word(line: str) -> dict[str, Any]:
+    """What a line says; nothing when it was damaged."""
+    try:
+        kept = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return kept if isinstance(kept, dict) else {}
 
 
 def _begun(identity: str, boot: str, up: float) -> str:

@@ -151,6 +151,31 @@ async def test_after_a_restart_what_had_begun_is_unknown_and_not_done_again(rig:
     assert unpack(Reply, answer.payload).outcome is Outcome.UNKNOWN
 
 
+async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_and_not_done(
+    rig: Rig,
+) -> None:
+    """Each of them may be one of those that were begun."""
+    before = order(Ask(0, Action.TAKE_OFF), 7, "of the agent before")
+    await anyio.sleep(1.0)
+    damaged = MemoryLedger()
+    damaged.damaged = 2
+    one = await rig.aircraft("a1", virtual=with_camera(), ledger=damaged)
+    assert [e.text[:34] for e in one.client.events if "ledger" in e.text] == [
+        "2 words of the ledger cannot be re"
+    ]
+    [answer] = await rig.network.session().ask(KEYS.status(before.id), timeout=1.0)
+    assert unpack(Reply, answer.payload).progress is Progress.NEVER, "it may be sent again"
+    assert (await send(rig, before)).outcome is Outcome.UNKNOWN
+    await one.agent.activate()
+    got = await lease(rig)
+    photo = order(Ask(0, Action.TAKE_PHOTO), got.number, got.token)
+    assert (await send(rig, photo)).outcome is Outcome.OK, "it was made after"
+    old = replace(photo, id=uuid.uuid4().hex, clock=before.clock).under(got.token)
+    assert (await send(rig, old)).outcome is Outcome.UNKNOWN
+    assert one.aircraft.vehicle.camera.photos == 1
+    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+
+
 async def test_what_the_owner_of_the_aircraft_takes_with_it_is_unknown(rig: Rig) -> None:
     """Not refused: the take-off had begun, and the aircraft goes on with it."""
     one = await rig.aircraft("a1")

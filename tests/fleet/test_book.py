@@ -41,6 +41,13 @@ def test_what_an_agent_before_began_is_known_as_that() -> None:
     assert not book.was_begun_before("b")
 
 
+def test_what_was_made_before_words_were_lost_may_have_been_begun() -> None:
+    book = OrderBook(["a"], unsure_before=10.0)
+    assert book.is_unsure(9.9)
+    assert not book.is_unsure(10.0)
+    assert not OrderBook(["a"]).is_unsure(-1e9)
+
+
 def test_it_does_not_grow_without_end() -> None:
     book = OrderBook()
     for number in range(50_000):

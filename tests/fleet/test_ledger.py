@@ -97,7 +97,11 @@ async def test_a_line_that_was_cut_off_is_no_order_and_harms_none(tmp_path: Path
         path.write_bytes(path.read_bytes() + damage)
         again = FileLedger(path, lambda: 1.0)
         assert "one" in again.begun
+        assert again.damaged == damage.endswith(b"\n"), "what has no end was never kept"
         again.close()
+    again = FileLedger(path, lambda: 1.0)
+    assert again.damaged == 0, "it was told once"
+    again.close()
 
 
 async def test_a_fence_is_never_granted_again(tmp_path: Path) -> None:
@@ -185,4 +189,33 @@ async def test_what_a_bad_disk_made_of_a_line_costs_that_line(tmp_path: Path, da
     after = opened(path, 1000.0, "boot", 51.0)
     assert after.begun == {"one": 50.0}
     assert after.leases_before == FENCES_AT_ONCE
+    assert after.damaged == 1
     after.close()
+
+
+async def test_where_words_are_lost_leases_begin_above_all_that_may_have_been(
+    tmp_path: Path,
+) -> None:
+    path, utc = tmp_path / "a1.jsonl", 1_800_000_000.0
+    path.write_text('{"fence": 3000}\n{"fence": 40\x00\x00}\n')
+    ledger = opened(path, utc, "boot", 50.0)
+    assert ledger.leases_before == 1_800_000_000
+    ledger.close()
+    again = opened(path, utc - 1e9, "boot", 51.0)  # the calendar was set back
+    assert again.leases_before >= 1_800_000_000 + FENCES_AT_ONCE
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "ago_s"), [(("flies", "\x00"), None), (("\x00", "flies"), 1.0), (("flies",), 1.0)]
+)
+async def test_who_flew_is_not_believed_where_a_later_word_is_lost(
+    tmp_path: Path, words: tuple[str, ...], ago_s: float | None
+) -> None:
+    """It may say that nobody flew any more, and somebody with a remote control does."""
+    flies = '{"flies": 17, "at": 1000.0, "boot": "boot", "up": 50.0}'
+    path = tmp_path / "a1.jsonl"
+    path.write_text("".join(f"{flies if word == 'flies' else word}\n" for word in words))
+    ledger = opened(path, 1001.0, "boot", 51.0)
+    assert ledger.aloft == LeftAloft(17, ago_s)
+    ledger.close()
