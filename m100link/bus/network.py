@@ -112,6 +112,10 @@ class Outlet(Held, Protocol):
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         """Send one; never waits, and what the network does not take is lost."""
 
+    def put_later(self, make: Callable[[], bytes]) -> None:
+        """Send what this makes when it goes: at once, where it does not wait for others."""
+        self.put(make())
+
     def is_wanted(self) -> bool:
         """Whether anybody is known to listen; what is kept is wanted by who comes late."""
         ...

@@ -208,22 +208,26 @@ class FleetAgent:
     def _on_sample(self, sample: Sample) -> None:
         is_for_wall = self._thinner.goes_on(sample.flags, sample.received_at)
         is_watched = self._full.is_wanted()
-        if not (is_for_wall or is_watched):
-            return
-        payload = pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
         if is_for_wall:
-            self._wall.put(payload)
+            self._wall.put_later(partial(_package, sample))
         if is_watched:
-            self._full.put(payload)
+            self._full.put(_package(sample))
 
     async def _tell_state(self) -> None:
-        # At a moment of its own: of hundreds in one, begun together, some would be lost.
-        pause = _CARD_S * zlib.crc32(self._keys.name.encode()) / 2**32
+        # Of hundreds that were begun together and told of at one moment, some would be lost. So
+        # each has one of twenty moments, and shares it: to wake for each would cost as much again.
+        moments = round(_CARD_S / WALL_WITHIN_S)
+        own = zlib.crc32(self._keys.name.encode()) % moments * WALL_WITHIN_S
+        clock = asyncio.get_running_loop().time
+        due = clock() + (own - clock()) % _CARD_S
         while True:
-            self._state.put(pack(self.card()))
+            self._state.put_later(self._packed_card)
             self._look_for_namesakes()
-            await asyncio.sleep(pause)
-            pause = _CARD_S
+            await asyncio.sleep(max(0.0, due - clock()))
+            due += _CARD_S * (1 + max(0.0, clock() - due) // _CARD_S)
+
+    def _packed_card(self) -> bytes:
+        return pack(self.card())
 
     def _on_own_state(self, key: str, payload: bytes) -> None:
         try:
@@ -454,6 +458,10 @@ class FleetAgent:
     def _steer_refused(self, fence: int, error: M100Error) -> None:
         """Whoever steers hears of it as its lease is renewed, twice a second."""
         self._orders.refused = error
+
+
+def _package(sample: Sample) -> bytes:
+    return pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
 
 
 def _begun_before() -> OutcomeUnknown:

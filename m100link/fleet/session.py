@@ -58,6 +58,8 @@ def open_fleet(
         "scouting/gossip/enabled": "false",
         "transport/link/tx/lease": str(LEASE_MS),
         "transport/link/rx/max_message_size": str(LARGEST),
+        # Of what goes in one moment while others use the processor, two would drop the rest.
+        "transport/link/tx/queue/size/data": "8",
     }
     given = ours | dict(options or {})
     return open_session(

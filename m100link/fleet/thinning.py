@@ -10,7 +10,7 @@ __all__ = ["WALL_HZ", "WALL_WITHIN_S", "Thinner"]
 WALL_HZ = 5.0
 """Times a second that a wall is told of each item."""
 
-WALL_WITHIN_S = 0.02
+WALL_WITHIN_S = 0.05
 """Seconds that what is told to a wall may wait for others to go, or to be taken, with it."""
 
 _BITS = 16  # of the word that says which items are in a package

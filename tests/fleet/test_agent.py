@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import anyio
 import pytest
@@ -122,6 +123,26 @@ async def test_state_is_told_and_answered_and_events_are_told(rig: Rig) -> None:
     await anyio.sleep(0.1)
     assert isinstance(events[-1], Event)
     assert events[-1].text == "something happened"
+
+
+async def test_each_tells_where_it_stands_once_a_second_at_one_of_twenty_moments(rig: Rig) -> None:
+    names = [f"a{number}" for number in range(6)]
+    for name in names:
+        await rig.aircraft(name)
+    told: dict[str, list[float]] = {name: [] for name in names}
+
+    def hear(key: str, payload: bytes) -> None:
+        card: Card = unpack(Card, payload)
+        told[card.name].append(anyio.current_time())
+
+    rig.network.session().subscribe(Keys(SITE).state, hear)
+    await anyio.sleep(20.0)
+    for times in told.values():
+        gaps = [later - earlier for earlier, later in pairwise(times[1:])]
+        assert len(gaps) >= 17
+        assert gaps == pytest.approx([1.0] * len(gaps), abs=0.002)
+    moments = {round(times[-1] % 1.0, 2) for times in told.values()}
+    assert len(moments) >= 4
 
 
 async def test_an_order_that_comes_twice_is_carried_out_once(rig: Rig) -> None:
