@@ -295,7 +295,6 @@ TESTED_ELSEWHERE = {
         "station/console/view/test_view.py",
         "what a view is made of",
     ),
-    "station/child.py": ("station/test_apart.py", "a process is seen in what it starts"),
     "station/console/installable.py": ("browser/test_console.py", "a browser decides"),
     "station/front.py": ("station/test_apart.py", "a process of its own"),
     "station/fronts.py": ("station/test_apart.py", "it starts and ends processes"),

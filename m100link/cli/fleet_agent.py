@@ -31,6 +31,7 @@ from m100link.fleet.revoked import nobody
 from m100link.fleet.rights import Rights
 from m100link.fleet.session import open_fleet
 from m100link.fleet.signing import tls_options, verifying
+from m100link.station.child import leave_what_stays
 from m100link.station.config import ENVIRONMENT, ONLY_NAME, Settings
 from m100link.station.fleet import (
     FleetSettings,
@@ -208,6 +209,7 @@ async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOp
             else:
                 names = ", ".join(agents)
                 out.print(f"fleet:     {fleet.site}: {names}", markup=False, soft_wrap=True)
+            leave_what_stays()
             await ended.wait()
             teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
     return ExitCode.OK

@@ -150,6 +150,7 @@ async def _serve(
     keys: Keys | None,
 ) -> int:
     from m100link.agent.journal import JOURNAL_LOG
+    from m100link.station.child import leave_what_stays
 
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -172,6 +173,7 @@ async def _serve(
         async with _running(aircraft, options, served, tell) as (station, front):
             announce = partial(_announce, aircraft, station, as_json=options.json_output)
             announce()
+            leave_what_stays()
             settings = next(iter(aircraft.values()))
             warn_of(settings)
             if front is not None:

@@ -8,6 +8,7 @@ one that started it lives.
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import os
 import signal
@@ -28,6 +29,7 @@ __all__ = [
     "Child",
     "answer",
     "end_with_parent",
+    "leave_what_stays",
     "logging_as_told",
 ]
 
@@ -185,6 +187,16 @@ def logging_as_told(request: dict[str, Any]) -> AbstractContextManager[None]:
     """Log while the block runs, as the parent does."""
     log = request["log"]
     return writing_log(None if log is None else LogOutput(**log))
+
+
+def leave_what_stays() -> None:
+    """Let the collector of garbage leave alone, from now on, what there is now.
+
+    To walk through all that was loaded takes it 65 ms where one aircraft is flown and a third of a
+    second where hundreds are, and nothing flies meanwhile.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def end_with_parent(ended: asyncio.Event) -> None:

@@ -21,7 +21,7 @@ from m100link.agent.fault import Fault
 from m100link.agent.journal import JOURNAL_LOG
 from m100link.errors import M100Error
 from m100link.sim.orders.ctl import CtlServer
-from m100link.station.child import answer, end_with_parent, logging_as_told
+from m100link.station.child import answer, end_with_parent, leave_what_stays, logging_as_told
 from m100link.station.config import resolve
 from m100link.station.log_output import log_of, tell_elsewhere
 from m100link.station.run import owning
@@ -55,6 +55,7 @@ async def _own(request: dict[str, Any]) -> None:
             stack.push_async_callback(orders.stop)
         # First of all: the fronts are told, and whoever flies is let go.
         stack.callback(owner.service.close)
+        leave_what_stays()
         answer(is_virtual=owner.virtual is not None)
         await ended.wait()
 

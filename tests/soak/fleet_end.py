@@ -31,6 +31,7 @@ from m100link.fleet.session import open_fleet
 from m100link.fleet.telemetry import FleetTelemetry
 from m100link.fleet.thinning import WALL_HZ, Thinner
 from m100link.sim import VirtualClockEventLoop
+from m100link.station.child import leave_what_stays
 from m100link.station.config import Settings
 from m100link.station.run import owning
 from m100link.testing import ConnectableAircraft
@@ -47,11 +48,16 @@ _SLICE_S = 0.005
 @dataclass(slots=True)
 class _CountedOutlet(Outlet):
     outlet: Outlet
-    count: Callable[[], None]
+    sent: Counter[str]
+    kind: str
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        self.count()
+        self.sent[self.kind] += 1
         self.outlet.put(payload, attachment)
+
+    def put_later(self, make: Callable[[], bytes]) -> None:
+        self.sent[self.kind] += 1
+        self.outlet.put_later(make)
 
     def is_wanted(self) -> bool:
         return self.outlet.is_wanted()
@@ -76,12 +82,8 @@ class _CountedBus:
         self.heard: Counter[str] = Counter()
 
     def publish(self, key: str, *, within: float = 0.0) -> Outlet:
-        kind = key.rpartition("/")[2]
-
-        def count() -> None:
-            self.sent[kind] += 1
-
-        return _CountedOutlet(self._bus.publish(key, within=within), count)
+        outlet = self._bus.publish(key, within=within)
+        return _CountedOutlet(outlet, self.sent, key.rpartition("/")[2])
 
     def subscribe(
         self,
@@ -220,6 +222,7 @@ async def agents(place: str, names: list[str], *, flying: bool) -> None:
                 for name, client in made.clients.items()
             ]
             seconds = await _asked("together")
+            leave_what_stays()
             before, cpu = Counter(bus.sent), time.process_time()
             await made.tell(seconds)
             cpu = time.process_time() - cpu
@@ -240,6 +243,7 @@ async def watch(place: str, count: int) -> None:
             await asyncio.sleep(0.1)
         _line(ready=len(fleet.present))
         await _asked("together")
+        leave_what_stays()
         before, walls, cpu = Counter(bus.heard), Counter(wall.received), time.process_time()
         await _asked("end")
         _line(
