@@ -7,6 +7,7 @@ second of each aircraft, fifty of one. A thousand virtual aircraft with their ph
 two cores can fly, so most are *told*: their packages are a virtual aircraft's, recorded before, and
 all behind is what a fleet has (see :mod:`tests.soak.fleet_end`). Some fly, in a process of their
 own. What agents cost without a fleet is measured first, and taken away: what is left is the road.
+Before and after, zenoh alone carries the same messages: see :mod:`tests.soak.bare_zenoh`.
 """
 
 from __future__ import annotations
@@ -101,6 +102,7 @@ class Measured:
         agents_us: CPU of agents for a message, beyond what they take without a fleet, µs.
         router_us: Of the router.
         watcher_us: Of who watches.
+        bare_us: CPU of zenoh alone for the same messages, before and after, µs.
         alone_s: CPU that agents of told aircraft take in a second without a fleet.
         flying_s: CPU that one virtual aircraft and its agent take in a second without a fleet.
         levels: What each process held, by its name.
@@ -116,6 +118,7 @@ class Measured:
     agents_us: float
     router_us: float
     watcher_us: float
+    bare_us: tuple[float, float]
     alone_s: float
     flying_s: float
     levels: dict[str, list[Level]]
@@ -141,10 +144,13 @@ class Measured:
         load, rate = f"load {self.load:.1f}", f"{self.sent.total() / self.seconds:.0f} messages/s"
         parts = f"agents {self.agents_us:.1f}, router {self.router_us:.1f}"
         alone = f"{self.alone_s:.3f} of a core for all that are told"
+        before, after = self.bare_us
+        bare = f"{before:.1f} µs before and {after:.1f} after"
         lines = [
             f"{self.told} told and {self.flying} flying, {self.seconds:g} s, {load}: {rate}",
             f"received {self.received:.4%}: {kinds}; fewest {self.slowest:.2f} packages/s",
             f"CPU for a message {self.us:.1f} µs: {parts}, watcher {self.watcher_us:.1f}",
+            f"zenoh alone: {bare}, so {2 * self.us / (before + after):.1f} times that",
             f"without a fleet: {alone}, {self.flying_s:.4f} for each that flies",
         ]
         for name, levels in self.levels.items():
@@ -195,6 +201,7 @@ def measure(
     *,
     processes: int = 2,
     alone_s: float = 30.0,
+    bare_s: float = 20.0,
 ) -> Measured:
     """Let a fleet run.
 
@@ -205,7 +212,10 @@ def measure(
         tell: Called with how far it is.
         processes: In which those who are told are.
         alone_s: Seconds for which agents run without a fleet before.
+        bare_s: Seconds for which zenoh alone carries the same, before and after.
     """
+    before = _bare(told + flying, bare_s)
+    tell(f"zenoh alone: {before:.1f} µs for a message")
     place = _free_place()
     names = _names(told, flying, processes)
     with ExitStack() as stack:
@@ -246,11 +256,38 @@ def measure(
         agents_us=more / count * 1e6,
         router_us=router_s / count * 1e6,
         watcher_us=seen["cpu"] / count * 1e6,
+        bare_us=(before, _bare(told + flying, bare_s)),
         alone_s=sum(cost for role, cost in alone.items() if role != "flying"),
         flying_s=alone.get("flying", 0.0) / max(1, flying),
         levels=levels,
         load=os.getloadavg()[0],
     )
+
+
+def _bare(aircraft: int, seconds: float) -> float:
+    """µs of a processor that zenoh alone takes for one message of so many aircraft."""
+    place, half = _free_place(), aircraft // 2
+    with ExitStack() as stack:
+
+        def end(*words: object) -> _End:
+            one = _End(stack, "tests.soak.bare_zenoh", *map(str, words))
+            one.hear()
+            return one
+
+        router = end("route", place)
+        ends = [
+            end("take", place, seconds + 1.0),
+            end("publish", place, 0, half, seconds),
+            end("publish", place, half, aircraft - half, seconds),
+        ]
+        time.sleep(SETTLE_S)
+        before = cpu_of(router.process.pid)
+        for one in ends:
+            one.say("")
+        results = [one.hear() for one in ends]
+        router_s = cpu_of(router.process.pid) - before
+        ends_s = sum(float(one["cpu"]) for one in results)
+        return (router_s + ends_s) / int(results[0]["heard"]) * 1e6
 
 
 def _alone(one: _End, seconds: float) -> float:

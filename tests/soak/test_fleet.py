@@ -21,6 +21,7 @@ GOOD = Measured(
     agents_us=10.0,
     router_us=10.0,
     watcher_us=9.0,
+    bare_us=(14.0, 16.0),
     alone_s=0.1,
     flying_s=0.0,
     levels={"router": [Level(0, 50_000, 0, 9)] * 6},
@@ -32,13 +33,14 @@ GOOD = Measured(
 def test_a_dozen_aircraft_are_heard_and_counted() -> None:
     pytest.importorskip("zenoh", reason="the extra fleet is not installed")
     told: list[str] = []
-    measured = measure(11, 1, 3.0, told.append, alone_s=1.0)
+    measured = measure(11, 1, 3.0, told.append, alone_s=1.0, bare_s=1.0)
     text = "\n".join((*told, measured.text))
     assert measured.received == 1.0, text
     assert set(measured.sent) == {"5hz", "tel", "state"}, text
     assert measured.heard["tel"] == measured.sent["tel"] > 20, text
     assert set(measured.levels) == {"router", "told 0", "told 1", "flying", "watcher"}
     assert measured.router_us >= 0 < measured.watcher_us, text
+    assert min(measured.bare_us) > 0, text
 
 
 @pytest.mark.parametrize(
