@@ -21,6 +21,7 @@ pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 pytestmark = pytest.mark.pty
 
 PLAIN = Path(__file__).parent / "plain.py"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "fleet" / "plain_zenoh.py"
 HEAD = 1 + 13
 """Before the wire value: the version; kind, time and profile of the agent's message."""
 
@@ -104,3 +105,20 @@ def test_keys_tokens_and_bytes(site: tuple[Site, ExitStack], tmp_path: Path) -> 
     values = [payload[HEAD:] for payloads in by_key.values() for payload in payloads]
     assert all(value in witness.heard for value in values)
     assert max(map(len, values)) > 90
+
+
+def test_the_example_lists_hears_and_stops(site: tuple[Site, ExitStack]) -> None:
+    one, _ = site
+    one.start("agent", "sim://", "--name", "a", "--count", "2")
+    assert len(one.listed(2)) == 2
+    command = [sys.executable, str(EXAMPLE), one.place]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
+    *told, heard = done.stdout.splitlines()
+    assert told == [
+        line
+        for name in ("a1", "a2")
+        for line in (f"{name} connected standby 100 %", f"{name} stop: ok")
+    ]
+    key, size, _ = heard.split()
+    assert key in {"m100/site/a1/tel/5hz", "m100/site/a2/tel/5hz"}
+    assert int(size) > 20
