@@ -39,6 +39,7 @@ SETTLED_S = 8.0
 """Seconds without a word after which one has to know whether it flies on: whoever leaves then has
 stopped on the way that it told last, which is as long as :data:`AHEAD_S`."""
 
+_THERE_S = 2.0
 _EVADED_S = 5.0
 """Seconds before it would come to where a silent one may stand; it stops in two."""
 _STEP_S = 0.5
@@ -163,15 +164,16 @@ class Neighbours:
         show: Which show, by its digest.
         name: Of this aircraft.
         least_m: How near two may come to each other, m.
+        count: How many others there are; 0 where that was not told.
 
     Raises:
         BadShow: That is no distance.
     """
 
-    def __init__(self, show: str, name: str, least_m: float) -> None:
+    def __init__(self, show: str, name: str, least_m: float, count: int = 0) -> None:
         if not 0 <= least_m <= 1000:
             raise BadShow(f"two aircraft cannot have {least_m:g} m between them")
-        self.show, self.name, self.least_m = show, name, least_m
+        self.show, self.name, self.least_m, self.count = show, name, least_m, count
         self._heard: dict[str, tuple[Ahead, float]] = {}
         # Of silent ones that were decided about: their last word.
         self._settled: dict[str, float] = {}
@@ -185,6 +187,11 @@ class Neighbours:
             return
         if known is None or ahead.at >= known[0].at:  # the network may bring an older one later
             self._heard[ahead.name] = ahead, now
+
+    def missing(self, now: float) -> int:
+        """How many of the others have not told in the last two seconds where they will be."""
+        heard = sum(now - at <= _THERE_S for _, at in self._heard.values())
+        return max(0, self.count - heard)
 
     def near(self, own: Ahead, now: float, rest: RestOfTrack | None = None) -> Near | None:
         """The first that comes too near; None for nobody.

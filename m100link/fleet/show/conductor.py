@@ -98,6 +98,8 @@ class Conductor:
         digests = sorted(track.digest for track in show.tracks)
         self._digest = hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
         self._leave = leave
+        # Orders of nobody else are carried out until this show is over, and none of ours behind it.
+        self._run = uuid.uuid4().hex
         self._sign = sign
         self._tell = tell
         self._utc = utc
@@ -166,7 +168,7 @@ class Conductor:
         """
         keys = self._keys[track.name]
         for _ in range(_TRIES):
-            message = SHOW + json.dumps(wanted).encode()
+            message = SHOW + json.dumps(wanted | {"run": self._run}).encode()
             order = Order(
                 uuid.uuid4().hex,
                 track.name,
@@ -209,12 +211,13 @@ class Conductor:
             raise
 
     async def _load(self, track: TimedTrack) -> None:
-        await self._do(track, {"do": "leave"})
+        await self._ask(track, {"do": "tell"})  # from then on each order says when it was made
         data = track.to_bytes()
         for at in range(0, len(data), _PIECE):
             piece = data[at : at + _PIECE].hex()
             await self._ask(track, {"do": "piece", "at": at, "data": piece})
         wanted = {"do": "load", "leave": self._leave, "show": self._digest, "least_m": self._least}
+        wanted["others"] = len(self._tracks) - 1
         part = await self._ask(track, wanted)
         if part.digest != track.digest:
             raise BadShow(

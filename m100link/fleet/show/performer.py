@@ -44,6 +44,8 @@ _FRESH_S = 0.5
 _STATUS_S = 2.5
 _RENEWAL_S = 0.5
 _LOOK_S = 0.2
+_ASSURED_S = 1.0
+"""Seconds before the beginning at which all have to be heard; soon after it they begin to move."""
 _TOLD_S = 600.0
 """Seconds after its track in which one still tells the others where it is."""
 
@@ -96,6 +98,7 @@ class Performer:
         farthest_m: Farthest from its track, by its own telemetry.
         neighbours: The others of the show; None when it was loaded without a word about them.
         ages: Which orders come too late: nobody waits for them, or it was stopped since.
+        run: Who conducts, by a word that is another one each time; empty when none was told.
     """
 
     def __init__(self, client: AgentClient, name: str) -> None:
@@ -107,6 +110,7 @@ class Performer:
         self.farthest_m = 0.0
         self.neighbours: Neighbours | None = None
         self.ages = OrderAges()
+        self.run = ""
         self._rest: RestOfTrack | None = None
         # When its show begins, by the agent's clock; None before that is known.
         self._start_at: float | None = None
@@ -153,9 +157,25 @@ class Performer:
         """Whoever placed it may not any more: it leaves, for this reason."""
         self._gave_way(error)
 
-    def heard(self) -> None:
-        """Whoever conducts is there."""
-        self._heard_at = self._client.now
+    def heard(self, run: str = "") -> None:
+        """Whoever conducts is there; another one who asks is not waited for."""
+        if run in ("", self.run):
+            self._heard_at = self._client.now
+
+    def require_run(self, run: str) -> None:
+        """Whether an order comes of who conducts the show that it is in.
+
+        Raises:
+            UsageError: It is in a show, and another one conducts that.
+        """
+        silent = self._client.now - self._heard_at
+        is_over = self.stage is Stage.LOADED and silent > ATTENDED_S  # nobody conducts it any more
+        if run not in ("", self.run) and self.stage in _IN_SHOW and not is_over:
+            raise UsageError(
+                f"{self._name} is {self.stage.value} in a show that another one conducts",
+                cause="two conduct shows with the same aircraft, or an order came late",
+                remedy=f"wait until that show is over, or end it: m100link fleet stop {self._name}",
+            )
 
     # -- what it is told -------------------------------------------------------------------------
 
@@ -170,14 +190,16 @@ class Performer:
                 remedy="let it leave, and begin anew: load, place, start",
             )
 
-    def load(self, data: bytes, leave: Leave, show: str = "", least_m: float = 0.0) -> str:
+    def load(
+        self, data: bytes, leave: Leave, neighbours: Neighbours | None = None, run: str = ""
+    ) -> str:
         """Take a track.
 
         Args:
             data: Of :meth:`TimedTrack.to_bytes`.
             leave: What follows the track, or whatever ends it.
-            show: Of which show, by its digest; empty: the others are not looked at.
-            least_m: How near it may come to another one of the show, m.
+            neighbours: The others of the show; None: they are not looked at.
+            run: Who conducts; until it is over orders of nobody else are carried out.
 
         Returns:
             Its digest: whoever sent it compares.
@@ -186,7 +208,6 @@ class Performer:
             BadShow: It is none, or another aircraft's.
             UsageError: It is in a show.
         """
-        neighbours = Neighbours(show, self._name, least_m) if show else None
         self._require(Order.LOAD)
         track = TimedTrack.from_bytes(data)
         if track.name != self._name:
@@ -195,7 +216,8 @@ class Performer:
             raise UsageError(f"leave cannot be {leave!r}", remedy="hover or land")
         self.track, self._leave, self.fault = track, leave, None
         self.neighbours, self._rest = neighbours, RestOfTrack(track)
-        self._start_at = None
+        self._start_at, self.run = None, run
+        self.heard()
         self.stage = Stage.LOADED
         return track.digest
 
@@ -351,11 +373,15 @@ class Performer:
         lease = client.check(self._lease)
         heading = track.heading_deg if track.heading_deg is not None else self._heading()
         look_at = told_at
+        is_assured = False
         async for _ in Ticker():
             client.check(lease)
             if self._refused is not None:
                 raise self._refused
             now = client.now
+            if now >= start_at - _ASSURED_S and not is_assured:
+                is_assured = True
+                self._require_all()
             if now >= look_at:
                 look_at = now + _LOOK_S
                 self._require_apart()
@@ -369,6 +395,20 @@ class Performer:
         self.stage = Stage.FLOWN
         client.note(f"show: {self._name} has flown its track")
         await self._end()
+
+    def _require_all(self) -> None:
+        """All of them begin, or none: one that was not told to would stand in the others' way."""
+        others = self.neighbours
+        missing = 0 if others is None else others.missing(self._client.now)
+        if missing:
+            raise LeftShow(
+                f"{self._name} does not begin the show: {missing} of the others are not heard to",
+                why=Why.NEAR,
+                at=0.0,
+                measured=missing,
+                limit=0,
+                cause="they were not told to, have been killed, or the network between is cut",
+            )
 
     def _require_apart(self) -> None:
         """Leave, before another one comes too near."""

@@ -21,7 +21,7 @@ from m100link.fleet.namesake import Namesakes
 from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import SHOW, VERSION, Order, Progress, Reply, pack, unpack
 from m100link.fleet.revoked import Since
-from m100link.fleet.show.ahead import Ahead
+from m100link.fleet.show.ahead import Ahead, Neighbours
 from m100link.fleet.show.performer import Performer
 from m100link.fleet.show.track import MAX_POINTS, BadShow
 
@@ -107,7 +107,6 @@ class ShowService:
             identity = order.id
             if identity not in self._known:
                 self._admit(order)
-                self.performer.heard()
                 self._remember(identity, self._obey(order))
             fault = self._known[identity]
         except M100Error as error:
@@ -134,21 +133,20 @@ class ShowService:
         return None
 
     def _do(self, order: Order, wanted: dict[str, Any]) -> None:
-        performer = self.performer
+        performer, run, do = self.performer, str(wanted.get("run", "")), wanted.pop("do", None)
+        if do != "tell":
+            performer.require_run(run)
+        performer.heard(run)
         try:
-            match wanted.pop("do", None):
+            match do:
                 case "tell":
                     pass  # the answer says where it stands
                 case "piece":
                     self._take_piece(int(wanted["at"]), bytes.fromhex(wanted["data"]))
                 case "load":
                     self._require_wanted(order)
-                    performer.load(
-                        bytes(self._pieces),
-                        wanted["leave"],
-                        str(wanted.get("show", "")),
-                        float(wanted.get("least_m", 0.0)),
-                    )
+                    others = self._others(wanted)
+                    performer.load(bytes(self._pieces), wanted["leave"], others, run)
                 case "place":
                     # It takes off: not minutes later, when whoever conducts has given up.
                     self._require_wanted(order)
@@ -169,6 +167,11 @@ class ShowService:
             if isinstance(error, M100Error):
                 raise
             raise MessageError(f"an order to a show cannot be read: {error!r}") from error
+
+    def _others(self, wanted: dict[str, Any]) -> Neighbours | None:
+        show, least = str(wanted.get("show", "")), float(wanted.get("least_m", 0.0))
+        count = int(wanted.get("others", 0))
+        return Neighbours(show, self._keys.name, least, count) if show else None
 
     def _require_wanted(self, order: Order) -> None:
         """Whether it is waited for still, and was made after whatever ended a show here.

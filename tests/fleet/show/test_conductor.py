@@ -12,8 +12,8 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.bus.memory import Weather
-from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable
+from m100link.bus.memory import MemoryBus, Weather
+from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable, UsageError
 from m100link.fleet.identity import Signer
 from m100link.fleet.keys import Keys
 from m100link.fleet.rights import Rights
@@ -24,6 +24,7 @@ from m100link.fleet.show.document import Show
 from m100link.fleet.show.performer import Leave, Stage
 from m100link.fleet.show.service import ShowService
 from m100link.fleet.show.steering import ShowRefused
+from m100link.fleet.show.track import TimedTrack
 from m100link.fleet.signing import signing, verifying
 from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
@@ -296,6 +297,43 @@ async def test_one_that_is_killed_in_anothers_way_is_not_flown_into(rig: Rig) ->
         assert stages(parts) == [None, Stage.LEFT, *[Stage.FLOWN] * 3]
         assert "a1 would come as near as" in parts["a2"].why
         assert await watching > made.show.least_distance_m
+
+
+async def test_a_second_show_with_one_of_them_is_refused_and_the_first_goes_on(rig: Rig) -> None:
+    """It ended the first one for that aircraft, in the air, and let nobody know."""
+    async with company(rig, 2) as made:
+        conducting = asyncio.ensure_future(made.conductor().fly())
+        await until_it_flies(made, 3.0)
+        made.show = Show("", made.show.tracks[1:])
+        with pytest.raises(UsageError, match="a2 is flying in a show that another one conducts"):
+            await made.conductor().fly()
+        assert stages(await conducting) == [Stage.FLOWN] * 2
+
+
+async def test_when_not_all_were_told_to_begin_none_begins(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever conducts is killed in between: one would fly where the other one still hovers."""
+    async with company(rig, 2) as made:
+        conductor = made.conductor(leave="hover")
+        start = conductor._start
+
+        async def start_the_first(track: TimedTrack, *more: Any) -> None:
+            await (start(track, *more) if track.name == "a1" else anyio.sleep_forever())
+
+        monkeypatch.setattr(conductor, "_start", start_the_first)
+        conducting = asyncio.ensure_future(conductor.fly())
+        first, second = (service.performer for service in made.performing)
+        await rig.until(lambda: first.stage is Stage.FLYING, within=120.0)
+        monkeypatch.setattr(conductor, "leave", anyio.sleep_forever)  # of a process nothing is left
+        assert isinstance(conductor._bus, MemoryBus)
+        rig.network.cut(conductor._bus)
+        place = made.places()[0]
+        await anyio.sleep(20.0)
+        conducting.cancel()
+        assert (first.stage, second.stage) == (Stage.LEFT, Stage.LEFT)
+        assert "1 of the others are not heard to" in str(first.fault)
+        assert dist(made.places()[0], place) < 0.3
 
 
 @asynccontextmanager

@@ -186,6 +186,34 @@ async def test_what_was_ordered_before_it_ended_and_comes_later_does_not_take_of
     assert (await asked.order({"do": "place"}, 21)).outcome is Outcome.OK
 
 
+async def test_who_conducts_another_show_does_nothing_to_it(asked: Asked) -> None:
+    """Not even that it waits for the second one where the first one has gone."""
+    await asked.order(PIECE | {"run": "a"}, 1)
+    await asked.order(LOAD | {"run": "a"}, 2)
+    others: list[dict[str, Any]] = [PIECE, LOAD, {"do": "place"}, {"do": "leave"}]
+    for number, wanted in enumerate(others, start=3):
+        reply = await asked.order(wanted | {"run": "b"}, number)
+        assert reply.fault is not None
+        assert "in a show that another one conducts" in reply.fault.seen
+    assert (await asked.order({"do": "place", "run": "a"}, 10)).outcome is Outcome.OK
+    for number in range(20, 28):
+        await anyio.sleep(1.4)
+        reply = await asked.order({"do": "tell", "run": "b"}, number)
+        assert reply.outcome is Outcome.OK
+    assert "whoever conducts was silent" in json.loads(reply.text)["why"]
+    assert (await asked.order(PIECE | {"run": "b"}, 30)).outcome is Outcome.OK
+
+
+async def test_a_track_whose_conductor_is_gone_keeps_nobody_out(asked: Asked) -> None:
+    await asked.order(PIECE | {"run": "a"}, 1)
+    await asked.order(LOAD | {"run": "a"}, 2)
+    assert (await asked.order(PIECE | {"run": "b"}, 3)).outcome is Outcome.REFUSED
+    await anyio.sleep(11.0)
+    assert (await asked.order(PIECE | {"run": "b"}, 4)).outcome is Outcome.OK
+    assert (await asked.order(LOAD | {"run": "b"}, 5)).outcome is Outcome.OK
+    assert (await asked.order({"do": "place", "run": "a"}, 6)).outcome is Outcome.REFUSED
+
+
 async def test_what_is_too_long_for_a_piece_is_not_read(asked: Asked) -> None:
     long = Order(f"{9:032x}", "a1", "x" * 5000, 0, 0.0, SHOW + b'{"do": "tell"}')
     assert await asked.bus.ask(f"m100/{SITE}/a1/show", pack(long), timeout=1.0) == []
