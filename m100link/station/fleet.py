@@ -23,7 +23,7 @@ from m100link.fleet.missions.told import MissionTeller
 from m100link.fleet.revocations import Revocations, RevocationService
 from m100link.fleet.revoked import nobody
 from m100link.fleet.session import open_fleet
-from m100link.fleet.show.service import ShowService
+from m100link.fleet.show.service import Beside, ShowService
 from m100link.fleet.told import AgentTold
 from m100link.log.folder import state_folder
 from m100link.station.config import Settings
@@ -107,10 +107,13 @@ async def serving_fleet(
                 group.create_task(one.run(), name=f"m100link fleet: {name}")
                 for name, one in agents.items()
             ]
+            beside = Beside()
             running += [
                 group.create_task(service.run(), name=f"m100link fleet {what}: {name}")
                 for name, one in agents.items()
-                for what, service in _beside(one, bus, keys[name], aircraft[name], fleet).items()
+                for what, service in _services(
+                    one, bus, keys[name], aircraft[name], fleet, beside
+                ).items()
             ]
             try:
                 yield agents
@@ -127,13 +130,18 @@ class _Service(Protocol):
     async def run(self) -> None: ...
 
 
-def _beside(
-    one: FleetAgent, bus: Bus, keys: Keys, settings: Settings, fleet: FleetSettings
+def _services(
+    one: FleetAgent,
+    bus: Bus,
+    keys: Keys,
+    settings: Settings,
+    fleet: FleetSettings,
+    beside: Beside,
 ) -> dict[str, _Service]:
     """What is served for an aircraft beside its agent, by what it is."""
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
-    show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes)
+    show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes, beside=beside)
     served: dict[str, _Service] = {
         "fronts": AgentTold(one.client, bus, keys, one.boot),
         "show": show,

@@ -68,6 +68,7 @@ def test_a_show_is_flown_and_who_is_not_there_is_named(site: Site, tmp_path: Pat
     file = show(tmp_path, ("a1", "a2"))
     status, told = site.ask("show", "fly", file, "--yes")
     assert (status, [one["stage"] for one in told]) == (ExitCode.OK, ["flown", "flown"])
+    assert site.ask("land", "--all")[0] == ExitCode.OK  # whoever lands still is in no other show
     status, told = site.ask("show", "fly", show(tmp_path, ("a1", "a2", "a3")), "--yes")
     assert (status, told) == (ExitCode.FAILED, [])
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
@@ -25,13 +26,30 @@ from m100link.fleet.show.ahead import Ahead, Neighbours
 from m100link.fleet.show.performer import Performer
 from m100link.fleet.show.track import MAX_POINTS, BadShow
 
-__all__ = ["ShowService"]
+__all__ = ["Beside", "ShowService"]
 
 _TELL_S = 0.2
 _MOST_ORDER = 4096
 """Bytes: a piece of a track has 2048 with all that is around it."""
 _MOST_KNOWN = 1024
 _MOST_BYTES = 32 * MAX_POINTS + 1024
+
+
+class Beside:
+    """The aircraft that one process serves: its session of the network does not hear itself."""
+
+    def __init__(self) -> None:
+        self._hear: list[Callable[[Ahead], None]] = []
+
+    def hear(self, take: Callable[[Ahead], None]) -> Callable[[], None]:
+        """Hear where each of them will be, until what is returned is called."""
+        self._hear.append(take)
+        return lambda: self._hear.remove(take)
+
+    def tell(self, ahead: Ahead) -> None:
+        """One of them tells where it will be."""
+        for take in self._hear:
+            take(ahead)
 
 
 class ShowService:
@@ -43,6 +61,7 @@ class ShowService:
         keys: Its keys.
         verify: Looks at each order; without it the router alone decides who may ask.
         namesakes: Whether another agent has its name: then it does not begin.
+        beside: Other aircraft of the same session; None where it has one of its own.
     """
 
     def __init__(
@@ -53,12 +72,14 @@ class ShowService:
         *,
         verify: Verify | None = None,
         namesakes: Namesakes | None = None,
+        beside: Beside | None = None,
     ) -> None:
         self._client = client
         self._bus = bus
         self._keys = keys
         self._verify = verify
         self._namesakes = namesakes
+        self._beside = beside or Beside()
         self.performer = Performer(client, keys.name)
         # What became of orders that were let through: the network may bring one twice.
         self._known: dict[str, M100Error | None] = {}
@@ -74,9 +95,11 @@ class ShowService:
             stack.callback(places.close)
             everybody = Keys(self._keys.site).place
             stack.callback(self._bus.subscribe(everybody, self._on_place).close)
+            stack.callback(self._beside.hear(self._hear))
             while True:
                 ahead = self.performer.ahead()
                 if ahead is not None:
+                    self._beside.tell(ahead)
                     places.put(bytes([VERSION]) + ahead.to_bytes())
                 await asyncio.sleep(_TELL_S)
 
@@ -87,15 +110,18 @@ class ShowService:
             self.performer.shut_out(NotAllowed(f"{self._placed_by} is revoked since {since}"))
 
     def _on_place(self, key: str, payload: bytes) -> None:
-        neighbours = self.performer.neighbours
-        if neighbours is None or payload[:1] != bytes([VERSION]):
+        if self.performer.neighbours is None or payload[:1] != bytes([VERSION]):
             return
         try:
             ahead = Ahead.from_bytes(payload[1:])
         except BadShow:
             return  # nothing that an aircraft tells
         if ahead.name == name_in(key):
-            neighbours.hear(ahead, self._client.now)
+            self._hear(ahead)
+
+    def _hear(self, ahead: Ahead) -> None:
+        if self.performer.neighbours is not None:
+            self.performer.neighbours.hear(ahead, self._client.now)
 
     def _on_order(self, question: Question) -> None:
         if len(question.payload) > _MOST_ORDER:

@@ -13,7 +13,8 @@ import pytest
 from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import SHOW, Order, Reply, pack, unpack
-from m100link.fleet.show.service import ShowService
+from m100link.fleet.show.ahead import Neighbours
+from m100link.fleet.show.service import Beside, ShowService
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from tests.fleet.conftest import SITE, Rig, anyio_backend, rig
@@ -212,6 +213,30 @@ async def test_a_track_whose_conductor_is_gone_keeps_nobody_out(asked: Asked) ->
     assert (await asked.order(PIECE | {"run": "b"}, 4)).outcome is Outcome.OK
     assert (await asked.order(LOAD | {"run": "b"}, 5)).outcome is Outcome.OK
     assert (await asked.order({"do": "place", "run": "a"}, 6)).outcome is Outcome.REFUSED
+
+
+async def test_two_that_one_process_serves_hear_each_other(asked: Asked) -> None:
+    """By one session, which does not hear itself: in a show they did not look at each other."""
+    beside, bus = Beside(), asked.rig.network.session()
+    settings = AircraftSettings(latitude_deg=ORIGIN[0], longitude_deg=ORIGIN[1])
+    services = []
+    for name in ("b1", "b2"):
+        one = await asked.rig.aircraft(name, virtual=VirtualAircraft(seed=5, settings=settings))
+        services.append(ShowService(one.client, bus, Keys(SITE, name), beside=beside))
+    running = [asyncio.ensure_future(one.run()) for one in services]
+    await anyio.sleep(0.1)
+    for service, name in zip(services, ("b1", "b2"), strict=True):
+        service.performer.load(
+            track(name, (0, 0, 0, 4), (8, 12, 0, 5)).to_bytes(),
+            "hover",
+            Neighbours("show", name, 3.0, 1),
+        )
+    services[0].performer._start_at = anyio.current_time() + 60.0
+    await anyio.sleep(1.0)
+    missing = [one.performer.neighbours for one in services]
+    assert [each and each.missing(anyio.current_time()) for each in missing] == [1, 0]
+    for work in running:
+        work.cancel()
 
 
 async def test_what_is_too_long_for_a_piece_is_not_read(asked: Asked) -> None:
