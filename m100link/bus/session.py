@@ -56,7 +56,8 @@ class Opening:
         options: Of zenoh, by name, as JSON: where it differs from the default or the file.
         file: Configuration that is read first, and what told of it; none by default.
         largest: Bytes of the longest payload that is read.
-        is_patient: A client waits for its first router as long as it takes.
+        patience_s: Seconds in which a client that found no router tries again.
+        is_patient: It tries as long as it takes.
         remedies: What to do where no session can be, by the mode; ``""`` for all others.
     """
 
@@ -65,6 +66,7 @@ class Opening:
     options: Mapping[str, str]
     file: tuple[str, str] | None = None
     largest: int = LARGEST
+    patience_s: float = 0.0
     is_patient: bool = False
     remedies: Mapping[str, str] = field(default_factory=dict)
 
@@ -386,17 +388,19 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
     config = _config(opening)
     mode = str(json.loads(config.get_json("mode") or "null") or "peer")
     is_told = False
+    clock = asyncio.get_running_loop().time
+    until = clock() + opening.patience_s
     while True:
         try:
             session = await asyncio.to_thread(zenoh.open, config)
             break
         except zenoh.ZError as error:
-            if not (mode == "client" and opening.is_patient):
+            if not (mode == "client" and (opening.is_patient or clock() < until)):
                 raise _refused(error, mode, opening) from error
-            if not is_told:
+            if not is_told and opening.is_patient:
                 places = config.get_json("connect/endpoints")
                 _logger.warning("no router answers yet at %s", places)
-            is_told = True
+                is_told = True
         await asyncio.sleep(_AGAIN_S)
     try:
         yield ZenohBus(session, opening.largest)

@@ -16,8 +16,12 @@ LEASE_MS = 1200
 leave an aircraft on the wall that long after its cable was cut. Where only the way to an agent is
 cut, what it sends goes on to arrive for 0.7 s: until as much waits as TCP sends unacknowledged."""
 
-FIRST_MS = 2000
-"""Milliseconds in which a router has to answer the first time."""
+FIRST_S = 2.0
+"""Seconds in which a router has to answer the first time."""
+
+ANSWER_MS = 2000
+"""Milliseconds that one router may take to answer before the next one is asked: zenoh's own 10 s
+would be those of an aircraft that hovers because the first of two computers is dead."""
 
 _REMEDIES = {
     "client": "m100link fleet router --listen tcp/127.0.0.1:7447",
@@ -51,8 +55,10 @@ def open_fleet(
     ours = {
         "mode": json.dumps(mode),
         "connect/endpoints": json.dumps(list(connect)),
-        # Of the first connection; a router that is lost later is looked for without end.
-        "connect/timeout_ms": str(FIRST_MS),
+        # Each of them is tried once, in turn. With any other time zenoh tries the first alone until
+        # that is over, and whoever begins while that one is dead never comes to the second.
+        "connect/timeout_ms": "0",
+        "transport/unicast/open_timeout": str(ANSWER_MS),
         "listen/endpoints": json.dumps(list(listen)),
         "scouting/multicast/enabled": "false",
         "scouting/gossip/enabled": "false",
@@ -63,5 +69,12 @@ def open_fleet(
     }
     given = ours | dict(options or {})
     return open_session(
-        Opening("a fleet", "fleet", given, is_patient=is_patient, remedies=_REMEDIES)
+        Opening(
+            "a fleet",
+            "fleet",
+            given,
+            patience_s=FIRST_S,
+            is_patient=is_patient,
+            remedies=_REMEDIES,
+        )
     )

@@ -59,3 +59,53 @@ async def test_who_is_patient_waits_for_the_router() -> None:
             watcher.watch("m/*/live", lambda key, _: seen.append(key))
             await until(lambda: seen)
             done.set()
+
+
+@pytest.mark.parametrize("is_patient", [False, True], ids=["pilot", "agent"])
+async def test_who_begins_while_the_first_of_two_routers_is_dead_comes_to_the_second(
+    is_patient: bool,
+) -> None:
+    dead, place = free_place(), free_place()
+    async with open_fleet("router", listen=(place,)):
+        one = open_fleet("client", connect=(dead, place), is_patient=is_patient)
+        async with one as session, open_fleet("client", connect=(place,)) as watcher:
+            seen: list[str] = []
+            watcher.watch("m/*/live", lambda key, _: seen.append(key))
+            session.declare("m/a1/live")
+            await until(lambda: seen)
+
+
+async def test_a_router_that_begins_a_moment_later_is_waited_for() -> None:
+    place = free_place()
+    async with AsyncExitStack() as stack, anyio.create_task_group() as group:
+
+        async def begin() -> None:
+            await anyio.sleep(0.5)
+            await stack.enter_async_context(open_fleet("router", listen=(place,)))
+
+        group.start_soon(begin)
+        async with open_fleet("client", connect=(place,)):
+            pass
+
+
+async def test_when_one_of_two_routers_ends_everybody_meets_at_the_other() -> None:
+    places = free_place(), free_place()
+    async with AsyncExitStack() as stack:
+        first = open_fleet("router", listen=places[:1])
+        await first.__aenter__()
+        await stack.enter_async_context(open_fleet("router", listen=places[1:]))
+        one = await stack.enter_async_context(open_fleet("client", connect=places))
+        other = await stack.enter_async_context(open_fleet("client", connect=places))
+        heard: list[bytes] = []
+        other.subscribe("m/a", lambda key, payload: heard.append(payload))
+        outlet = one.publish("m/a")
+        for end in (None, first):
+            if end is not None:
+                await end.__aexit__(None, None, None)
+                heard.clear()
+
+            def told() -> bool:
+                outlet.put(b"x")
+                return bool(heard)
+
+            await until(told)
