@@ -24,6 +24,7 @@ from m100link.log.folder import Flights, default_folder
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim.ports.driver import Driver
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.station.config import ONLY_NAME, Settings
@@ -187,6 +188,8 @@ async def owning(
             stack.callback(driver.stop)
             connect = by_driver(driver, flights=flights)
         elif settings.url is not None:
+            if settings.url.startswith("sim:") and credentials is None:
+                credentials = Credentials(DEMO_APP_ID, DEMO_KEY)  # those that it knows
             connect = by_url(
                 settings.url,
                 baud_rate=settings.baud_rate,

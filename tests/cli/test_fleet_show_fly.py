@@ -11,7 +11,6 @@ import pytest
 
 from m100link.cli.outcome import ExitCode
 from m100link.geodesy import LocalFrame
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from tests.cli.conftest import CommandLine
 from tests.cli.test_fleet import Site
 from tests.fleet.show.shows import FIVE
@@ -46,11 +45,6 @@ def site(tmp_path: Path) -> Iterator[Site]:
         router = made.start("router", "--listen", made.place, "--json")
         assert router.stdout is not None
         assert router.stdout.readline()
-        # A virtual aircraft that stands somewhere of its own brings no app with it.
-        made.environment |= {
-            "M100LINK_APP_ID": str(DEMO_APP_ID),
-            "M100LINK_KEY": DEMO_KEY.reveal().hex(),
-        }
         words = []
         for index, name in enumerate(("a1", "a2")):
             latitude, longitude = LocalFrame(52.1, 4.31).to_geodetic(0, 10 * index)
