@@ -175,7 +175,7 @@ class Run:
                     await asyncio.sleep(0.1)
             await agent.activate()
             agent_task = agent.background.spawn(self._agents(client), "agents")
-            fleet = Fleet(self.network.session(), site=_KEYS.site, patience=3.0)
+            fleet = Fleet(self.network.session(), site=_KEYS.site)
             await asyncio.sleep(0.1)
             await stack.enter_async_context(fleet)
             self.network.weather = _WEATHER
