@@ -75,6 +75,7 @@ class AgentOptions(_FromSettings):  # type: ignore[misc] # a class that is made 
 def router(
     *,
     listen: Annotated[tuple[str, ...], Parameter(negative="")] = (ROUTER,),
+    connect: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     name: str = "router",
     pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
     rights: Path | None = None,
@@ -88,6 +89,8 @@ def router(
 
     Args:
         listen: Where, such as tcp/0.0.0.0:7447, or tls/… with --pki; several times for several.
+        connect: Endpoint of another router, so that whoever is at one meets who is at the other;
+            several times for several. They begin in any order.
         name: Of its certificate.
         pki: Folder with its certificate and key (M100LINK_PKI): who comes by tls/ needs one, too.
         rights: File of rights: what it does not allow is not routed. Needs --pki, because who
@@ -97,6 +100,11 @@ def router(
         log: What is logged.
     """
     options = {} if pki is None else tls_options(pki, name, listens=True)
+    if rights is not None and connect:
+        raise UsageError(
+            "the rules of --rights know no other router: nothing would pass between the two",
+            remedy="let agents and pilots --connect to both, without a way between them",
+        )
     if rights is not None:
         if pki is None or not all(place.startswith("tls/") for place in listen):
             raise UsageError(
@@ -110,7 +118,7 @@ def router(
 
     async def run() -> None:
         ended = until_told()
-        async with open_fleet("router", listen=listen, options=options):
+        async with open_fleet("router", listen=listen, connect=connect, options=options):
             if json_output:
                 print_json({"listen": list(listen)})
             else:

@@ -43,7 +43,7 @@ def open_fleet(
 
     Args:
         mode: What it is.
-        connect: Where to connect to, such as ``tcp/127.0.0.1:7447``.
+        connect: Where to connect to, such as ``tcp/127.0.0.1:7447``: of a router, other routers.
         listen: Where to be connected to.
         options: More of zenoh's, by name, as JSON.
         is_patient: Wait for the first router as long as it takes.
@@ -57,7 +57,9 @@ def open_fleet(
         "connect/endpoints": json.dumps(list(connect)),
         # Each of them is tried once, in turn. With any other time zenoh tries the first alone until
         # that is over, and whoever begins while that one is dead never comes to the second.
-        "connect/timeout_ms": "0",
+        # A router looks for the others without end, and serves whoever is there meanwhile.
+        "connect/timeout_ms": "-1" if mode == "router" else "0",
+        "connect/exit_on_failure": json.dumps(mode != "router"),
         "transport/unicast/open_timeout": str(ANSWER_MS),
         "listen/endpoints": json.dumps(list(listen)),
         "scouting/multicast/enabled": "false",

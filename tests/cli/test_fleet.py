@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from m100link.cli.fleet import tell_results
+from m100link.cli.outcome import ExitCode
 from m100link.errors import StaleLease
 from m100link.fleet.outcome import Result
 from m100link.protocol.items import BY_RECORD
@@ -144,6 +145,20 @@ def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "no router answered" in done.stderr
     assert "m100link fleet router" in done.stderr
+
+
+def test_rules_and_a_way_to_another_router_exclude_each_other(tmp_path: Path) -> None:
+    (tmp_path / "rights.toml").write_text("")
+    words = ("--rights", str(tmp_path / "rights.toml"), "--connect", "tcp/127.0.0.1:1")
+    done = subprocess.run(
+        [sys.executable, "-m", "m100link", "fleet", "router", *words],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert done.returncode == ExitCode.USAGE
+    assert "know no other router" in " ".join(done.stderr.split())
 
 
 def test_whoever_names_nobody_is_asked_whom(site: Site) -> None:

@@ -71,8 +71,9 @@ async def test_who_begins_while_the_first_of_two_routers_is_dead_comes_to_the_se
         async with one as session, open_fleet("client", connect=(place,)) as watcher:
             seen: list[str] = []
             watcher.watch("m/*/live", lambda key, _: seen.append(key))
-            session.declare("m/a1/live")
+            token = session.declare("m/a1/live")
             await until(lambda: seen)
+            token.close()
 
 
 async def test_a_router_that_begins_a_moment_later_is_waited_for() -> None:
@@ -109,3 +110,23 @@ async def test_when_one_of_two_routers_ends_everybody_meets_at_the_other() -> No
                 return bool(heard)
 
             await until(told)
+
+
+async def test_who_is_at_one_router_meets_who_is_at_another_that_is_linked() -> None:
+    one, other = free_place(), free_place()
+    async with AsyncExitStack() as stack:
+        # The first looks for one that is not there yet.
+        await stack.enter_async_context(open_fleet("router", listen=(one,), connect=(other,)))
+        agent = await stack.enter_async_context(open_fleet("client", connect=(one,)))
+        for held in (
+            agent.declare("m/a1/live"),
+            agent.serve("m/a1/cmd", lambda question: question.answer("m/a1/cmd", b"done")),
+        ):
+            stack.callback(held.close)
+        await stack.enter_async_context(open_fleet("router", listen=(other,), connect=(one,)))
+        pilot = await stack.enter_async_context(open_fleet("client", connect=(other,)))
+        seen: list[str] = []
+        pilot.watch("m/*/live", lambda key, _: seen.append(key))
+        await until(lambda: seen)
+        [answer] = await pilot.ask("m/a1/cmd", timeout=2.0)
+        assert answer.payload == b"done"
