@@ -117,17 +117,15 @@ class FleetAircraft:
                 not begun: the way there and back takes longer.
             M100Error: As :meth:`m100link.Control.land`, and :class:`m100link.errors.FleetError`.
         """
-        for _ in range(_LANDINGS_ASKED):
+        for left in reversed(range(_LANDINGS_ASKED)):
             try:
                 await self._asker.ask(Ask(0, Action.LAND))
             except GuardRefused as error:
-                if error.guard != ORDER_AGE:
-                    raise
                 # It was not begun, and the answer told what time it is there: that is known now.
-                late = error
+                if error.guard != ORDER_AGE or not left:
+                    raise
             else:
                 return
-        raise late
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, task. Needs no lease.

@@ -33,11 +33,17 @@ async def told(mission: FleetMission) -> list[MissionEvent]:
     return [event async for event in mission if not isinstance(event, MissionProgress)]
 
 
-@pytest.mark.parametrize("is_bad", [False, True], ids=["good network", "bad network"])
-async def test_all_of_it_is_told_in_its_order(rig: Rig, is_bad: bool) -> None:
+@pytest.mark.parametrize(
+    "weather",
+    [
+        pytest.param(Weather(), id="good network"),
+        pytest.param(Weather(loss=0.1, repeat=0.2, delay_s=0.02, jitter_s=0.1), id="bad network"),
+        pytest.param(Weather(delay_s=1.0), id="long way"),
+    ],
+)
+async def test_all_of_it_is_told_in_its_order(rig: Rig, weather: Weather) -> None:
     one = await on_board(rig)
-    if is_bad:
-        rig.network.weather = Weather(loss=0.1, repeat=0.2, delay_s=0.02, jitter_s=0.1)
+    rig.network.weather = weather
     async with (await rig.pilot())["a1"].control() as control:
         plan = away(one, 20, 60, 100)
         async with control.waypoint_mission(plan, take_off=True) as mission:
