@@ -311,7 +311,7 @@ async def bring(bus: Bus, keys: Keys, data: bytes = b"") -> int:
                 return reply.number
     raise OutcomeUnknown(
         f"{keys.name} does not say which list of revoked names it has",
-        cause="its agent has no --pki or an older release, the way there or back is cut, or the "
+        cause="its agent has no --rights, no --pki or an older release, the way is cut, or the "
         "router lets nothing pass: who may stop it may bring a list",
         remedy=f"copy {LIST} into the folder of its certificates",
     )
