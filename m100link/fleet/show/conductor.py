@@ -52,7 +52,7 @@ class Part:
         stage: How far it is; None: nobody knows, it does not answer.
         digest: Of its track.
         farthest_m: Farthest from its track, by its own telemetry.
-        why: Why it left.
+        why: Why it left, or tells nothing.
         clock: Its own clock as it answered, s.
     """
 
@@ -269,10 +269,14 @@ class Conductor:
             try:
                 part = await self._ask(track, {"do": "tell"})
                 heard_at = self._clock()
-            except M100Error:
+            except M100Error as error:
                 if self._clock() - heard_at >= _GONE_S:
-                    self._tell(f"{track.name} is silent; the others fly on")
-                    return Part(track.name, None)
+                    # One that answers and tells nothing flies on: that is no cable.
+                    why = "" if isinstance(error, Unreachable) else error.seen
+                    refuses = f"tells nothing more: {why}" if why else "is silent"
+                    self._tell(f"{track.name} {refuses}; the others fly on")
+                    return Part(track.name, None, why=why)
+                await asyncio.sleep(_LOOK_S)
                 continue
             if part.stage is Stage.FLOWN:
                 self._tell(f"{track.name} has flown its track")

@@ -72,10 +72,9 @@ class Company:
 
     def conductor(self, **options: Any) -> Conductor:
         options.setdefault("sign", signing(ANNA))
+        options.setdefault("utc", self.rig.utc)
         bus = self.rig.network.session()
-        return Conductor(
-            bus, SITE, "anna", self.show, tell=self.told.append, utc=self.rig.utc, **options
-        )
+        return Conductor(bus, SITE, "anna", self.show, tell=self.told.append, **options)
 
     def places(self) -> list[tuple[float, float, float]]:
         found = []
@@ -334,6 +333,23 @@ async def test_when_not_all_were_told_to_begin_none_begins(
         assert (first.stage, second.stage) == (Stage.LEFT, Stage.LEFT)
         assert "1 of the others are not heard to" in str(first.fault)
         assert dist(made.places()[0], place) < 0.3
+
+
+async def test_a_clock_that_is_set_in_flight_ends_no_show_and_what_it_costs_is_told(
+    rig: Rig,
+) -> None:
+    """Orders are signed with the time of day; tracks are flown by a clock that nobody sets."""
+    ahead_s = 0.0
+    async with company(rig, 1) as made:
+        conductor = made.conductor(leave="hover", utc=lambda: rig.utc() + ahead_s)
+        conducting = asyncio.ensure_future(conductor.fly())
+        await until_it_flies(made, 3.0)
+        ahead_s = 3600.0
+        parts = await conducting
+        assert parts["a1"].stage is None
+        assert made.told[-1].startswith("a1 tells nothing more: ")
+        assert "3600.0 s ahead" in made.told[-1]
+        await rig.until(lambda: made.performing[0].performer.stage is Stage.FLOWN)
 
 
 @asynccontextmanager
