@@ -19,6 +19,10 @@ ORDER_AGE = "order_age"
 MOST_AGE_S = 5.0
 """Seconds after which an order is not begun any more, by the agent's clock: nobody counts on it."""
 
+MOST_AHEAD_S = 1.0
+"""Seconds by which an order may seem to be made later than now. More is a time of before the
+agent's computer was started anew, and says nothing of its age."""
+
 
 class OrderAges:
     """The orders that one agent hears.
@@ -75,6 +79,15 @@ def require_young(made_at: float, now: float) -> None:
     """
     if not now - made_at <= MOST_AGE_S:  # NaN is no time
         raise _late("nobody waits for it any more", made_at, now)
+    if made_at - now > MOST_AHEAD_S:
+        raise GuardRefused(
+            f"an order that was made {made_at - now:.1f} s from now was not carried out",
+            guard=ORDER_AGE,
+            measured=now - made_at,
+            limit=-MOST_AHEAD_S,
+            cause="the agent's computer was started anew, and whoever asked knew its old clock",
+            remedy="ask anew: the answer told what time it is there",
+        )
 
 
 def _late(why: str, made_at: float, now: float) -> GuardRefused:

@@ -51,3 +51,13 @@ def test_a_landing_is_asked_for_its_age_alone(ages: OrderAges) -> None:
     for made_at in (10.0, 0.0, float("nan"), -1.0):
         with pytest.raises(GuardRefused, match="nobody waits"):
             require_young(made_at, 20.5)
+
+
+def test_what_was_made_by_the_clock_of_before_a_start_is_refused(ages: OrderAges) -> None:
+    require_young(20.9, 20.0)  # who reckons its time from an answer is wrong by a little
+    with pytest.raises(GuardRefused, match=r"made 980\.0 s from now") as caught:
+        ages.hear(1, 1000.0, 20.0)
+    assert caught.value.guard == "order_age"
+    ages.hear(1, 20.0, 20.1)
+    with pytest.raises(GuardRefused, match="from now"):
+        require_young(float("inf"), 20.0)
