@@ -67,8 +67,7 @@ class PtyPort:
         self._master = self._slave = -1
         self._partial = b""
         self._blocked_since: float | None = None
-        self._look_at = 0.0
-        self._was_full = False
+        self._full_since: float | None = None
         self.flushes = 0
         self.device = ""
         self.backlog = Backlog()
@@ -163,16 +162,18 @@ class PtyPort:
 
         The system keeps some 70 kB for a reader who may never come: six seconds of telemetry.
         """
-        now = self._driver.loop.time()
-        if now < self._look_at:
+        if self.unread < _FULL:
+            self._full_since = None
             return
-        self._look_at = now + _STALE_S
-        is_full = self.unread >= _FULL
-        if is_full and self._was_full:
+        # Looked at with each write: a reader that is a tenth of a second behind now and then finds
+        # it full, too, and is not to lose what it is about to read.
+        now = self._driver.loop.time()
+        if self._full_since is None:
+            self._full_since = now
+        elif now - self._full_since > _STALE_S:
             termios.tcflush(self._slave, termios.TCIFLUSH)
             self.flushes += 1
-            is_full = False
-        self._was_full = is_full
+            self._full_since = None
 
     def _drain(self) -> None:
         pieces = self.backlog.take()
