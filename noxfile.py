@@ -124,6 +124,11 @@ def elsewhere(*folders: str) -> list[str]:
     return [f"--ignore={folder}" for folder in folders]
 
 
+def without(*tests: str) -> list[str]:
+    """Options of pytest that leave these tests out, and what their names begin with."""
+    return [f"--deselect={test}" for test in tests]
+
+
 OWN_SESSIONS = ("tests/interop", "tests/browser")
 CONSOLE = "tests/browser/long"
 MAVLINK = "tests/interop/mavlink"
@@ -133,6 +138,9 @@ FLEET = "tests/interop/fleet"
 SLOW_WAY = (
     "tests/browser/test_console.py::test_nobody_steers_with_a_second_each_way_and_the_page_says_why"
 )
+# Five to seven processes each, of which one is lost in flight; in `test_fleet.py` others are, too.
+LEGS = "test_a_leg_that_is_cut_costs_a_hover_and_whoever_is_told_is_told_the_truth"
+LONG_FLEET = ("tests/attacks/test_fleet_show.py", f"tests/attacks/test_fleet.py::{LEGS}")
 # Their tests begin processes and wait for them.
 SERVERS = ("tests/attacks", "tests/benchmarks", "tests/cli", "tests/station")
 CHECKED = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
@@ -148,14 +156,16 @@ KINDS = {
             "tests": [pytest(*workers(2), "-m", "not pty", *elsewhere(*OWN_SESSIONS, *SERVERS))],
             "tests (servers)": [pytest(*workers(2), "-m", "not pty", *SERVERS)],
             # They wait for terminals and processes more than they compute.
-            "tests (pty)": [pytest(*workers(5), "-m", "pty", *marked("pty"))],
+            "tests (pty)": [
+                pytest(*workers(5), "-m", "pty", *marked("pty"), *without(*LONG_FLEET))
+            ],
         },
         groups=("test",),
     ),
     "browser": Kind(
         {
             "browser": [
-                pytest(*workers(2), "tests/browser", *elsewhere(CONSOLE), "--deselect", SLOW_WAY)
+                pytest(*workers(2), "tests/browser", *elsewhere(CONSOLE), *without(SLOW_WAY))
             ]
         },
         groups=("test", "browser"),
@@ -272,7 +282,8 @@ def interop_ros2(session: nox.Session) -> None:
 def interop_fleet(session: nox.Session) -> None:
     """Plain zenoh sees a fleet, and its processes are killed and frozen in flight; real time."""
     install(session, PACKAGE, *group("test"))
-    session.run(*pytest(FLEET, "tests/attacks/test_fleet.py", *session.posargs))
+    files = (FLEET, "tests/attacks/test_fleet.py", "tests/attacks/test_fleet_show.py")
+    session.run(*pytest(*files, *session.posargs))
 
 
 @nox.session(default=False)
