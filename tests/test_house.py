@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import re
 import tomllib
 from collections import defaultdict
@@ -30,7 +31,13 @@ ROOMS, FLOORS, ARROWS = 27, 11, 141
 
 @cache
 def tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    gc.disable()  # it would look through all that was parsed before, again and again
+    try:
+        return ast.parse(text)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def programs(*folders: str) -> list[Path]:
@@ -93,15 +100,17 @@ def is_for_annotations(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
 
 
-def imports(module: str, *, for_annotations: bool = False) -> Iterator[str]:
+@cache
+def imports(module: str, *, for_annotations: bool = False) -> frozenset[str]:
     """The modules of the package that a module imports when it runs, or names at all."""
+    return frozenset(imported(tree(MODULES[module]), for_annotations=for_annotations))
+
+
+def imported(program: ast.Module, *, for_annotations: bool) -> Iterator[str]:
     skipped = {
-        inner
-        for node in ast.walk(tree(MODULES[module]))
-        if is_for_annotations(node)
-        for inner in ast.walk(node)
+        inner for node in ast.walk(program) if is_for_annotations(node) for inner in ast.walk(node)
     }
-    for node in ast.walk(tree(MODULES[module])):
+    for node in ast.walk(program):
         if node in skipped and not for_annotations:
             continue
         if isinstance(node, ast.Import):
