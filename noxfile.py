@@ -1,8 +1,9 @@
 """What `nox` runs. Every session reads its packages from the dependency groups of pyproject.toml.
 
-`nox` alone runs `check`: all kinds of checks that must be green (lint, types, docs, examples,
-interop, browser, tests) in one environment, side by side. `nox -s lint` runs one kind in an
-environment of its own. They use the Python that runs nox. `nox --list` names the others.
+`nox` alone runs `check`: lint, types, docs and every test that is not slow, side by side in one
+environment. `nox -s full` runs everything. `nox -s lint` runs one kind in an environment of its
+own. They use the Python that runs nox, and the versions of requirements-dev.txt. `nox --list` names
+the others.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import subprocess
 import tarfile
 import time
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import nox
 from nox.command import CommandFailed
@@ -27,6 +30,7 @@ from nox.command import CommandFailed
 nox.needs_version = ">=2025.2.9"
 nox.options.sessions = ["check"]
 nox.options.reuse_venv = "yes"
+nox.options.error_on_missing_interpreters = False  # `full` runs the Pythons that are there
 
 # Hundreds of processes begin here: where the environment forbids bytecode, and uv leaves none, each
 # of them would compile every package that it imports, for three times the cost of its start.
@@ -36,8 +40,20 @@ PYPROJECT = nox.project.load_toml("pyproject.toml")
 EXTRAS = PYPROJECT["project"].get("optional-dependencies", {})
 PACKAGE = f".[{','.join(EXTRAS)}]"
 DOCS_OUTPUT = "docs/_build"
-# Branch coverage that `nox -s coverage` asks for, in percent.
-COVERED = {"m100link/wire": 100, "m100link/session": 100, "m100link/protocol": 100, "m100link": 93}
+LOCK = "requirements-dev.txt"
+# Lines and branches that `nox -s coverage` asks for, in percent: what a complete run has seen.
+COVERED = {
+    100: "wire session protocol errors",
+    99: "missions telemetry",
+    98: "link aircraft",
+    97: "flight agent fleet sim log",
+    96: "ros2 doctor",
+    95: "bus",
+    94: "mavlink",
+    90: "sync",
+    72: "station",
+    70: "cli",
+}
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
 ROSBRIDGE_SUITE, ROSBRIDGE_RELEASE = "https://github.com/RobotWebTools/rosbridge_suite", "0.11.17"
 ROS_PACKAGES = (
@@ -87,12 +103,14 @@ class Kind:
     """A kind of check: what it needs and what it runs.
 
     Attributes:
+        about: What `nox --list` says of it.
         commands: By title. What stands under one runs in this order, to the end; titles depend on
             no other, so they run side by side.
         groups: Dependency groups that it needs.
         package: Whether it needs the package itself, installed as users install it.
     """
 
+    about: str
     commands: dict[str, list[tuple[str, ...]]]
     groups: tuple[str, ...] = ()
     package: bool = True
@@ -124,25 +142,9 @@ def elsewhere(*folders: str) -> list[str]:
     return [f"--ignore={folder}" for folder in folders]
 
 
-def without(*tests: str) -> list[str]:
-    """Options of pytest that leave these tests out, and what their names begin with."""
-    return [f"--deselect={test}" for test in tests]
-
-
-OWN_SESSIONS = ("tests/interop", "tests/browser")
-CONSOLE = "tests/browser/long"
-MAVLINK = "tests/interop/mavlink"
-ROS2 = "tests/interop/ros2"
-FLEET = "tests/interop/fleet"
-# It takes off by a page that each message reaches a second late: minutes on a busy machine.
-SLOW_WAY = (
-    "tests/browser/test_console.py::test_nobody_steers_with_a_second_each_way_and_the_page_says_why"
-)
-# Five to seven processes each, of which one is lost in flight; in `test_fleet.py` others are, too.
-LEGS = "test_a_leg_that_is_cut_costs_a_hover_and_whoever_is_told_is_told_the_truth"
-LONG_FLEET = ("tests/attacks/test_fleet_show.py", f"tests/attacks/test_fleet.py::{LEGS}")
-# Their tests begin processes and wait for them.
-SERVERS = ("tests/attacks", "tests/benchmarks", "tests/cli", "tests/station")
+MAVLINK, ROS2 = "tests/interop/mavlink", "tests/interop/ros2"
+ROSBRIDGE = "tests/interop/test_rosbridge_library.py"  # needs a library that no index has
+VIRTUAL = elsewhere("tests/interop", "tests/browser")
 CHECKED = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
 # The longest flight begins first.
 PROGRAMS = sorted(
@@ -151,53 +153,57 @@ PROGRAMS = sorted(
 )
 
 KINDS = {
-    "tests": Kind(
-        {
-            "tests": [pytest(*workers(2), "-m", "not pty", *elsewhere(*OWN_SESSIONS, *SERVERS))],
-            "tests (servers)": [pytest(*workers(2), "-m", "not pty", *SERVERS)],
-            # They wait for terminals and processes more than they compute.
-            "tests (pty)": [
-                pytest(*workers(5), "-m", "pty", *marked("pty"), *without(*LONG_FLEET))
-            ],
-        },
-        groups=("test",),
-    ),
-    "browser": Kind(
-        {
-            "browser": [
-                pytest(*workers(2), "tests/browser", *elsewhere(CONSOLE), *without(SLOW_WAY))
-            ]
-        },
-        groups=("test", "browser"),
-    ),
-    "examples": Kind({program: [("python", "-W", "error", program)] for program in PROGRAMS}),
-    # Beside rosbridge_suite's own library it has a session to itself.
-    "interop": Kind(
-        {
-            "interop": [
-                pytest(
-                    "--ignore=tests/interop/test_rosbridge_library.py",
-                    f"--ignore={MAVLINK}",
-                    f"--ignore={ROS2}",
-                    f"--ignore={FLEET}",
-                    "tests/interop",
-                )
-            ]
-        },
-        groups=("test", "interop"),
-    ),
-    "types": Kind(
-        {"mypy": [("mypy", *CHECKED)], "pyright": [("pyright",)]},
-        groups=("types", "test", "docs", "bench", "browser", "interop"),
-    ),
-    # m100link.testing needs pytest.
-    "docs": Kind({"docs": [sphinx("html"), sphinx("doctest")]}, groups=("docs", "test")),
     "lint": Kind(
+        "Style, formatting, and the arrows of the architecture.",
         {"lint": [("ruff", "check", "."), ("ruff", "format", "--check", "."), ("lint-imports",)]},
         groups=("lint",),
         package=False,
     ),
+    "types": Kind(
+        "mypy --strict and pyright.",
+        {"mypy": [("mypy", *CHECKED)], "pyright": [("pyright",)]},
+        groups=("types", "test", "docs", "bench", "browser", "interop"),
+    ),
+    # m100link.testing needs pytest.
+    "docs": Kind(
+        "The manual: every warning is an error, every example in it is run.",
+        {"docs": [sphinx("html"), sphinx("doctest")]},
+        groups=("docs", "test"),
+    ),
+    "quick": Kind(
+        "Tests that are not slow, and some in real time: a flight for each front among them.",
+        {
+            "tests": [pytest(*workers(2), "-m", "not slow and not smoke", *VIRTUAL)],
+            "smoke tests": [pytest(*workers(4), "-m", "smoke", *marked("smoke"))],
+        },
+        groups=("test", "browser", "interop"),
+    ),
+    "tests": Kind(
+        "The test suite, slow tests too. `-- tests/session -x` gives pytest its arguments.",
+        {
+            "all tests": [pytest(*workers(2), "-m", "not pty", *VIRTUAL)],
+            # They wait for terminals and processes more than they compute.
+            "tests (pty)": [pytest(*workers(5), "-m", "pty", *marked("pty"))],
+        },
+        groups=("test",),
+    ),
+    "browser": Kind(
+        "The console in Chromium; skipped with a reason where there is none.",
+        {"browser": [pytest(*workers(2), "tests/browser")]},
+        groups=("test", "browser"),
+    ),
+    "examples": Kind(
+        "Every example program flies as a program, in real time.",
+        {program: [("python", "-W", "error", program)] for program in PROGRAMS},
+    ),
+    "interop": Kind(
+        "What others wrote: roslibpy, roslib where node is, Wireshark's tshark where that is.",
+        {"interop": [pytest(*elsewhere(ROSBRIDGE, MAVLINK, ROS2), "tests/interop")]},
+        groups=("test", "interop"),
+    ),
 }
+DEFAULT = ("lint", "types", "docs", "quick")
+FULL = ("lint", "types", "docs", "tests", "browser", "examples", "interop")
 
 
 @dataclass(frozen=True)
@@ -207,61 +213,76 @@ class Lane:
     Attributes:
         titles: In the order in which they begin; none: those that no other lane has.
         width: How many of them run at once.
-        gives_way: Whether they only get the time of the processors that other lanes leave.
     """
 
     titles: tuple[str, ...]
     width: int
-    gives_way: bool = False
 
 
-# What keeps real time begins when nothing computes any more: beside a type checker a flight came to
-# stand for half a second, which its guards end.
-GIVING_WAY = ("nice", "-n", "10") if shutil.which("nice") else ()
 LANES = (
     # Each of these takes what it can get: one after another.
-    Lane(("tests (pty)", "browser"), 1),
+    Lane(("smoke tests", "tests (pty)", "browser"), 1),
     # One flight each.
     Lane((*PROGRAMS, "interop"), 2),
-    Lane((), 1 + (os.cpu_count() or 1), gives_way=True),
+    Lane((), 1 + (os.cpu_count() or 1)),
 )
 
 
 @nox.session
 def check(session: nox.Session) -> None:
-    """All kinds of checks in one environment, side by side; all end, whichever of them fails."""
-    install(session, PACKAGE, *group(*sorted({name for k in KINDS.values() for name in k.groups})))
-    run_all(session, {title: c for kind in KINDS.values() for title, c in kind.commands.items()})
+    """What must be green before every commit: no test that is slow. Minutes."""
+    run_kinds(session, *DEFAULT)
 
 
 @nox.session(default=False)
-def lint(session: nox.Session) -> None:
-    """Style, formatting, and the arrows of the architecture."""
-    run_kind(session, "lint")
+def full(session: nox.Session) -> None:
+    """Everything, on every Python that is installed: each night, and before a release. Hours."""
+    run_kinds(session, *FULL)
+    for name in ("coverage", "interop-mavlink", "interop-ros2"):
+        session.notify(name)
+    for version in PYTHONS:
+        session.notify(f"pythons-{version}")
 
 
 @nox.session(default=False)
-def types(session: nox.Session) -> None:
-    """mypy --strict and pyright."""
-    run_kind(session, "types")
+def newest(session: nox.Session) -> None:
+    """What `nox` runs, with the newest packages instead of the locked ones: each week."""
+    run_kinds(session, *DEFAULT, locked=False)
 
 
 @nox.session(default=False)
-def docs(session: nox.Session) -> None:
-    """The manual: every warning is an error, every example in it is run."""
-    run_kind(session, "docs")
+def affected(session: nox.Session) -> None:
+    """All tests, slow ones too, of files that changed since a commit: `-- main`; or what waits."""
+    install(session, PACKAGE, *group("test", "browser", "interop"))
+    told = session.run("python", "-m", "tests.affected", *session.posargs, silent=True)
+    if files := str(told).split():
+        session.run(*pytest(*workers(2), *files))
 
 
 @nox.session(default=False)
-def examples(session: nox.Session) -> None:
-    """Every example program flies, against a virtual aircraft."""
-    run_kind(session, "examples")
+def slow(session: nox.Session) -> None:
+    """Measure which tests are slow, and write tests/slow.txt; on a quiet machine."""
+    install(session, PACKAGE, *group("test"))
+    measured = pytest(*workers(2), "-m", "not pty", *VIRTUAL)
+    session.run(*measured, env={"M100LINK_WRITE_SLOW": "1"})
 
 
-@nox.session(default=False)
-def interop(session: nox.Session) -> None:
-    """What others wrote: roslibpy, roslib where node is, Wireshark's tshark where that is."""
-    run_kind(session, "interop")
+def of_kind(name: str) -> Callable[[nox.Session], None]:
+    """The session of one kind of check, which gives pytest what the command line adds."""
+
+    def session_of_it(session: nox.Session) -> None:
+        if name == "tests" and session.posargs:
+            install(session, PACKAGE, *group("test"))
+            session.run(*pytest(*session.posargs))
+        else:
+            run_kinds(session, name)
+
+    session_of_it.__doc__ = KINDS[name].about
+    return session_of_it
+
+
+for _name in KINDS:
+    nox.session(name=_name, default=False)(of_kind(_name))
 
 
 @nox.session(name="interop-mavlink", default=False)
@@ -278,54 +299,26 @@ def interop_ros2(session: nox.Session) -> None:
     session.run(*pytest(ROS2, *session.posargs))
 
 
-@nox.session(name="interop-fleet", default=False)
-def interop_fleet(session: nox.Session) -> None:
-    """Plain zenoh sees a fleet, and its processes are killed and frozen in flight; real time."""
-    install(session, PACKAGE, *group("test"))
-    files = (FLEET, "tests/attacks/test_fleet.py", "tests/attacks/test_fleet_show.py")
-    session.run(*pytest(*files, *session.posargs))
-
-
-@nox.session(default=False)
-def browser(session: nox.Session) -> None:
-    """The console in Chromium; skipped with a reason where there is none."""
-    run_kind(session, "browser")
-
-
-@nox.session(default=False)
-def console(session: nox.Session) -> None:
-    """The console in Chromium at length: every size and input, and what is lost in flight."""
-    install(session, PACKAGE, *group("test", "browser"))
-    session.run(*pytest(CONSOLE, SLOW_WAY, *session.posargs))
-
-
-@nox.session(default=False)
-def tests(session: nox.Session) -> None:
-    """The test suite. `-- tests/session -x` gives pytest its arguments."""
-    if session.posargs:
-        install(session, PACKAGE, *group("test"))
-        session.run(*pytest(*session.posargs))
-    else:
-        run_kind(session, "tests")
-
-
 @nox.session(default=False)
 def coverage(session: nox.Session) -> None:
     """The test suite with branch coverage, which takes twice as long, and whether it suffices."""
     install(session, PACKAGE, *group("test"))
     counted = ("--cov", "--cov-report=", *session.posargs)
-    session.run(*pytest(*workers(2), "-m", "not pty", *elsewhere(*OWN_SESSIONS), *counted))
+    session.run(*pytest(*workers(2), "-m", "not pty", *VIRTUAL, *counted))
     session.run(*pytest(*workers(5), "-m", "pty", *marked("pty"), *counted, "--cov-append"))
-    for part, percent in COVERED.items():
-        session.log(f"{part}: at least {percent} %")
-        session.run("coverage", "report", f"--include=*/{part}/*", f"--fail-under={percent}")
+    session.run("coverage", "combine", "--append", success_codes=[0, 1])  # 1: pytest has done it
+    session.run("coverage", "report", "--fail-under=90")
+    for percent, rooms in COVERED.items():
+        for room in rooms.split():
+            place = f"*/m100link/{room}/*"
+            session.run("coverage", "report", f"--include={place}", f"--fail-under={percent}")
 
 
 @nox.session(python=PYTHONS, default=False)
 def pythons(session: nox.Session) -> None:
     """The test suite on other Pythons, where they are installed."""
     install(session, PACKAGE, *group("test"))
-    run_all(session, KINDS["tests"].commands)
+    run_all(session, KINDS["quick"].commands)
 
 
 @nox.session(python=PYTHONS, default=False)
@@ -344,66 +337,87 @@ def minimum(session: nox.Session) -> None:
     """The test suite on the lowest versions that pyproject.toml allows."""
     declared = [*PYPROJECT["project"]["dependencies"], *(one for e in EXTRAS.values() for one in e)]
     lowest = [re.sub(r">=\s*", "==", requirement) for requirement in declared]
-    install(session, PACKAGE, *group("test"), *lowest)
+    install(session, PACKAGE, *group("test"), *lowest, locked=False)
     run_all(session, KINDS["tests"].commands)
 
 
-def run_kind(session: nox.Session, name: str) -> None:
-    """One kind of check in an environment of its own."""
-    kind = KINDS[name]
-    install(session, *([PACKAGE] if kind.package else []), *group(*kind.groups))
-    run_all(session, kind.commands)
+class Outcome(NamedTuple):
+    """How commands ended: whether well, after how long, and what that took of the processors."""
+
+    is_good: bool
+    lasted_s: float
+    taken_s: float
 
 
-def install(session: nox.Session, *requirements: str) -> None:
-    """Install with uv, which takes a tenth of pip's time, or with pip where uv cannot be had."""
+def run_kinds(session: nox.Session, *names: str, locked: bool = True) -> None:
+    """Kinds of checks, side by side in one environment; all end, whichever of them fails."""
+    kinds = [KINDS[name] for name in names]
+    groups = sorted({name for kind in kinds for name in kind.groups})
+    package = [PACKAGE] if any(kind.package for kind in kinds) else []
+    install(session, *package, *group(*groups), locked=locked)
+    run_all(session, {title: lines for kind in kinds for title, lines in kind.commands.items()})
+
+
+def install(session: nox.Session, *requirements: str, locked: bool = True) -> None:
+    """Install with uv, which takes a tenth of pip's time, or with pip where uv cannot be had.
+
+    Args:
+        locked: In the versions of the lock, whose checksums uv compares. pip does that for all
+            packages or for none, and this one has no checksum: pip is given the versions alone.
+    """
     afresh = ("--reinstall-package", "m100link")  # uv takes a tree for old that has the old version
+    lock = Path(LOCK).resolve()
+    wanted = (*requirements, *(("--constraint", str(lock)) if locked else ()))
     if session.venv_backend == "uv":
-        session.install(*afresh, *requirements)
+        session.install(*afresh, *wanted)
         return
     try:
         session.run_install("python", "-m", "pip", "install", "--quiet", "uv")
         environment = ("--python", str(Path(session.bin) / "python"))
-        session.run_install("uv", "pip", "install", "--quiet", *environment, *afresh, *requirements)
+        session.run_install("uv", "pip", "install", "--quiet", *environment, *afresh, *wanted)
     except CommandFailed:
-        session.log("uv does not work here: pip takes its place")
-        session.install(*requirements)
+        session.log("uv does not work here: pip takes its place, and compares no checksums")
+        versions = Path(session.create_tmp(), LOCK).resolve()
+        bare = re.sub(r" \\$|\n    --hash=\S+", "", lock.read_text("utf-8"), flags=re.MULTILINE)
+        versions.write_text(bare, "utf-8")
+        session.install(*requirements, *(("--constraint", str(versions)) if locked else ()))
 
 
 def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) -> None:
     """Run commands and print what each said when it ends; fail at the end.
 
-    What computes comes first and is over before anything flies in real time.
+    What computes comes first and is over before anything flies in real time: beside a type checker
+    a flight came to stand for half a second, which its guards end.
     """
     flying = {title for lane in LANES for title in lane.titles}
-    ended: dict[str, tuple[bool, float]] = {}
+    ended: dict[str, Outcome] = {}
     for flies in (False, True):
         chosen = {title: c for title, c in commands.items() if (title in flying) is flies}
         ended |= run_in_lanes(session, chosen)
-    for title, (is_good, seconds) in ended.items():
-        session.log(f"{'passed' if is_good else 'FAILED'} {seconds:4.0f} s  {title}")
-    failed = [title for title, (is_good, _) in ended.items() if not is_good]
+    session.log("            on the clock, of the processors")
+    for title, (is_good, lasted, taken) in ended.items():
+        session.log(f"{'passed' if is_good else 'FAILED'} {lasted:8.0f} s {taken:8.0f} s  {title}")
+    failed = [title for title, outcome in ended.items() if not outcome.is_good]
     if failed:
         session.error(f"failed: {', '.join(failed)}")
 
 
 def run_in_lanes(
     session: nox.Session, commands: dict[str, list[tuple[str, ...]]]
-) -> dict[str, tuple[bool, float]]:
-    """Run commands in their lanes: by title, whether each was content, and after how long."""
+) -> dict[str, Outcome]:
+    """Run commands in their lanes: how each ended, by title."""
     laid = {title for lane in LANES for title in lane.titles}
-    ended: dict[str, tuple[bool, float]] = {}
+    ended: dict[str, Outcome] = {}
     started: list[subprocess.Popen[str]] = []
     with contextlib.ExitStack() as stack:
-        running: dict[concurrent.futures.Future[tuple[bool, float]], str] = {}
+        running: dict[concurrent.futures.Future[Outcome], str] = {}
         pools: list[concurrent.futures.ThreadPoolExecutor] = []
         for lane in LANES:
             pool = stack.enter_context(concurrent.futures.ThreadPoolExecutor(lane.width))
             pools.append(pool)
             for title in lane.titles or [title for title in commands if title not in laid]:
                 if title in commands:
-                    before = GIVING_WAY if lane.gives_way else ()
-                    work = pool.submit(run_lines, session, started, commands[title], before)
+                    work = pool.submit(run_lines, session, started, commands[title])
                     running[work] = title
         try:
             for done in concurrent.futures.as_completed(running):
@@ -421,16 +435,15 @@ def run_lines(
     session: nox.Session,
     started: list[subprocess.Popen[str]],
     lines: list[tuple[str, ...]],
-    before: tuple[str, ...],
-) -> tuple[bool, float]:
-    """Run programs of the session's environment; whether all were content, and after how long."""
-    begun = time.monotonic()
+) -> Outcome:
+    """Run programs of the session's environment."""
+    begun, taken = time.monotonic(), 0.0
     place = Path(session.bin)
     is_good = True
     for line in lines:
         session.log(" ".join(line))
         with subprocess.Popen(
-            [*before, place / line[0], *line[1:]],
+            [place / line[0], *line[1:]],
             env=os.environ | {"PATH": f"{place}{os.pathsep}{os.environ['PATH']}"},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -438,10 +451,14 @@ def run_lines(
             text=True,
         ) as process:
             started.append(process)
-            output, _ = process.communicate()
+            assert process.stdout is not None
+            output = process.stdout.read()
+            _, status, used = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+        taken += used.ru_utime + used.ru_stime
         session.log(f"{' '.join(line)}: exit status {process.returncode}\n{output.rstrip()}")
         is_good &= process.returncode == 0
-    return is_good, time.monotonic() - begun
+    return Outcome(is_good, time.monotonic() - begun, taken)
 
 
 @nox.session(default=False)

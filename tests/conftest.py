@@ -9,7 +9,11 @@ import signal
 import pytest
 from hypothesis import HealthCheck, settings
 
-pytest_plugins = ["m100link.testing"]  # what users load, the suite loads, too
+pytest_plugins = [
+    "m100link.testing",  # what users load, the suite loads, too
+    "tests.speeds",
+    "tests.judged",
+]
 
 # What starts the suite in the background may have it ignore signals, and programs that tests start
 # would inherit that. These are the dispositions of a program that a person starts.

@@ -18,6 +18,7 @@ from m100link import errors
 from m100link.cli.app import app as cli
 from m100link.protocol import records
 from m100link.sim import VirtualClockEventLoop
+from tests.speeds import slow
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -77,8 +78,8 @@ def test_sessions_and_groups_that_contributors_are_told_of_exist() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     program = (ROOT / "noxfile.py").read_text(encoding="utf-8")
     commands = "\n".join(code_blocks(text, "sh"))
-    for session in re.findall(r"nox -s (\w+)", commands):
-        assert f"def {session}(session: nox.Session)" in program
+    sessions = set(re.findall(r"^def (\w+)\(session: nox", program, re.MULTILINE)) | kinds(program)
+    assert set(re.findall(r"nox -s (\w+)", commands)) <= sessions
     assert set(re.findall(r"--group (\w+)", commands)) <= set(PYPROJECT["dependency-groups"])
     for path in re.findall(r"pytest (tests/\S+)", commands):
         assert (ROOT / path).exists(), path
@@ -103,12 +104,28 @@ def test_ci_runs_the_command_of_the_readme() -> None:
     assert " && ".join(plain).replace('"', "") == TEST
 
 
-def test_nox_runs_every_kind_of_check_that_has_a_session() -> None:
-    text = (ROOT / "noxfile.py").read_text(encoding="utf-8")
-    assert 'nox.options.sessions = ["check"]' in text
-    kinds = {"lint", "types", "docs", "examples", "interop", "browser", "tests"}
-    assert set(re.findall(r'^    "(\w+)": Kind\(', text, re.MULTILINE)) == kinds
-    assert set(re.findall(r'run_kind\(session, "(\w+)"\)', text)) == kinds
+def kinds(program: str) -> set[str]:
+    """Kinds of checks that a noxfile has; each is a session."""
+    return set(re.findall(r'^    "(\w+)": Kind\(', program, re.MULTILINE))
+
+
+def test_nox_alone_checks_every_kind_and_full_runs_every_test() -> None:
+    program = (ROOT / "noxfile.py").read_text(encoding="utf-8")
+    assert 'nox.options.sessions = ["check"]' in program
+    default, full = (
+        set(re.findall(r'"(\w+)"', line))
+        for line in re.findall(r"^(?:DEFAULT|FULL) = .*$", program, re.MULTILINE)
+    )
+    assert default == {"lint", "types", "docs", "quick"}
+    assert full == {"lint", "types", "docs", "tests", "browser", "examples", "interop"}
+    assert kinds(program) == default | full
+
+
+def test_what_is_called_slow_exists() -> None:
+    for function in slow():
+        path, *names = function.split("::")
+        assert (ROOT / path).exists(), function
+        assert f"def {names[-1]}(" in (ROOT / path).read_text(encoding="utf-8"), function
 
 
 def test_package_is_marked_as_typed() -> None:

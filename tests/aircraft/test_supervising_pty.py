@@ -20,6 +20,7 @@ APP = m100link.Credentials(app_id=DEMO_APP_ID, key=DEMO_KEY)
 ROUNDS = 3
 
 
+@pytest.mark.smoke
 async def test_telemetry_goes_on_behind_a_gap_and_control_never_does(tmp_path: Path) -> None:
     driver = Driver(VirtualAircraft(seed=1, firmware="3.1"))
     port = PtyPort(driver, link=tmp_path / "aircraft")

@@ -37,6 +37,7 @@ async def sessions() -> AsyncIterator[tuple[ZenohBus, ZenohBus]]:
         )
 
 
+@pytest.mark.smoke
 async def test_messages_arrive_in_the_event_loop(
     sessions: tuple[ZenohBus, ZenohBus],
 ) -> None:

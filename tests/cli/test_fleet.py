@@ -81,6 +81,7 @@ def site(tmp_path: Path) -> Iterator[Site]:
         yield one
 
 
+@pytest.mark.smoke
 def test_all_take_off_and_land_and_one_that_is_not_there_is_named(site: Site) -> None:
     agent = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
     assert agent.stdout is not None

@@ -17,6 +17,7 @@ from tests.waiting import PATIENCE
 pytestmark = pytest.mark.pty
 
 
+@pytest.mark.smoke
 def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it() -> None:
     command = [sys.executable, "-m", "m100link", "mavlink", "sim://"]
     with (

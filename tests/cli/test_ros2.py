@@ -20,6 +20,7 @@ pytestmark = pytest.mark.pty
 zenoh: Any = pytest.importorskip("zenoh", reason="the extra ros2 is not installed")
 
 
+@pytest.mark.smoke
 def test_a_session_sees_the_node_and_sigterm_ends_it() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -145,7 +145,7 @@ def test_tcp_many_and_scenario(start: Any, tmp_path: Path) -> None:
     file.write_text('[[step]]\nat = 0.2\ndo = "gps 1"\n')
     simulator = start(
         *("--tcp", "0", "--count", "3", "--scenario", str(file)),
-        *("--firmware", "3.1", "--speed", "5", "--loss", "0.3", "--seed", "6"),
+        *("--firmware", "3.1", "--loss", "0.3", "--seed", "6"),
     )
     print(f"seed {simulator.hello['seed']}")  # noqa: T201 (pytest shows it when the test fails)
     ports = simulator.hello["ports"]
@@ -164,7 +164,7 @@ def test_it_starts_activated_for_a_program_that_does_not_activate(start: Any) ->
 
 
 def test_it_ends_by_itself_after_its_time(start: Any) -> None:
-    simulator = start("--duration", "2", "--speed", "10")
+    simulator = start("--duration", "2")
     assert simulator.process.wait(timeout=PATIENCE) == 0
 
 

@@ -118,7 +118,7 @@ def test_what_cannot_be_encoded_is_one_ascii_character(
     ("arguments", "part"),
     [
         (("plot", "sim://", "quaternion.yaw_deg", "--duration", "1"), " |"),
-        (("demo", "--speed", "5"), "mission flown"),
+        (("demo", "--side", "1"), "mission flown"),
         (("monitor", "sim://", "--duration", "1"), "yaw "),
         (("sim", "--duration", "1"), "attitude"),
         (("sim", "ctl"), "rc-mode"),
@@ -149,6 +149,7 @@ def test_ctrl_c_and_everything_but_yes_end_a_question(
         assert "done:" not in running.shown
 
 
+@pytest.mark.smoke
 @pytest.mark.pty
 def test_yes_flies(simulator: Simulator, app: list[str]) -> None:
     with terminal("takeoff", simulator.port, *app) as running:
@@ -179,7 +180,7 @@ def test_ctrl_c_ends_a_plot_without_a_traceback() -> None:
         (("monitor", "sim://", "--duration", "1"), ("angular_velocity", "standby")),
         (("hz", "sim://", "--duration", "1"), ("angular_velocity", "count")),
         (("plot", "sim://", "--duration", "1"), ("1.0 s", "\u2524\u2800")),
-        (("demo", "--speed", "5"), ("mission flown", "setpoints sent", "height")),
+        (("demo", "--side", "1"), ("mission flown", "setpoints sent", "height")),
         (("sim", "--duration", "1"), ("attitude", "velocity", "battery, GPS")),
         (("info", "sim://"), ("flight_status",)),
     ],

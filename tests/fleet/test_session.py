@@ -39,6 +39,7 @@ async def test_a_port_that_is_taken_and_an_option_that_cannot_be() -> None:
             pass
 
 
+@pytest.mark.smoke
 async def test_who_is_patient_waits_for_the_router() -> None:
     place = free_place()
     async with AsyncExitStack() as stack:

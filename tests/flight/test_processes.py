@@ -126,6 +126,7 @@ async def flight(*, stop: str = "hover", firmware: str = "1.0") -> AsyncIterator
         driver.stop()
 
 
+@pytest.mark.smoke
 async def test_sigint_stops_releases_and_ends_with_keyboard_interrupt() -> None:
     async with flight() as flown:
         status = await flown.end(signal.SIGINT)
@@ -167,6 +168,7 @@ async def test_sigterm_lands_first_where_the_program_wants_it_even_if_sent_twice
         assert flown.virtual.vehicle.authority.device is Device.RC
 
 
+@pytest.mark.smoke
 async def test_after_sigkill_nothing_is_sent_and_the_aircraft_hovers() -> None:
     async with flight() as flown:
         status = await flown.end(signal.SIGKILL)

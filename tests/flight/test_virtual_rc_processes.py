@@ -74,6 +74,7 @@ async def test_a_signal_centres_the_sticks_and_switches_it_off(number: signal.Si
         await until(lambda: virtual.vehicle.flight.dynamics.speed < 0.1)
 
 
+@pytest.mark.smoke
 async def test_killed_it_goes_on_for_a_second_then_the_pilots_sticks_fly() -> None:
     """V4."""
     async with flown() as (virtual, process):

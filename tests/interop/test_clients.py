@@ -66,6 +66,7 @@ def is_north(quaternion: dict[str, float]) -> bool:
     return max(abs(value) for value in turn) < 0.05
 
 
+@pytest.mark.smoke
 def test_roslibpy() -> None:
     with station() as url:
         port = url.rpartition(":")[2]

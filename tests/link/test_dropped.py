@@ -61,6 +61,7 @@ def test_its_end_is_that_of_the_loop_and_it_is_named(device: str) -> None:
     asyncio.run(use())
 
 
+@pytest.mark.smoke
 def test_what_flew_is_left_in_neutral_and_given_back() -> None:
     """Control by hand, kept by nobody: the end of the loop takes its stop path."""
     port = VirtualPort(seed=1)

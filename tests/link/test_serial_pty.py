@@ -109,6 +109,7 @@ def open_descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
+@pytest.mark.smoke
 async def test_requests_are_answered_over_a_pty(terminal: Terminal) -> None:
     link = await open_link(f"serial://{terminal.path}:230400")
     stop = terminal.answer_everything()

@@ -332,6 +332,7 @@ async def test_a_folder_gets_a_file_for_each_flight(tmp_path: Path) -> None:
     assert all(read(file).summary().is_whole for file in files)
 
 
+@pytest.mark.smoke
 @pytest.mark.pty  # in real time, for who is killed has no other
 def test_a_process_that_is_killed_loses_a_second_at_most(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"

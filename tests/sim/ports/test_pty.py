@@ -46,6 +46,7 @@ async def test_programs_may_open_and_close_the_port_as_often_as_they_like() -> N
     driver.stop()
 
 
+@pytest.mark.smoke
 async def test_the_whole_stack_over_a_port() -> None:
     aircraft = VirtualAircraft(seed=1)
     driver = Driver(aircraft)

@@ -1,0 +1,75 @@
+"""Names the test files that a change can touch, by what imports what: ``python -m tests.affected``.
+
+A test file is touched if it changed, or if it imports a module that did, at any distance. A string
+that is the name of a module, or of a verb's module as the command line has it, counts as an import.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from functools import cache
+
+from tests.test_house import ROOT, name_of, programs, tree
+
+MODULES = {name_of(path): path for path in programs("m100link", "tests", "benchmarks")}
+EVERYWHERE = ("pyproject.toml", "requirements-dev.txt", "tests/conftest.py", "tests/rig.py")
+"""What every test depends on, imported or not."""
+
+
+def changed(since: str) -> set[str]:
+    """Paths of files that are not as they were in a commit, or that no commit has."""
+    asked = (("diff", "--name-only", since), ("ls-files", "--others", "--exclude-standard"))
+    told = [
+        subprocess.run(("git", *words), cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        for words in asked
+    ]
+    return set("".join(told).split())
+
+
+@cache
+def named(module: str) -> frozenset[str]:
+    """Modules that a module imports, or names in a string, with the packages that hold them."""
+    found: set[str] = set()
+    for node in ast.walk(tree(MODULES[module])):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            text, colon, _ = node.value.partition(":")
+            is_verb = colon and module.startswith("m100link.cli.")
+            found.add(f"m100link.cli.{text}" if is_verb else text)
+    return frozenset(found & MODULES.keys())
+
+
+def reached(module: str) -> set[str]:
+    """Modules that are imported by a module, or by what it imports; and itself."""
+    found, waiting = {module}, [module]
+    while waiting:
+        new = named(waiting.pop()) - found
+        found |= new
+        waiting += new
+    return found
+
+
+def affected(paths: set[str]) -> list[str]:
+    """Test files that a change of these paths can touch."""
+    tests = sorted(name for name in MODULES if name.split(".")[-1].startswith("test_"))
+    names = {name for name, path in MODULES.items() if str(path.relative_to(ROOT)) in paths}
+    is_everywhere = bool(paths & {*EVERYWHERE})
+    return [
+        str(MODULES[test].relative_to(ROOT))
+        for test in tests
+        if is_everywhere or names & reached(test)
+    ]
+
+
+def main() -> None:
+    since = sys.argv[1] if len(sys.argv) > 1 else "HEAD"
+    sys.stdout.write("\n".join(affected(changed(since))))
+
+
+if __name__ == "__main__":
+    main()

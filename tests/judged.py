@@ -1,0 +1,176 @@
+"""A third result for tests in real time: not judged, because the machine stood still meanwhile.
+
+Where others take the processors, a loop that should tick each 20 ms stands still for half a second;
+the library then ends what it flies, as it should, and a test that wanted a flight fails. Such a
+test is repeated once. If it fails again on a machine that stands still, it is neither passed nor
+failed: it is not judged, and counted. On a quiet machine hardly any may be.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Generator, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+from tests.speeds import keeps_real_time, processor_time
+from tests.waiting import kept_waiting
+
+STOOD_S = 0.25
+"""A loop of the library that ticks so late takes itself for one that stood still."""
+LOOK_S = 0.5
+ALLOWED = 0.02
+"""Share of the tests in real time that may stay without a judgement on a quiet machine."""
+QUIET = 0.25
+"""A machine is quiet if others take less than this share of its processors."""
+
+
+class Machine(threading.Thread):
+    """Watches for how long this process, or one that it has begun, is kept from running.
+
+    Attributes:
+        stood_s: The longest time: of this thread in one go, of others within half a second.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(name="how late the machine is", daemon=True)
+        self.stood_s = 0.0
+        self._ended = threading.Event()
+
+    def __enter__(self) -> Machine:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self.join()
+
+    def run(self) -> None:
+        waited: dict[int, float] = {}
+        looked_at = 0.0
+        while True:
+            asleep_at = time.monotonic()
+            if self._ended.wait(0.02):
+                return
+            now = time.monotonic()
+            self.stood_s = max(self.stood_s, now - asleep_at - 0.02)
+            if now - looked_at >= LOOK_S:
+                before, looked_at = waited, now
+                waited = {process: kept_waiting(process) for process in descendants(os.getpid())}
+                gone_by = (waited[one] - before[one] for one in waited.keys() & before.keys())
+                self.stood_s = max(self.stood_s, *gone_by, 0.0)
+
+
+def descendants(process: int) -> Iterator[int]:
+    """Processes that a process has begun, and those that these have begun."""
+    for thread in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(OSError):  # it has just ended
+            for child in map(int, thread.read_text("ascii").split()):
+                yield child
+                yield from descendants(child)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    if not keeps_real_time(item):
+        return None
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    stood: list[float] = []
+    while True:
+        with Machine() as machine:
+            reports = runtestprotocol(item, nextitem=nextitem, log=False)
+        stood.append(machine.stood_s)
+        if machine.stood_s < STOOD_S or not any(report.failed for report in reports):
+            break
+        if len(stood) == 2:
+            reports = [not_judged(report, stood) for report in reports]
+            break
+        item._initrequest()  # type: ignore[attr-defined] # as pytest-rerunfailures does
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+def not_judged(report: pytest.TestReport, stood: list[float]) -> pytest.TestReport:
+    """The report of a failure that may be the machine's."""
+    if report.failed:
+        times = " and ".join(f"{1000 * seconds:.0f} ms" for seconds in stood)
+        told = f"not judged: the loop stood {times}\n{report.longreprtext}"
+        file, line, _ = report.location
+        vars(report).update(outcome="skipped", unjudged=told, longrepr=(file, line or 0, told))
+    return report
+
+
+def pytest_report_teststatus(
+    report: pytest.TestReport,
+) -> tuple[str, str, tuple[str, dict[str, bool]]] | None:
+    if hasattr(report, "unjudged"):
+        return "not judged", "N", ("NOT JUDGED", {"yellow": True})
+    return None
+
+
+# -- how much of that a quiet machine may have ----------------------------------------------------
+
+_ran: dict[str, bool] = {}
+_workers_time = 0.0
+
+
+def busy() -> tuple[float, float]:
+    """Seconds of all processors: those in which they worked for anybody, and all."""
+    tick = os.sysconf("SC_CLK_TCK")
+    try:
+        counted = [int(n) / tick for n in Path("/proc/stat").read_text("ascii").split()[1:9]]
+    except OSError:
+        return 0.0, 0.0  # nobody counts here: quiet
+    return sum(counted) - counted[3] - counted[4], sum(counted)
+
+
+_begun = busy()
+
+
+def taken_by_others() -> float:
+    """The share of the processors that others took since this process began."""
+    worked, passed = (after - before for after, before in zip(busy(), _begun, strict=True))
+    return max(0.0, worked - processor_time() - _workers_time) / passed if passed else 0.0
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if getattr(report, "is_real", False):
+        _ran[report.nodeid] = _ran.get(report.nodeid, False) or hasattr(report, "unjudged")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: object) -> None:
+    global _workers_time
+    _workers_time += getattr(node, "workeroutput", {}).get("processor_time", 0.0)
+
+
+def too_many() -> bool:
+    return sum(_ran.values()) > ALLOWED * len(_ran) and taken_by_others() < QUIET
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]:
+    output = getattr(session.config, "workeroutput", None)
+    if output is not None:
+        output["processor_time"] = processor_time()
+    elif too_many() and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+    yield
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    for report in terminalreporter.stats.get("not judged", ()):
+        terminalreporter.write_line(f"NOT JUDGED {report.nodeid}: {report.unjudged}", yellow=True)
+    if _ran:
+        terminalreporter.write_line(
+            f"{sum(_ran.values())} of {len(_ran)} tests in real time were not judged; others took "
+            f"{100 * taken_by_others():.0f} % of the processors"
+            + (": too many for a machine so quiet" if too_many() else "")
+        )

@@ -1,0 +1,133 @@
+"""Two speeds of the suite, as hooks of pytest: which tests are slow, and what each costs.
+
+Slow is a test function that the list beside this file names (`nox -s slow` measures and writes
+it), that is marked so, or that keeps real time, on a pseudo-terminal or in a browser, and is not
+marked `smoke`. `nox` leaves the slow ones out; `nox -s full` runs them.
+
+The cost is time of the processor, children included, over all cases of a function. The time on the
+clock is the machine's, and others may be using it: what a function waits besides makes it slow in
+the list, which a quiet machine writes, and fails no run.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+
+LIST = Path(__file__).with_name("slow.txt")
+LIMIT_S = 1.0
+"""All cases of a function may take so long before it is slow."""
+WAITS_S = 2.0
+"""So long they may wait besides, on the quiet machine on which the list is written."""
+SHARED = 3.0
+"""A run fails at so many times the limit: on a processor that is shared the same work takes up to
+twice the time, and the first test that uses a library pays for its import."""
+RECORD = "M100LINK_WRITE_SLOW"
+"""Environment variable: write the list anew, from this run."""
+
+
+def slow() -> dict[str, float]:
+    """Test functions that were measured to be slow, with the seconds that each took."""
+    rows = (line.split() for line in LIST.read_text("utf-8").splitlines())
+    return {function: float(seconds) for seconds, function in rows}
+
+
+def function_of(nodeid: str) -> str:
+    """The name of a test without its parameters, as the list has it."""
+    return nodeid.partition("[")[0]
+
+
+def keeps_real_time(item: pytest.Item) -> bool:
+    """Whether it flies, or talks to programs, by a clock that no test can stop."""
+    return any(item.get_closest_marker(mark) for mark in ("pty", "browser", "interop"))
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` selects
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    named = slow()
+    for item in items:
+        for folder in ("browser", "interop"):
+            if item.nodeid.startswith(f"tests/{folder}/"):
+                item.add_marker(folder)
+        is_left_out = keeps_real_time(item) and not item.get_closest_marker("smoke")
+        if is_left_out or function_of(item.nodeid) in named:
+            item.add_marker("slow")
+
+
+_began: dict[str, float] = {}
+_costs: dict[str, float] = defaultdict(float)
+_waits: dict[str, float] = defaultdict(float)
+_slow: set[str] = set()
+_real: set[str] = set()
+
+
+def processor_time() -> float:
+    """Seconds that this process and the children that it waited for have taken."""
+    return sum(os.times()[:4])
+
+
+def pytest_runtest_logstart(nodeid: str) -> None:
+    _began[nodeid] = processor_time()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    now = processor_time()
+    vars(report).update(  # plain values: a process of xdist hands them on
+        cost=now - _began.get(item.nodeid, now),
+        is_slow=item.get_closest_marker("slow") is not None,
+        is_real=keeps_real_time(item),
+    )
+    _began[item.nodeid] = now
+    return report
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    function = function_of(report.nodeid)
+    cost: float = getattr(report, "cost", 0.0)
+    _costs[function] += cost
+    _waits[function] += report.duration - cost
+    if getattr(report, "is_slow", False):
+        _slow.add(function)
+    if getattr(report, "is_real", False):
+        _real.add(function)
+
+
+def too_dear() -> dict[str, float]:
+    """Functions that no list and no mark calls slow, and that are."""
+    return {
+        function: seconds
+        for function, seconds in _costs.items()
+        if function not in _slow | _real and seconds > SHARED * LIMIT_S
+    }
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if hasattr(session.config, "workerinput"):
+        return  # the process that began this one counts for all
+    if os.environ.get(RECORD):
+        rows = (
+            f"{cost:6.1f} {function}\n"
+            for function, cost in sorted(_costs.items())
+            if function not in _real and (cost > LIMIT_S or _waits[function] > WAITS_S)
+        )
+        LIST.write_text("".join(rows), "utf-8")
+    elif too_dear() and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if not os.environ.get(RECORD):
+        for function, seconds in sorted(too_dear().items()):
+            terminalreporter.write_line(
+                f"SLOW {function}: {seconds:.1f} s of a processor, and the default run allows "
+                f"{LIMIT_S:g}. Make it cheaper, mark it slow, or run nox -s slow",
+                red=True,
+            )
