@@ -117,11 +117,7 @@ async def open_replay(
         )
     known = firmware or begin.firmware
     if known is None:
-        raise UsageError(
-            f"{flight.path} does not say which firmware it is of",
-            cause="the aircraft never answered",
-            remedy="name the profile: firmware='1.0'",
-        )
+        raise flight.nameless("firmware='1.0'")
     player = Player(
         flight, begin, speed=wanted.speed, from_s=wanted.from_s, to_s=wanted.to_s, holds=holds
     )

@@ -23,7 +23,7 @@ from m100link.cli.log_tables import csv, parquet
 from m100link.cli.log_wireshark import wireshark
 from m100link.cli.options import Above0, Firmware
 from m100link.cli.outcome import ExitCode, complain, print_json
-from m100link.cli.progress import reading
+from m100link.cli.progress import reading, status
 from m100link.errors import LinkError, UsageError
 from m100link.log import FlightLog, Recorder, read, recover
 from m100link.log.channels import COMMAND, EVENT
@@ -34,7 +34,7 @@ __all__ = ["app", "record"]
 
 app = cyclopts.App(
     name="log",
-    help="Look at flight logs, make tables of them, mend what was cut off; no aircraft is needed.",
+    help="Look at flight logs, make tables of them, mend damaged ones; no aircraft is needed.",
     version_flags=(),
 )
 
@@ -119,7 +119,7 @@ async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None
 def info(file: Log, /, *, firmware: Firmware | None = None, json: bool = False) -> int:
     """Say what a log holds: when, how long, phases, who had control, alarms, maxima.
 
-    The exit status is 0 for every log that can be read, whatever happened on the flight.
+    The exit status is 0 whatever happened on the flight, and 1 for a file that is damaged.
 
     Args:
         file: The log.
@@ -132,9 +132,11 @@ def info(file: Log, /, *, firmware: Firmware | None = None, json: bool = False) 
         spans = {name: [one._asdict() for one in getattr(story, name)] for name in _SPANS}
         maxima = {"maxima": asdict(story.maxima), "ended": story.ended}
         print_json(asdict(summary) | spans | maxima)
-        return ExitCode.OK
+        return status(flight)
     began = summary.began_utc
-    when = "never" if began is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(began))
+    when = (
+        "unknown" if began is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(began))
+    )
     out.print(f"{file}: began {when}, {summary.duration_s:.1f} s")
     out.print(f"firmware {summary.firmware or 'unknown'}")
     for name, value in facts(story)[1:-1]:
@@ -150,11 +152,9 @@ def info(file: Log, /, *, firmware: Firmware | None = None, json: bool = False) 
     for topic, count in sorted(summary.messages.items()):
         out.print(f"  {count:>8}  {topic}")
     if not summary.is_whole:
-        out.print(
-            "cut off: the process was killed, or it is written still; to mend it: "
-            f"m100link log recover {file}"
-        )
-    return ExitCode.OK
+        out.print(f"not whole: {summary.damage}", markup=False, soft_wrap=True)
+        out.print(f"what is there as a whole file: m100link log recover {file}", soft_wrap=True)
+    return status(flight)
 
 
 @app.command
@@ -164,9 +164,10 @@ def events(file: Log, /) -> int:
     Args:
         file: The log.
     """
-    for one in _told(read(file)):
+    flight = read(file)
+    for one in _told(flight):
         print_json(one)
-    return ExitCode.OK
+    return status(flight)
 
 
 def _told(flight: FlightLog) -> Iterator[dict[str, Any]]:
@@ -181,7 +182,9 @@ def recover_file(
     *,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
 ) -> int:
-    """Write a whole file from one that was cut off; the old one stays as it is.
+    """Write a whole file from one that was cut off or damaged; the old one stays as it is.
+
+    The exit status is 1 for a damaged file: what is missing there is missing in the new one.
 
     Args:
         file: The log.
@@ -189,5 +192,5 @@ def recover_file(
     """
     target = output or file.with_stem(f"{file.stem}-recovered")
     saved = recover(file, target)
-    out.print(f"{saved} messages saved in {target}")
-    return ExitCode.OK
+    out.print(f"{saved} messages saved in {target}", soft_wrap=True)
+    return status(read(file))

@@ -13,7 +13,7 @@ from m100link.cli.common import out
 from m100link.cli.log_plot import new_file, write_new
 from m100link.cli.options import Firmware
 from m100link.cli.outcome import ExitCode
-from m100link.cli.progress import reading
+from m100link.cli.progress import reading, status
 from m100link.log.layout import layout as layout_of_panels
 from m100link.log.ros2 import write_bag
 
@@ -38,7 +38,7 @@ def ros2(
     with reading(file, passes=2) as flight, new_file(target) as stream:
         count = write_bag(flight, stream, firmware=firmware)
     out.print(f"{count} messages in {target}", soft_wrap=True)
-    return ExitCode.OK
+    return status(flight)
 
 
 def layout(*, output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None) -> int:

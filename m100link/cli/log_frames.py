@@ -11,8 +11,8 @@ from cyclopts import Parameter
 
 from m100link.cli.common import out
 from m100link.cli.options import Firmware
-from m100link.cli.outcome import ExitCode, print_json
-from m100link.cli.progress import reading
+from m100link.cli.outcome import print_json
+from m100link.cli.progress import reading, status
 from m100link.keyfile import read_key
 from m100link.log import read
 from m100link.log.comparing import Comparison, compare
@@ -46,12 +46,13 @@ def frames(
     """
     cipher = None if key_file is None else Cipher(read_key(key_file))
     as_json = (not sys.stdout.isatty()) if json is None else json
-    for frame in read_frames(read(file), firmware=firmware, cipher=cipher):
+    flight = read(file)
+    for frame in read_frames(flight, firmware=firmware, cipher=cipher):
         if as_json:
             print_json(frame)
         else:
             out.print(_line(frame), soft_wrap=True, markup=False)
-    return ExitCode.OK
+    return status(flight)
 
 
 def _line(frame: dict[str, Any]) -> str:
@@ -78,9 +79,10 @@ def compare_files(first: Path, second: Path, /, *, json: bool = False) -> int:
         second: Another one.
         json: One JSON object.
     """
-    stories = []
+    flights, stories = [], []
     for file in (first, second):
         with reading(file, passes=2) as flight:
+            flights.append(flight)
             stories.append(read_story(flight))
     found = compare(*stories)
     if json:
@@ -90,7 +92,7 @@ def compare_files(first: Path, second: Path, /, *, json: bool = False) -> int:
         print_json(shown)
     else:
         _print_comparison(found, first.name, second.name)
-    return ExitCode.OK
+    return status(*flights)
 
 
 def _print_comparison(found: Comparison, first: str, second: str) -> None:

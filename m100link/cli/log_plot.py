@@ -11,8 +11,7 @@ from cyclopts import Parameter
 
 from m100link.cli.common import out
 from m100link.cli.options import Firmware
-from m100link.cli.outcome import ExitCode
-from m100link.cli.progress import reading
+from m100link.cli.progress import reading, status
 from m100link.errors import UsageError
 from m100link.log.story import Story, read_story
 
@@ -46,7 +45,7 @@ def plot(
         story = read_story(flight, firmware=firmware)
     write_new(target, _drawn(story, target))
     out.print(f"drawn into {target}", soft_wrap=True)
-    return ExitCode.OK
+    return status(flight)
 
 
 def _drawn(story: Story, target: Path) -> bytes:

@@ -15,8 +15,7 @@ from cyclopts import Parameter
 from m100link.cli.common import out
 from m100link.cli.log_plot import new_file
 from m100link.cli.options import Firmware, offered
-from m100link.cli.outcome import ExitCode
-from m100link.cli.progress import reading
+from m100link.cli.progress import reading, status
 from m100link.cli.values import items_named
 from m100link.log.parquet import write_parquet
 from m100link.protocol.items import BY_NAME
@@ -51,7 +50,7 @@ def csv(
         writer.writerow(names)
         for row in rows:
             writer.writerow("" if value != value else round(value, 9) for value in row)
-    return ExitCode.OK
+    return status(flight)
 
 
 @contextlib.contextmanager
@@ -85,4 +84,4 @@ def parquet(
     with reading(file) as flight, new_file(target) as stream:
         count = write_parquet(flight, stream, *records, firmware=firmware)
     out.print(f"{count} rows in {target}", soft_wrap=True)
-    return ExitCode.OK
+    return status(flight)

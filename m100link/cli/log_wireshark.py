@@ -11,7 +11,7 @@ from m100link.cli.common import out
 from m100link.cli.log_plot import cannot_write, new_file
 from m100link.cli.options import Firmware
 from m100link.cli.outcome import ExitCode
-from m100link.cli.progress import reading
+from m100link.cli.progress import reading, status
 from m100link.errors import UsageError
 from m100link.keyfile import read_key
 from m100link.log.dissector import dissector
@@ -59,6 +59,7 @@ def wireshark(
         with reading(file) as flight, new_file(target) as stream:
             count = write_pcapng(flight, stream, firmware=firmware, cipher=cipher)
         out.print(f"{count} packets in {target}", soft_wrap=True)
+        return status(flight)
     return ExitCode.OK
 
 

@@ -40,7 +40,7 @@ class _ToStandardError(logging.StreamHandler[TextIO]):
     """To what standard error is now: a live display takes it over, and writes above itself."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.setStream(sys.stderr)
+        self.stream = sys.stderr  # the one before is flushed by each line, and may be closed
         super().emit(record)
 
 

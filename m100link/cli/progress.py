@@ -12,11 +12,17 @@ from typing import IO
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from m100link.cli.common import err
+from m100link.cli.outcome import ExitCode
 from m100link.log import FlightLog, read
 
-__all__ = ["reading"]
+__all__ = ["reading", "status"]
 
 _PATIENCE_S = 1.0
+
+
+def status(*flights: FlightLog) -> int:
+    """The exit status of a verb that read logs: of a damaged one it did what could be done."""
+    return ExitCode.FAILED if any(flight.damage for flight in flights) else ExitCode.OK
 
 
 @contextlib.contextmanager

@@ -3,7 +3,8 @@
 Needs the extra ``log``. Foxglove and Lichtblick open the files; :func:`read` reads them back.
 """
 
+from m100link.log.damage import Damage
 from m100link.log.reading import Chunk, FlightLog, Message, Summary, read, recover
 from m100link.log.recorder import Recorder
 
-__all__ = ["Chunk", "FlightLog", "Message", "Recorder", "Summary", "read", "recover"]
+__all__ = ["Chunk", "Damage", "FlightLog", "Message", "Recorder", "Summary", "read", "recover"]

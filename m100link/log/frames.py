@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from m100link.errors import UsageError
 from m100link.link import Direction
 from m100link.log.reading import Chunk, FlightLog
 from m100link.protocol.describing import Describer
@@ -54,11 +53,7 @@ def read_frames(
     """
     chosen = flight.firmware if firmware is None else profile(firmware)
     if chosen is None:
-        raise UsageError(
-            f"{flight.path} does not say which firmware it is of",
-            cause="the aircraft never answered",
-            remedy="name the profile: firmware='1.0', or --firmware",
-        )
+        raise flight.nameless("firmware='1.0', or --firmware")
     sent, received = Describer(chosen, cipher), Describer(chosen, cipher)
     sent.answered, received.answered = received.asked, sent.asked
     last: dict[str, Any] = {}

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from m100link.errors import OnlyRecorded, ReplayEnded, UsageError
 from m100link.link import Direction
 from m100link.log.channels import EVENT
+from m100link.log.damage import Damage
 from m100link.log.reading import Chunk, FlightLog, Message
-from m100link.log.records import outline
 from m100link.protocol.commands.activation import GetVersion, Version
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.wire import Frame, FrameDecoder
@@ -45,7 +45,7 @@ class Begin(NamedTuple):
         at: The event loop's clock of then when it begins, s.
         utc: The same as POSIX time, s.
         duration_s: How long it goes on.
-        is_ended: Whether the file was ended.
+        damage: What is missing from the file; whether it was ended is there, too.
         version: What the aircraft answered first; None when it did not in the first minute.
         firmware: By which telemetry was read; None when that was never known.
         events: Who had control, and when; for what is played from elsewhere than its beginning.
@@ -54,10 +54,15 @@ class Begin(NamedTuple):
     at: float
     utc: float
     duration_s: float
-    is_ended: bool
+    damage: Damage
     version: Version | None
     firmware: FirmwareProfile | None
     events: tuple[Message, ...] = ()
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether the file was ended."""
+        return self.damage.is_ended
 
 
 async def begin_of(flight: FlightLog, *, is_moved: bool = True) -> Begin:
@@ -79,8 +84,7 @@ async def begin_of(flight: FlightLog, *, is_moved: bool = True) -> Begin:
 
 
 def _begin_of(flight: FlightLog, is_moved: bool) -> Begin:
-    with flight.path.open("rb") as stream:
-        line = outline(stream)
+    damage = flight.damage
     first: Chunk | None = None
     version: Version | None = None
     asked: set[tuple[int, int]] = set()
@@ -99,13 +103,15 @@ def _begin_of(flight: FlightLog, is_moved: bool) -> Begin:
     if first is None:
         raise UsageError(
             f"{flight.path} holds no bytes of a line: there is nothing to replay",
-            cause="nothing was recorded in it, or another program wrote it",
+            cause=f"damage: {damage}"
+            if damage
+            else "nothing was recorded in it, or another program wrote it",
             remedy="name a file that `m100link record` or connect(record=…) wrote; "
             "m100link log info FILE says what it holds",
         )
-    duration = max(0.0, line.last_ns / 1e9 - first.utc)
+    duration = max(0.0, (damage.ended_utc or 0.0) - first.utc)
     events = tuple(flight.messages(EVENT)) if is_moved else ()
-    return Begin(first.at, first.utc, duration, line.is_ended, version, flight.firmware, events)
+    return Begin(first.at, first.utc, duration, damage, version, flight.firmware, events)
 
 
 def _version(frame: Frame) -> Version | None:
@@ -399,8 +405,8 @@ class Player:
         cause = broken or "it was played to where its end was asked for"
         if not broken and self._to >= self.begin.duration_s:
             cause = "everything was played"
-            if not self.begin.is_ended:
-                cause = "the file was not ended: its process was killed, or writes it still"
+            if self.begin.damage or not self.begin.damage.is_ended:
+                cause = f"the file is not whole: {self.begin.damage}"
         stage.end(
             ReplayEnded(
                 f"the recording {self.flight.path.name} has ended, after {self.position_s:.1f} s",

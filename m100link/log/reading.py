@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 from bisect import bisect_left, insort
 from collections import defaultdict
@@ -16,15 +17,18 @@ from typing import IO, Any, NamedTuple
 from m100link.errors import LayoutMismatch, UsageError
 from m100link.link import Direction
 from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX
+from m100link.log.damage import Damage, Losses
 from m100link.log.records import (
     MAGIC,
+    PART_SIZE,
     Channel,
-    End,
     Metadata,
     RawMessage,
     Schema,
+    holds_parts,
     mcap_module,
     records,
+    registered,
 )
 from m100link.log.witness import is_telemetry
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
@@ -34,6 +38,8 @@ from m100link.wire import FrameDecoder
 
 __all__ = ["Chunk", "FlightLog", "Message", "Summary", "read", "recover"]
 
+
+_logger = logging.getLogger(__name__)
 
 _APART_S = 1.0  # at most between the two directions of one time in a file
 
@@ -95,8 +101,9 @@ class Summary:
         duration_s: From the first message to the last, s.
         messages: How many, by topic.
         bytes_received, bytes_sent: Raw bytes of the line.
-        is_whole: Whether the file was ended; else the process was killed, or it is written still.
+        is_whole: Whether the file was ended, and nothing of it is damaged or missing.
         firmware: Name of the firmware profile; None when it was never known.
+        damage: What is damaged or missing.
     """
 
     began_utc: float | None
@@ -106,10 +113,14 @@ class Summary:
     bytes_sent: int
     is_whole: bool
     firmware: str | None
+    damage: Damage
 
 
 class FlightLog:
     """A log on disk. Each iterator reads it from its beginning.
+
+    What is damaged is passed over. The first iterator that comes to the end warns of it, and of an
+    end that is missing; :attr:`damage` has it, too.
 
     Args:
         path: The file.
@@ -120,6 +131,7 @@ class FlightLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._damage: Damage | None = None
 
     def __repr__(self) -> str:
         return f"<flight log {self.path}>"
@@ -128,20 +140,34 @@ class FlightLog:
         """All messages, or those of some topics, in the order in which they were written.
 
         A file that was cut off ends with the last that is whole; parts whose checksum is wrong are
-        passed over.
+        passed over, which :attr:`damage` tells.
         """
         return self._messages(topics)
+
+    @property
+    def damage(self) -> Damage:
+        """What is damaged or missing in the file; reads all of it when nobody did so far."""
+        if self._damage is None:
+            for _ in self.messages(LINK):
+                pass
+        assert self._damage is not None
+        return self._damage
 
     def _messages(self, topics: Sequence[str], since_utc: float = 0.0) -> Iterator[Message]:
         """The same; parts of the file that end before a time are passed over."""
         names: dict[int, str] = {}
+        losses = Losses()
         with self._open() as stream:
-            for record in records(stream, topics, round(since_utc * 1e9)):
+            for record in records(stream, topics, round(since_utc * 1e9), losses):
                 if type(record) is RawMessage:
                     at, utc = record.publish_time / 1e9, record.log_time / 1e9
                     yield Message(names[record.channel_id], at, utc, record.data)
                 elif type(record) is Channel:
                     names[record.id] = record.topic
+        if self._damage is None and since_utc <= 0.0:
+            self._damage = losses.damage()
+            if self._damage or not self._damage.is_ended:
+                _logger.warning("%s: %s", self.path, self._damage)
 
     def _open(self) -> IO[bytes]:
         """The file; who shows how far it is read, puts something in its place."""
@@ -192,6 +218,14 @@ class FlightLog:
             return profile(name)
         return None
 
+    def nameless(self, remedy: str) -> UsageError:
+        """What is told where the firmware profile is needed and never known."""
+        return UsageError(
+            f"{self.path} does not say which firmware it is of",
+            cause=f"damage: {self.damage}" if self.damage else "the aircraft never answered",
+            remedy=f"name the profile: {remedy}",
+        )
+
     def samples(self, *, firmware: str | FirmwareProfile | None = None) -> Iterator[Sample]:
         """Every telemetry package, decoded from the bytes.
 
@@ -203,11 +237,7 @@ class FlightLog:
         """
         chosen = self.firmware if firmware is None else profile(firmware)
         if chosen is None:
-            raise UsageError(
-                f"{self.path} does not say which firmware it is of",
-                cause="the aircraft never answered",
-                remedy="name the profile: samples(firmware='1.0')",
-            )
+            raise self.nameless("samples(firmware='1.0')")
         decoder = FrameDecoder()
         for chunk in self.chunks():
             if chunk.direction is not Direction.RECEIVED:
@@ -259,13 +289,10 @@ class FlightLog:
             messages=dict(counts),
             bytes_received=sizes[RX],
             bytes_sent=sizes[TX],
-            is_whole=self._is_whole(),
+            is_whole=self.damage.is_ended and not self.damage,
             firmware=None if known is None else known.name,
+            damage=self.damage,
         )
-
-    def _is_whole(self) -> bool:
-        with self.path.open("rb") as stream:
-            return any(type(one) is End for one in records(stream))
 
     @cached_property
     def _utc_offset_s(self) -> float:
@@ -289,7 +316,7 @@ def read(path: str | os.PathLike[str]) -> FlightLog:
     place = Path(path).expanduser()
     try:
         with place.open("rb") as stream:
-            is_mcap = stream.read(len(MAGIC)) == MAGIC
+            is_mcap = stream.read(len(MAGIC)) == MAGIC or holds_parts(stream)
     except OSError as error:
         raise UsageError(f"{place} cannot be read: {error.strerror}") from error
     if not is_mcap:
@@ -303,7 +330,10 @@ def read(path: str | os.PathLike[str]) -> FlightLog:
 
 
 def recover(path: str | os.PathLike[str], target: str | os.PathLike[str]) -> int:
-    """Write a whole file from one that was cut off; the old one stays as it is.
+    """Write a whole file from one that was cut off or damaged; the old one stays as it is.
+
+    What the old one lost is lost: ``read(path).damage`` tells it, and so does that of the new one,
+    as far as messages are missing.
 
     Returns:
         How many messages were saved.
@@ -361,16 +391,18 @@ def _pieces(
 
 
 def _copy(source: FlightLog, stream: IO[bytes]) -> int:
-    writer = mcap_module("writer").Writer(stream)
+    """Write what can be read, in parts as small as those of a recorder."""
+    writer = mcap_module("writer").Writer(stream, chunk_size=PART_SIZE, enable_data_crcs=True)
     writer.start(library="m100link log recover")
-    channels: dict[int, int] = {}
+    channels: dict[str, int] = {}
     schemas = {0: 0}
     saved = 0
+    topics: dict[int, str] = {}
     with source.path.open("rb") as cut:
         for record in records(cut):
             if type(record) is RawMessage:
                 writer.add_message(
-                    channel_id=channels[record.channel_id],
+                    channel_id=channels[topics[record.channel_id]],
                     log_time=record.log_time,
                     publish_time=record.publish_time,
                     sequence=record.sequence,
@@ -379,13 +411,22 @@ def _copy(source: FlightLog, stream: IO[bytes]) -> int:
                 saved += 1
             elif type(record) is Schema and record.id not in schemas:
                 schemas[record.id] = writer.register_schema(*record[1:])
-            elif type(record) is Channel and record.id not in channels:
-                schema = schemas.get(record.schema_id, 0)
-                if not schema and record.topic in SCHEMAS:  # it was in a part that is lost
-                    name, text = SCHEMAS[record.topic]
-                    schema = writer.register_schema(name, "jsonschema", text.encode())
-                channels[record.id] = writer.register_channel(*record[2:], schema)
+            elif type(record) is Channel:
+                topics[record.id] = topic = record.topic
+                if topic in (RX, TX, *SCHEMAS) and topic not in channels:
+                    channels[topic] = registered(writer, topic)
+                elif topic not in channels:
+                    schema = schemas.get(record.schema_id, 0)
+                    channels[topic] = writer.register_channel(*record[2:], schema)
             elif type(record) is Metadata:
-                writer.add_metadata(*record)
+                writer.add_metadata(record.name, _renumbered(record.metadata, channels, writer))
     writer.finish()
     return saved
+
+
+def _renumbered(told: dict[str, str], channels: dict[str, int], writer: Any) -> dict[str, str]:
+    """What a recording says of itself, with the numbers that its topics have in the new file."""
+    for topic in (RX, TX, *SCHEMAS):
+        if topic in told and topic not in channels:
+            channels[topic] = registered(writer, topic)
+    return told | {topic: str(number) for topic, number in channels.items() if topic in told}

@@ -25,7 +25,7 @@ from typing import IO, TYPE_CHECKING, Any
 from m100link.errors import UsageError
 from m100link.link import Direction, Link
 from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Told
-from m100link.log.records import mcap_module
+from m100link.log.records import PART_SIZE, mcap_module, registered
 from m100link.log.redaction import Redaction, may_hold_secret
 from m100link.log.witness import Witness
 from m100link.protocol.firmware import FirmwareProfile
@@ -55,8 +55,6 @@ _EACH_CHUNK, _EACH_TOLD = 150, 3000
 
 END_TIMEOUT_S = 15.0
 """How long closing waits for the disk; one that others write to takes seconds for a last piece."""
-
-_CHUNK_SIZE = 1 << 20
 
 _LOOKS, _LOOK_S = 10, 0.001
 
@@ -311,7 +309,8 @@ class _Scribe:
         self._path = path
         self._redaction = Redaction()
         self._witness = Witness(rate_hz)
-        self._writer: Any = writer(stream, chunk_size=_CHUNK_SIZE)  # not all of it is typed
+        # Not all of it is typed. Its checksum of the whole covers what stands outside of parts.
+        self._writer: Any = writer(stream, chunk_size=PART_SIZE, enable_data_crcs=True)
         self._channels: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
         # What was read and may end within a secret, until more of it comes.
@@ -390,7 +389,7 @@ class _Scribe:
         }
         # Outside of all parts, so that a first part that is damaged costs itself alone.
         for topic in (RX, TX, *SCHEMAS):
-            self._channels[topic] = self._channel(topic)
+            self._channels[topic] = registered(self._writer, topic)
             about[topic] = str(self._channels[topic])
         self._writer.add_metadata("m100link", about)
 
@@ -440,13 +439,6 @@ class _Scribe:
             sequence=sequence,
             data=data,
         )
-
-    def _channel(self, topic: str) -> int:
-        schema = SCHEMAS.get(topic)
-        if schema is None:
-            return int(self._writer.register_channel(topic, "application/octet-stream", 0))
-        number = self._writer.register_schema(schema.name, "jsonschema", schema.text.encode())
-        return int(self._writer.register_channel(topic, "json", number))
 
     def _nanoseconds(self, now: float) -> int:
         return max(0, round((now + self.utc_offset_s) * 1e9))

@@ -1,43 +1,55 @@
 """The records of an MCAP file, as far as they are whole: of one that was cut off or damaged, too.
 
-What was lost is passed over, and what stands behind it is looked for: a process is killed while it
-writes, and disks turn bits over. No length that a file states is believed before it is seen to fit.
+What was lost is counted and passed over, and what stands behind it is looked for: a process is
+killed while it writes, and disks turn bits over. No length that a file states is believed before it
+is seen to fit. What a checksum covers is passed on when that is right, and never in parts: which
+messages of a part a wrong one spoilt, nobody can say.
 """
 
 from __future__ import annotations
 
 import re
 import struct
+from collections import Counter
 from collections.abc import Collection, Iterator
 from importlib import import_module
 from typing import IO, Any, NamedTuple
 from zlib import crc32
 
 from m100link.errors import UsageError
-from m100link.log.channels import SCHEMAS
+from m100link.log.channels import RX, SCHEMAS, TX
+from m100link.log.damage import Losses
 
 __all__ = [
     "MAGIC",
+    "PART_SIZE",
     "Channel",
     "End",
     "Header",
     "Metadata",
-    "Outline",
     "RawMessage",
     "Record",
     "Schema",
+    "holds_parts",
     "mcap_module",
-    "outline",
     "records",
+    "registered",
 ]
 
 MAGIC = b"\x89MCAP0\r\n"
+
+PART_SIZE = 32 << 10
+"""Bytes of messages in a part, half a second of a flight: a bad sector costs no more."""
+
 _MAX_RECORD = 64 << 20  # bytes; a damaged length must not ask for gigabytes
 _WINDOW = 4 << 20  # bytes in which the next part is looked for at once
 
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
-_INDEX, _METADATA = 0x07, 0x0C
-_READ = frozenset({_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA})
+_INDEX, _STATISTICS, _METADATA, _OFFSET, _DATA_END = 0x07, 0x0B, 0x0C, 0x0E, 0x0F
+_READ = frozenset(
+    {_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _METADATA, _DATA_END}
+)
+_LENGTHS = {_FOOTER: 20, _OFFSET: 17, _DATA_END: 4}  # of those that are always as long
 _LAST_KIND = 0x0F
 
 _HEAD = struct.Struct("<BQ")
@@ -46,10 +58,16 @@ _message_head = struct.Struct("<HIQQ").unpack_from
 _MESSAGE_HEAD = 22
 _chunk_head = struct.Struct("<QQQII").unpack_from  # with the length of the name of the compression
 _CHUNK_HEAD = 32
+_counts = struct.Struct("<HQ").iter_unpack
+_COUNTS = 46  # where they begin in the statistics, behind their size
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_ALL_AT_ONCE = 1 << 20
 
-# A part as writers begin one: its compression by name, and lengths below four gigabytes.
+# A part as writers begin one: its compression by name, and lengths below four gigabytes. Or the end
+# of all parts, behind which the summary stands.
 _PART = re.compile(
     rb"\x06[\s\S]{4}\0{4}[\s\S]{20}\0{4}[\s\S]{4}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4})[\s\S]{4}\0{4}"
+    rb"|\x0f\x04\0{7}"
 )
 _LONGEST_PART_HEAD = 9 + _CHUNK_HEAD + 4 + 8
 
@@ -100,15 +118,16 @@ class End(NamedTuple):
     """The file was ended by whoever wrote it."""
 
 
-class Outline(NamedTuple):
-    """What the parts of a file say of themselves; POSIX times in ns, 0 for none."""
-
-    first_ns: int
-    last_ns: int
-    is_ended: bool
-
-
 Record = Header | Schema | Channel | RawMessage | Metadata | End
+
+
+def registered(writer: Any, topic: str) -> int:
+    """Begin a channel of ours in a file that is written; returns its number."""
+    schema = SCHEMAS.get(topic)
+    if schema is None:
+        return int(writer.register_channel(topic, "application/octet-stream", 0))
+    number = writer.register_schema(schema.name, "jsonschema", schema.text.encode())
+    return int(writer.register_channel(topic, "json", number))
 
 
 def mcap_module(name: str) -> Any:
@@ -126,81 +145,159 @@ def mcap_module(name: str) -> Any:
         ) from None
 
 
-def records(stream: IO[bytes], topics: Collection[str] = (), since_ns: int = 0) -> Iterator[Record]:
+def records(
+    stream: IO[bytes],
+    topics: Collection[str] = (),
+    since_ns: int = 0,
+    losses: Losses | None = None,
+) -> Iterator[Record]:
     """Every record of a file that can be read, in the order in which they were written.
 
     Args:
         stream: The file, from anywhere.
         topics: Messages of these alone; of all without any.
         since_ns: Parts that end before it are passed over, POSIX time in ns.
+        losses: What is not there is counted there, of all topics, when all were read.
     """
-    return _Reader(stream, topics).records(since_ns)
+    return _Reader(stream, topics, losses).records(since_ns)
 
 
-def outline(stream: IO[bytes]) -> Outline:
-    """From when to when a file goes, without unpacking it."""
-    return _Reader(stream, ()).outline()
+def holds_parts(stream: IO[bytes]) -> bool:
+    """Whether a file that does not begin as one begins may be one, damaged where it begins."""
+    return any(kind == _CHUNK for _, kind, _ in _Reader(stream, ())._outer())
 
 
 class _Reader:
-    def __init__(self, stream: IO[bytes], topics: Collection[str]) -> None:
+    def __init__(
+        self, stream: IO[bytes], topics: Collection[str], losses: Losses | None = None
+    ) -> None:
         self._stream = stream
+        self._size = stream.seek(0, 2)
         self._topics = topics
+        self._losses = losses or Losses()
         # Channels that were told, and which of them are passed on.
         self._known: set[int] = set()
         self._wanted: set[int] = set()
         self._is_searched = False  # for channels that no part told
+        self._has_parts = False
+        self._data_end = 0  # where all parts have ended
+        self._is_summary_whole = False
+        self._counted: dict[int, int] = {}
 
     def records(self, since_ns: int) -> Iterator[Record]:
-        for kind, body in self._outer():
+        for at, kind, body in self._outer():
             if kind != _CHUNK:
-                yield from self._record(kind, body)
+                yield from self._outside(at, kind, body)
                 continue
-            if len(body) < _CHUNK_HEAD or _chunk_head(body)[1] < since_ns:
+            self._has_parts = True
+            if len(body) >= _CHUNK_HEAD and _chunk_head(body)[1] < since_ns:
                 continue
             try:
                 inside = _unpacked(body)
             except Exception:  # noqa: BLE001 - whatever unpacking bytes of chance raises
+                self._losses.place(at, at + _HEAD.size + len(body))
                 continue  # the next one may be whole
             yield from self._inside(inside)
 
-    def outline(self) -> Outline:
-        first, last, is_ended = 0, 0, False
-        for kind, body in self._outer():
-            if kind == _CHUNK and len(body) >= _CHUNK_HEAD:
-                begin, end = _chunk_head(body)[:2]
-                first, last = min(first or begin, begin), max(last, end)
-            is_ended |= kind == _FOOTER
-        return Outline(first, last, is_ended)
-
-    def _outer(self) -> Iterator[tuple[int, bytes]]:
-        """Kind and body of each record outside of parts."""
-        stream, at = self._stream, len(MAGIC)
-        while True:
-            head = self._head_at(at)
-            if len(head) < _HEAD.size:
-                return
+    def _outer(self) -> Iterator[tuple[int, int, bytes]]:
+        """Place, kind and body of each record outside of parts."""
+        at = len(MAGIC)
+        if not self._head_at(0).startswith(MAGIC):
+            self._losses.place(0, at)
+        while len(head := self._head_at(at)) >= _HEAD.size:
+            if head.startswith(MAGIC):  # two files in one
+                at += len(MAGIC)
+                continue
             kind, length = _head(head)
             end = at + _HEAD.size + length
             is_part = kind == _CHUNK
-            if _fits(head) and (self._goes_on(end) or not is_part):
-                if kind in _READ:
-                    stream.seek(at + _HEAD.size)
-                    body = stream.read(length)
-                    if len(body) == length:  # an end that is cut off is not one
-                        yield kind, body
-                if self._goes_on(end):
-                    at = end
-                    continue
+            goes_on = _fits(head) and self._goes_on(end)
+            is_there = goes_on or (_fits(head) and not is_part and end <= self._size)
+            if is_there and kind in _READ:
+                yield at, kind, self._read(at, end)
+            if goes_on:
+                at = end
+                continue
             # A part whose own length is damaged may stand here, or behind this record.
             place = end if _fits(head) and not is_part else at
             part = self._part_at(place)
             if part is not None:
-                yield _CHUNK, part
-            next_at = self._next_part(at + 1 if part is None else place + _HEAD.size + len(part))
+                self._losses.place(place, place + _HEAD.size)
+                yield place, _CHUNK, part
+                place += _HEAD.size + len(part)
+                if self._goes_on(place):
+                    at = place
+                    continue
+            next_at = self._next_part(at + 1 if part is None else place)
             if next_at is None:
+                self._tail(at if end > self._size else place)
                 return
+            self._losses.place(place if next_at >= place else at, next_at)
             at = next_at
+        if head and not head.startswith(MAGIC):
+            self._tail(at)
+
+    def _tail(self, at: int) -> None:
+        """Nothing more can be read: it was cut off within a record, or is damaged to its end."""
+        head = self._head_at(at)
+        is_cut = any(head) and len(head) < _LONGEST_PART_HEAD
+        if not is_cut and len(head) >= _HEAD.size and _fits(head):
+            is_cut = at + _HEAD.size + _head(head)[1] > self._size
+        self._stream.seek(-min(len(MAGIC), self._size), 2)
+        if is_cut and self._stream.read() != MAGIC:
+            self._losses.cut_bytes = self._size - at
+        else:
+            self._losses.place(at, self._size)
+
+    def _read(self, at: int, end: int) -> bytes:
+        self._stream.seek(at + _HEAD.size)
+        return self._stream.read(end - at - _HEAD.size)
+
+    def _checksum(self, begin: int, end: int) -> int:
+        found = 0
+        self._stream.seek(begin)
+        for at in range(begin, end, _ALL_AT_ONCE):
+            found = crc32(self._stream.read(min(_ALL_AT_ONCE, end - at)), found)
+        return found
+
+    def _outside(self, at: int, kind: int, body: bytes) -> Iterator[Record]:
+        """A record that no part holds: checksums cover it only together with all others."""
+        losses, end = self._losses, at + _HEAD.size + len(body)
+        if kind == _MESSAGE and self._has_parts:  # nobody writes both: it is an index, damaged
+            losses.place(at, end)
+        elif kind == _DATA_END:
+            self._data_end = end
+            checksum = int.from_bytes(body, "little")
+            losses.is_changed |= bool(checksum) and self._checksum(0, at) != checksum
+        elif kind == _STATISTICS and self._data_end:
+            size = (len(body) - _COUNTS) // 10 * 10
+            self._counted = dict(_counts(body[_COUNTS : _COUNTS + size]))
+        elif kind == _FOOTER and self._data_end:
+            checksum = int.from_bytes(body[16:], "little")
+            if checksum and self._checksum(self._data_end, end - 4) != checksum:
+                losses.place(self._data_end, end)
+            else:
+                self._is_summary_whole = True
+                losses.tell(self._counted)
+        try:
+            record = None if kind == _MESSAGE and self._has_parts else _parsed(kind, body)
+        except (struct.error, UnicodeDecodeError, LookupError):
+            losses.place(at, end)
+            return
+        if isinstance(record, Header):
+            losses.is_numbered = record.library.startswith("m100link")
+        elif isinstance(record, End):
+            losses.is_ended = True
+        if isinstance(record, RawMessage):
+            yield from self._message(record)
+        elif record is not None:
+            yield self._channel(record) if isinstance(record, Channel) else record
+
+    def _message(self, record: RawMessage) -> Iterator[Record]:
+        is_known = record.channel_id in self._known
+        self._losses.hear(record.channel_id, record.sequence, record.log_time, is_known)
+        if record.channel_id in self._wanted:
+            yield record
 
     def _head_at(self, at: int) -> bytes:
         """Kind and length of a record, and enough of its body to see whether they fit it."""
@@ -210,7 +307,7 @@ class _Reader:
     def _goes_on(self, at: int) -> bool:
         """Whether another record begins there, or the file ends as it should."""
         head = self._head_at(at)
-        if head.startswith(MAGIC) or (not head and self._stream.seek(0, 2) == at):
+        if head.startswith(MAGIC) or at == self._size:
             return True
         return len(head) >= _HEAD.size and _fits(head)
 
@@ -243,44 +340,42 @@ class _Reader:
     def _lost_channels(self) -> Iterator[Record]:
         """Channels whose own record is lost: by what stands outside of all parts.
 
-        Whole files repeat schemas and channels at their end; ours name them at the beginning.
+        Whole files repeat schemas and channels at their end; ours name them at the beginning, where
+        no checksum covers them: a number that two topics have is that of neither.
         """
         if self._is_searched:
             return
         self._is_searched = True
         named: dict[str, str] = {}
-        for kind, body in self._outer():
-            if kind in (_SCHEMA, _CHANNEL):
-                yield from self._record(kind, body)
-            elif kind == _METADATA:
-                told = _parsed(kind, body)
-                named = told.metadata if isinstance(told, Metadata) else named
+        repeated: list[Schema | Channel] = []
+        apart = _Reader(self._stream, ())
+        apart._has_parts = True
+        for at, kind, body in apart._outer():
+            for record in () if kind == _CHUNK else apart._outside(at, kind, body):
+                if isinstance(record, Schema | Channel) and apart._data_end:
+                    repeated.append(record)
+                elif isinstance(record, Metadata):
+                    named = record.metadata
+        for one in repeated if apart._is_summary_whole else ():
+            yield self._channel(one) if isinstance(one, Channel) else one
+        numbers = Counter(named.values())
         for topic, number in named.items():
-            if topic.startswith("/") and number.isdecimal() and int(number) not in self._known:
+            if topic not in (RX, TX, *SCHEMAS) or numbers[number] > 1 or not number.isdecimal():
+                continue
+            if int(number) not in self._known:
                 encoding = "json" if topic in SCHEMAS else ""
                 yield self._channel(Channel(int(number), 0, topic, encoding))
 
     def _channel(self, channel: Channel) -> Channel:
         self._known.add(channel.id)
+        self._losses.name(channel.id, channel.topic)
         if not self._topics or channel.topic in self._topics:
             self._wanted.add(channel.id)
         return channel
 
-    def _record(self, kind: int, body: bytes) -> Iterator[Record]:
-        try:
-            record = _parsed(kind, body)
-        except (struct.error, UnicodeDecodeError, LookupError):
-            return
-        if isinstance(record, Channel):
-            yield self._channel(record)
-        elif isinstance(record, RawMessage):
-            if record.channel_id in self._wanted:
-                yield record
-        elif record is not None:
-            yield record
-
     def _inside(self, data: bytes) -> Iterator[Record]:
         at, size, wanted, known = 0, len(data), self._wanted, self._known
+        hear = self._losses.hear
         make = tuple.__new__
         while at + 9 <= size:
             kind, length = _head(data, at)
@@ -292,10 +387,16 @@ class _Reader:
                 head = _message_head(data, begin)
                 if head[0] not in known:
                     yield from self._lost_channels()
+                hear(head[0], head[1], head[2], head[0] in known)
                 if head[0] in wanted:
                     yield make(RawMessage, (*head, data[begin + _MESSAGE_HEAD : at]))
             else:
-                yield from self._record(kind, data[begin:at])
+                try:
+                    record = _parsed(kind, data[begin:at])
+                except (struct.error, UnicodeDecodeError, LookupError):
+                    continue  # of a part without a checksum
+                if record is not None:
+                    yield self._channel(record) if isinstance(record, Channel) else record
 
 
 def _fits(head: bytes) -> bool:
@@ -305,6 +406,8 @@ def _fits(head: bytes) -> bool:
         return False
     if kind == _CHUNK:
         return bool(length == _length_of_part(head))
+    if length != _LENGTHS.get(kind, length):
+        return False
     if kind == _INDEX and len(head) >= _HEAD.size + 6:
         return bool(length == 6 + int.from_bytes(head[_HEAD.size + 2 : _HEAD.size + 6], "little"))
     return True
@@ -324,26 +427,27 @@ def _length_of_part(head: bytes) -> int | None:
 def _unpacked(body: bytes) -> bytes:
     """What a part holds, whole by its checksum."""
     _, _, size, checksum, name_size = _chunk_head(body)
-    compression = body[_CHUNK_HEAD : _CHUNK_HEAD + name_size].decode()
+    compression = body[_CHUNK_HEAD : _CHUNK_HEAD + name_size].decode(errors="replace")
     at = _CHUNK_HEAD + name_size + 8
     length = int.from_bytes(body[at - 8 : at], "little")
     packed = body[at : at + length]
-    if len(packed) != length or size > _MAX_RECORD:
+    if len(packed) != length:
         raise ValueError(f"a part of {size} bytes")
-    if compression == "zstd":
+    if compression == "zstd" or (checksum and packed.startswith(_ZSTD)):
         zstd = import_module("zstandard")
-        if zstd.frame_content_size(packed) > _MAX_RECORD:
+        if max(zstd.frame_content_size(packed), 0) > _MAX_RECORD:
             raise ValueError("a part that asks for more than it says")
-        data = zstd.ZstdDecompressor().decompress(packed, max_output_size=size)
+        data = zstd.ZstdDecompressor().decompress(packed, max_output_size=min(size, _MAX_RECORD))
     elif compression == "lz4":
         # By pieces: a frame of lz4 need not say how much it holds.
         unpacker = import_module("lz4.frame").LZ4FrameDecompressor()
-        data = unpacker.decompress(packed, max_length=size + 1)
+        data = unpacker.decompress(packed, max_length=min(size, _MAX_RECORD) + 1)
     elif not compression:
         data = packed
     else:
         raise ValueError(f"the compression {compression!r}")
-    if len(data) != size or (checksum and crc32(data) != checksum):
+    # What the checksum is right for is what was written, whatever size is told.
+    if crc32(data) != checksum if checksum else len(data) != size:
         raise ValueError("its checksum is wrong")
     return bytes(data)
 

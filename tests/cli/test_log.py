@@ -119,3 +119,29 @@ def test_typing_errors_are_told(cli: CommandLine, flight: Path, tmp_path: Path) 
         outcome = cli(*words)
         assert outcome.status == ExitCode.USAGE, words
         assert why in " ".join(outcome.err.split()), words
+
+
+def test_each_verb_says_what_a_damaged_log_lacks_and_ends_with_1(
+    cli: CommandLine, tmp_path: Path
+) -> None:
+    flight, bad = tmp_path / "flight.mcap", tmp_path / "bad.mcap"
+    assert cli("record", "sim://", "-o", str(flight), "--duration", "1.6").status == ExitCode.OK
+    data = bytearray(flight.read_bytes())
+    parts = [at for at in range(len(data)) if data[at] == 6 and data[at + 41 : at + 45] == b"zstd"]
+    assert len(parts) > 1
+    data[parts[-1] + 80] ^= 1
+    bad.write_bytes(data)
+    lost = read(bad).damage.missing_messages
+    assert lost > 0
+    verbs = "info csv parquet events frames plot recover wireshark ros2"
+    for name, *options in (["info", "--json"], *([verb] for verb in verbs.split())):
+        shown = cli("log", name, str(bad), *options)
+        assert shown.status == ExitCode.FAILED, name
+        assert f"{lost} messages are missing" in " ".join((shown.out + shown.err).split()), name
+        assert "killed" not in shown.out + shown.err
+        whole = cli("log", name, str(flight), *options)
+        assert whole.status == ExitCode.OK
+        assert "missing" not in whole.err
+    shown = cli("log", "compare", str(flight), str(bad))
+    assert shown.status == ExitCode.FAILED
+    assert f"{lost} messages are missing" in " ".join(shown.err.split())

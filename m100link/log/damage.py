@@ -1,0 +1,211 @@
+"""What is missing from a flight log: where its file is damaged, how many messages that cost, when.
+
+Each message of a recording has a number, and the end of the file says how many there are. So what
+is missing is counted by what is there, whatever became of the part that held it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+__all__ = ["Damage", "Losses"]
+
+_MOST_NAMED = 3  # places, and spans of time; the others are counted
+
+
+@dataclass(frozen=True)
+class Damage:
+    """What is damaged or missing in a flight log. False when nothing is.
+
+    A file whose process was killed has no end, and is not damaged by that: ``is_ended``.
+
+    Attributes:
+        places: From which byte of the file to which it cannot be read, or is not what was written.
+        missing: Messages that are missing at least, by topic; ``""`` where no topic is known.
+        spans_utc: Between which messages that are there others are missing, POSIX time, s; None
+            for the beginning and the end of the file. What arrives together is written together,
+            so a time may be half a second off.
+        is_changed: The checksum of the whole file is wrong, though each of its parts can be read.
+        is_ended: Whether the end is there.
+        cut_bytes: Size of the unfinished record at the end of a file without one.
+        began_utc, ended_utc: POSIX time of the first message and of the newest, s; None when there
+            is none.
+    """
+
+    places: tuple[tuple[int, int], ...] = ()
+    missing: dict[str, int] = field(default_factory=dict)
+    spans_utc: tuple[tuple[float | None, float | None], ...] = ()
+    is_changed: bool = False
+    is_ended: bool = True
+    cut_bytes: int = 0
+    began_utc: float | None = None
+    ended_utc: float | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.places or self.missing or self.is_changed)
+
+    @property
+    def damaged_bytes(self) -> int:
+        """Size of all places together."""
+        return sum(end - begin for begin, end in self.places)
+
+    @property
+    def missing_messages(self) -> int:
+        """Messages that are missing at least."""
+        return sum(self.missing.values())
+
+    def __str__(self) -> str:
+        said = []
+        if self.places:
+            where = _some([f"{begin:,} to {end - 1:,}" for begin, end in self.places])
+            said.append(f"{self.damaged_bytes:,} bytes are damaged (bytes {where})")
+        elif self.is_changed:
+            said.append("the file was changed: its checksum is wrong")
+        if self.missing:
+            topics = ", ".join(f"{n:,} {topic or '?'}" for topic, n in sorted(self.missing.items()))
+            said.append(f"{self.missing_messages:,} messages are missing at least ({topics})")
+        elif self.places or self.is_changed:
+            count = "no message is" if self.is_ended else "nobody knows how many messages are"
+            said.append(f"{count} missing")
+        if self.spans_utc:
+            said.append(f"missing is from {_some([self._said(*one) for one in self.spans_utc])}")
+        if not self.is_ended:
+            said.append(
+                "its end is missing"
+                if self
+                else "it has no end: its process was killed or had no more disk, or writes it still"
+            )
+        return "; ".join(said) or "nothing is missing"
+
+    def _said(self, begin: float | None, end: float | None) -> str:
+        zero = self.began_utc or 0.0
+        first = "the beginning" if begin is None else f"{begin - zero:.1f} s"
+        return f"{first} to " + ("the end" if end is None else f"{end - zero:.1f} s")
+
+
+def _some(named: list[str]) -> str:
+    more = len(named) - _MOST_NAMED
+    return ", ".join(named[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+class _Row:
+    """Messages of one channel, as far as they were read; and how many holes stood before them."""
+
+    __slots__ = ("count", "expected", "gap", "holes", "last_ns")
+
+    def __init__(self) -> None:
+        self.expected = self.count = self.gap = self.holes = 0
+        self.last_ns: int | None = None
+
+
+@dataclass
+class _Hole:
+    """Between two messages others are missing, if any are: where that is seen it counts."""
+
+    begin_ns: int | None
+    end_ns: int | None = None
+    counts: bool = False
+
+
+class Losses:
+    """Counts while a file is read once from its beginning to its end.
+
+    Attributes:
+        is_numbered: Whether messages have numbers without gaps; other programs need not count.
+        is_ended: Whether the end was read.
+        is_changed: Whether the checksum of the whole file is wrong.
+        cut_bytes: Size of the unfinished record at the end.
+    """
+
+    def __init__(self) -> None:
+        self.is_numbered = True
+        self.is_ended = self.is_changed = False
+        self.cut_bytes = 0
+        self._places: list[tuple[int, int]] = []
+        self._topics: dict[int, str] = {}
+        self._rows: dict[int, _Row] = {}
+        self._told: dict[int, int] = {}
+        self._unnamed: Counter[int] = Counter()
+        self._holes: list[_Hole] = []
+        self._is_open = False  # whether no message came since the newest hole
+        self._first_ns: int | None = None
+        self._last_ns: int | None = None
+
+    def place(self, begin: int, end: int) -> None:
+        """These bytes cannot be read, or are not what was written."""
+        if end <= begin:
+            return
+        if self._places and begin <= self._places[-1][1]:
+            first, last = self._places.pop()
+            begin, end = min(first, begin), max(last, end)
+        self._places.append((begin, end))
+        if not self._is_open:
+            self._holes.append(_Hole(self._last_ns))
+            self._is_open = True
+
+    def name(self, channel: int, topic: str) -> None:
+        """What a channel is called."""
+        self._topics[channel] = topic
+
+    def tell(self, counts: dict[int, int]) -> None:
+        """How many messages of each channel there are by the end of the file."""
+        self._told = counts
+
+    def hear(self, channel: int, number: int, at_ns: int, is_known: bool) -> None:
+        """A message was read.
+
+        Args:
+            channel: Its channel.
+            number: Its number there.
+            at_ns: When it was written, POSIX time in ns.
+            is_known: Whether it is told on which topic it is; else it is lost.
+        """
+        row = self._rows.get(channel)
+        if row is None:
+            row = self._rows[channel] = _Row()
+        if self._first_ns is None:
+            self._first_ns = at_ns
+        if self._is_open:
+            self._holes[-1].end_ns = at_ns
+            self._is_open = False
+        if number > row.expected and self.is_numbered:
+            row.gap += number - row.expected
+            if row.holes == len(self._holes):  # of a file that was mended: nothing else shows it
+                self._holes.append(_Hole(row.last_ns, at_ns))
+            for hole in self._holes[row.holes :]:
+                hole.counts = True
+        row.expected = number + 1
+        row.holes = len(self._holes)
+        row.last_ns = at_ns
+        if self._last_ns is None or at_ns > self._last_ns:
+            self._last_ns = at_ns
+        row.count += 1
+        if not is_known:
+            self._unnamed[channel] += 1
+
+    def damage(self) -> Damage:
+        """What was found."""
+        missing: Counter[str] = Counter()
+        for channel in sorted(self._rows.keys() | self._told.keys()):
+            row = self._rows.get(channel) or _Row()
+            lost = max(row.gap, self._told.get(channel, 0) - row.count)
+            missing[self._topics.get(channel, "")] += lost + self._unnamed[channel]
+        missing = +missing
+        if self._is_open and missing:
+            self._holes[-1].counts = True
+        spans = [(_s(one.begin_ns), _s(one.end_ns)) for one in self._holes if one.counts]
+        return Damage(
+            places=tuple(self._places),
+            missing=dict(missing),
+            spans_utc=tuple(spans),
+            is_changed=self.is_changed,
+            is_ended=self.is_ended,
+            cut_bytes=self.cut_bytes,
+            began_utc=_s(self._first_ns),
+            ended_utc=_s(self._last_ns),
+        )
+
+
+def _s(time_ns: int | None) -> float | None:
+    return None if time_ns is None else time_ns / 1e9
