@@ -154,6 +154,7 @@ class FleetAgent:
             for token in (keys.live, keys.live_beside):
                 hold(bus.declare(token))
             self._tell_damage()
+            self._ledger.tell = partial(self.client.note, level="error")
             self._lost.inherit(self._ledger.aloft)
             try:
                 async with asyncio.TaskGroup() as group:
@@ -180,8 +181,8 @@ class FleetAgent:
     def _tell_damage(self) -> None:
         if self._ledger.damaged:
             self.client.note(
-                f"{self._ledger.damaged} words of the ledger cannot be read: orders of before are "
-                "told as unknown and not carried out, and nobody is landed for who flew then",
+                f"{self._ledger.damaged} words of the ledger are damaged or gone: orders of before "
+                "are told as unknown and not carried out, and nobody is landed for who flew then",
                 "error",
             )
 

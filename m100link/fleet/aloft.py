@@ -40,14 +40,17 @@ class Aloft:
         What is asked for under a lease after control was obtained is written behind it, so no task
         begins of which the agent after this one would not know whose it was.
         """
+        is_kept = True
         while True:
             try:
-                async with asyncio.timeout(KEPT_AGAIN_S if self._number else None):
+                async with asyncio.timeout(KEPT_AGAIN_S if self._number or not is_kept else None):
                     await self._changed.wait()
             except TimeoutError:
                 pass  # it still flies
             self._changed.clear()
             try:
                 await self._ledger.flies(self._number)
+                is_kept = True
             except M100Error as error:
+                is_kept = False
                 self._client.note(f"who flies is not kept: {error.seen}", "error")

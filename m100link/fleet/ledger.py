@@ -1,6 +1,6 @@
 """What an agent must know after it was killed: orders that were begun, its fence, who was flying.
 
-One line of JSON for each in a file that grows to some megabytes and is written anew then, through
+One sealed line for each in a file that grows to some megabytes and is written anew then, through
 to the disk before what it says happens, in a thread: a disk that hangs holds up no setpoint. Ages
 are those of a clock that nobody sets. Of what is from before the computer was started nobody knows
 how old it is: it is kept for as long again.
@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import asyncio
 import fcntl
-import json
+import logging
 import os
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from typing import Any, Protocol
 
 from m100link.errors import UsageError
 from m100link.fleet.book import KEPT_S
+from m100link.fleet.sealed import Mark, seal, words
 
 __all__ = [
     "FENCES_AT_ONCE",
@@ -32,6 +34,8 @@ __all__ = [
     "since_boot",
 ]
 
+_logger = logging.getLogger(__name__)
+
 MOST_KEPT = 20_000
 """Orders that are kept at most: more than an agent can begin in the time in which one is young."""
 
@@ -39,6 +43,7 @@ FENCES_AT_ONCE = 1000
 """Numbers of leases that are reserved at once: an agent that begins anew starts above them."""
 
 _MOST_FENCE = 1 << 53
+_CLOSE_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +66,12 @@ class Ledger(Protocol):
         begun: Orders that were begun lately, and when, s since the computer was started.
         leases_before: The greatest number that a lease may have had.
         aloft: How the agent before ended, if somebody flew then.
-        damaged: Words that were on the disk and cannot be read any more: each may be an order that
-            was begun, the number of a lease, or who flew.
+        damaged: Words that were on the disk and cannot be read any more, or are gone: each may be
+            an order that was begun, the number of a lease, or who flew.
+        tell: Called in the event loop with what people should know of the disk.
     """
 
+    tell: Callable[[str], None]
     begun: dict[str, float]
     leases_before: int
     aloft: LeftAloft | None
@@ -112,6 +119,7 @@ class MemoryLedger:
     """
 
     def __init__(self, before: MemoryLedger | None = None) -> None:
+        self.tell: Callable[[str], None] = _logger.warning
         self.begun: dict[str, float] = {} if before is None else before.begun
         self.leases_before: int = 0 if before is None else before.leases_before + FENCES_AT_ONCE
         self.damaged = 0
@@ -135,6 +143,9 @@ class MemoryLedger:
 class FileLedger:
     """Kept in a file, of which one process at a time is the owner.
 
+    Beside it, in the file of the lock, stands the mark of the newest word. A file that is removed,
+    replaced or emptied while the agent runs is made again at the next word, which is told.
+
     Args:
         path: The file; its folder is made.
         utc: POSIX time, s.
@@ -152,50 +163,56 @@ class FileLedger:
     ) -> None:
         self._path = path
         self._utc, self._up = utc, up
-        # The line that says who flies, as it was written.
+        # The word that says who flies; whether the disk has it.
         self._flown: dict[str, object] = {}
+        self._is_flown_kept = True
         self._is_sure_who_flew = True
+        self.tell: Callable[[str], None] = _logger.warning
         self.damaged = 0
         self.aloft: LeftAloft | None = None
+        self._file = self._lock = -1
+        self._lock_path = path.with_suffix(".lock")
+        self._in_thread = threading.Lock()  # one that was cancelled goes on
         try:
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            self._lock = path.with_suffix(".lock").open("a")
             self._own()
             self.begun, self.leases_before = self._read()
             self.aloft = self._left_aloft()
             self._reserved = self.leases_before + FENCES_AT_ONCE
-            self._rewrite(self._needed())
-            self._file = path.open("a", encoding="ascii")
+            self._renew()
         except OSError as error:
+            self.close()
             raise _failed(path, error) from error
         self._writing = asyncio.Lock()
-        self._written = 0
 
     def _own(self) -> None:
-        # Of a file of its own: the ledger is replaced as it is read.
+        # By a file of its own: the ledger is replaced as it is read.
+        self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            self._lock.close()
+            os.close(lock)
             raise UsageError(
                 f"{self._path}: another agent has it",
                 cause="two agents of one name run on this computer",
                 remedy="end the other one, or name another folder by --ledger",
             ) from None
+        self._lock, before = lock, self._lock
+        if before >= 0:
+            os.close(before)
 
     def _read(self) -> tuple[dict[str, float], int]:
         begun: dict[str, float] = {}
         fence = 0
         boot, now = self._up()
-        try:
-            text = self._path.read_text("ascii", "replace")
-        except FileNotFoundError:
-            return begun, fence
-        # What has no end was cut off by the loss of power as it was written: it had not begun.
-        for line in text.split("\n")[:-1]:
-            kept = _word(line)
+        data = self._path.read_bytes() if self._path.exists() else b""
+        read = words(data, os.pread(self._lock, 1000, 0))
+        self.damaged, self._newest = read.damaged, read.newest
+        self._is_sure_who_flew = not read.damaged
+        for number, kept in read.kept.items():
             if _is_fence(kept.get("flies")):
-                self._flown, self._is_sure_who_flew = kept, True
+                self._flown = kept
+                self._is_sure_who_flew = number >= read.sure_from
             elif _is_fence(kept.get("fence")):
                 fence = max(fence, kept["fence"])
             elif isinstance(kept.get("id"), str):
@@ -224,28 +241,7 @@ class FileLedger:
             return LeftAloft(fence, None)
         return LeftAloft(fence, ago if ago >= 0 else None)
 
-    def _needed(self) -> list[str]:
-        """What is still needed, and the numbers that this run may give to leases."""
-        boot, now = self._up()
-        young = [(one, at) for one, at in self.begun.items() if now - at < KEPT_S]
-        self.begun = dict(young[-MOST_KEPT:])
-        lines = [json.dumps({"fence": self._reserved})]
-        lines += [_begun(one, boot, at) for one, at in self.begun.items()]
-        lines += [json.dumps(self._flown)] if self._flown else []
-        return lines
-
-    def _rewrite(self, lines: list[str]) -> None:
-        folder = self._path.parent
-        with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="ascii") as new:
-            new.write("".join(f"{line}\n" for line in lines))
-            new.flush()
-            os.fsync(new.fileno())
-        Path(new.name).replace(self._path)
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+    # -- in the event loop -------------------------------------------------------------------------
 
     async def begin(self, identity: str) -> None:
         """Keep that an order begins; done when the disk has it.
@@ -253,8 +249,10 @@ class FileLedger:
         Raises:
             UsageError: The disk does not take it.
         """
-        boot, self.begun[identity] = self._up()
-        await self._write(_begun(identity, boot, self.begun[identity]))
+        async with self._writing:
+            boot, up = self._up()
+            await self._write(_begun(identity, boot, up))
+            self.begun[identity] = up
 
     async def granted(self, fence: int) -> None:
         """Keep that a lease has this number; most need no word, for they are reserved.
@@ -262,46 +260,143 @@ class FileLedger:
         Raises:
             UsageError: The disk does not take it.
         """
-        if fence >= self._reserved:
-            self._reserved = fence + FENCES_AT_ONCE
-            await self._write(json.dumps({"fence": self._reserved}))
+        async with self._writing:
+            if fence >= self._reserved:
+                await self._write({"fence": fence + FENCES_AT_ONCE})
+                self._reserved = fence + FENCES_AT_ONCE
 
     async def flies(self, fence: int) -> None:
         """Keep who flies; done when the disk has it.
 
+        What it does not take is written with the next word.
+
         Raises:
             UsageError: The disk does not take it.
         """
-        boot, seconds = self._up()
-        self._flown = {"flies": fence, "at": self._utc(), "boot": boot, "up": seconds}
-        await self._write(json.dumps(self._flown))
-
-    async def _write(self, line: str) -> None:
         async with self._writing:
-            self._written += 1
-            try:
-                if self._written > 2 * MOST_KEPT:
-                    self._written = 0
-                    await asyncio.to_thread(self._renew, self._needed())
-                else:
-                    await asyncio.to_thread(self._append, line)
-            except OSError as error:
-                raise _failed(self._path, error) from error
+            boot, seconds = self._up()
+            self._flown = {"flies": fence, "at": self._utc(), "boot": boot, "up": seconds}
+            self._is_flown_kept = False
+            await self._write()
 
-    def _renew(self, lines: list[str]) -> None:
-        self._rewrite(lines)
-        self._file.close()
-        self._file = self._path.open("a", encoding="ascii")
+    async def _write(self, *contents: dict[str, Any]) -> None:
+        try:
+            told = await asyncio.to_thread(self._keep, *contents)
+        except OSError as error:
+            raise _failed(self._path, error) from error
+        if told:
+            self.tell(told)
 
-    def _append(self, line: str) -> None:
-        self._file.write(f"{line}\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+    # -- in a thread -------------------------------------------------------------------------------
+
+    def _keep(self, *contents: dict[str, Any]) -> str:
+        """Write words; returns what is to be told of the disk."""
+        with self._in_thread:
+            has_lock = _is_at(self._lock, self._lock_path)
+            # What a full disk took a part of is cut off with the next word.
+            has_all = os.fstat(self._file).st_size >= self._size
+            is_there = has_lock and has_all and _is_at(self._file, self._path)
+            if not has_lock:
+                self._own()
+            if not is_there or self._newest - self._first > 2 * MOST_KEPT:
+                self._renew()
+            if not self._is_flown_kept:
+                contents = (*contents, self._flown)
+            self._append(contents)
+            self._is_flown_kept = True
+        return "" if is_there else f"{self._path} was removed or changed: it was made again"
+
+    def _append(self, contents: tuple[dict[str, Any], ...]) -> None:
+        """Write words to the end, all of them or none: what is refused must not be read later."""
+        numbered = enumerate(contents, self._newest + 1)
+        data = "".join(seal(number, self._first, one) for number, one in numbered).encode()
+        os.ftruncate(self._file, self._size)
+        try:
+            _write_all(self._file, data, self._size)
+            os.fsync(self._file)
+        except OSError:
+            os.ftruncate(self._file, self._size)
+            raise
+        self._size += len(data)
+        self._newest += len(contents)
+        self._put_mark(Mark(self._newest, self._first))
+
+    def _put_mark(self, mark: Mark) -> None:
+        """Without waiting for the disk: an older one notices less, and is as true."""
+        try:
+            _write_all(self._lock, bytes(mark), 0)
+        except OSError as error:
+            _logger.warning("%s: its mark is not written: %s", self._path, error)
+
+    def _renew(self) -> None:
+        """Write the file anew with what is still needed."""
+        if not os.fstat(self._lock).st_size:
+            _write_all(self._lock, bytes(Mark(0, 0)), 0)  # it may be there before the file is
+            os.fsync(self._lock)
+        first = self._newest + 1
+        lines = [seal(number, first, one) for number, one in enumerate(self._needed(), first)]
+        self._rewrite("".join(lines).encode())
+        self._first, self._newest = first, first + len(lines) - 1
+        self._file, before = os.open(self._path, os.O_RDWR | os.O_CLOEXEC), self._file
+        self._size = os.fstat(self._file).st_size
+        if before >= 0:
+            os.close(before)
+        self._put_mark(Mark(self._newest, first))
+        os.fsync(self._lock)
+
+    def _needed(self) -> list[dict[str, Any]]:
+        """What is still needed, and the numbers that this run may give to leases."""
+        boot, now = self._up()
+        young = [(one, at) for one, at in self.begun.items() if now - at < KEPT_S]
+        self.begun = dict(young[-MOST_KEPT:])
+        kept: list[dict[str, Any]] = [{"fence": self._reserved}]
+        kept += [_begun(one, boot, at) for one, at in self.begun.items()]
+        return [*kept, self._flown] if self._flown else kept
+
+    def _rewrite(self, data: bytes) -> None:
+        folder = self._path.parent
+        handle, name = tempfile.mkstemp(dir=folder)
+        try:
+            with os.fdopen(handle, "wb") as new:
+                new.write(data)
+                new.flush()
+                os.fsync(new.fileno())
+            Path(name).replace(self._path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)  # of a full disk it would take what is left
+            raise
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
     def close(self) -> None:
         """Close the file; another agent may have it then."""
-        self._file.close()
-        self._lock.close()
+        if not self._in_thread.acquire(timeout=_CLOSE_S):
+            return  # a disk that hangs: the end of the process closes it
+        for handle in (self._file, self._lock):
+            if handle >= 0:
+                os.close(handle)
+        self._file = self._lock = -1
+        self._in_thread.release()
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    """Whether an open file is the one that stands there."""
+    own = os.fstat(handle)
+    try:
+        there = path.stat()
+    except FileNotFoundError:
+        return False
+    return (own.st_dev, own.st_ino) == (there.st_dev, there.st_ino)
+
+
+def _write_all(handle: int, data: bytes, at: int) -> None:
+    """Write at a place. A disk that is nearly full takes a part, and then none."""
+    done = 0
+    while done < len(data):
+        done += os.pwrite(handle, data[done:], at + done)
 
 
 def _is_fence(value: object) -> bool:
@@ -309,17 +404,8 @@ def _is_fence(value: object) -> bool:
     return type(value) is int and 0 <= value < _MOST_FENCE
 
 
-def _word(line: str) -> dict[str, Any]:
-    """What a line says; nothing when it was damaged."""
-    try:
-        kept = json.loads(line)
-    except (ValueError, RecursionError):
-        return {}
-    return kept if isinstance(kept, dict) else {}
-
-
-def _begun(identity: str, boot: str, up: float) -> str:
-    return json.dumps({"id": identity, "boot": boot, "up": up})
+def _begun(identity: str, boot: str, up: float) -> dict[str, Any]:
+    return {"id": identity, "boot": boot, "up": up}
 
 
 def _up_of(kept: dict[str, object], boot: str) -> float | None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
 from m100link.errors import M100Error
+from m100link.fleet.ledger import FileLedger
 from m100link.log import Message, read, recorder, recover
 from m100link.sim import VirtualClockEventLoop
 from tests.faults.damaged_files import Judge
@@ -89,4 +92,68 @@ def _untold_of_log(path: Path, every: list[Message], whole: bytes, copy: bytes) 
     return ""
 
 
-KINDS: dict[str, Callable[[Path], tuple[list[bytes], Judge]]] = {"log": logs}
+# -- ledgers of fleet agents ----------------------------------------------------------------------
+
+_UP = ("boot", 400.0)
+
+
+def ledgers(folder: Path, suffix: str = ".jsonl") -> tuple[list[bytes], Judge]:
+    """What agents leave that were killed: after a few orders, after many, and without any."""
+    wholes: list[bytes] = []
+    truths: dict[bytes, FileLedger] = {}
+    beside: dict[bytes, Path] = {}
+    for number, orders in enumerate((20, 300, 0)):
+        path = folder / str(number) / "a1.jsonl"
+        asyncio.run(_kept(path, orders))
+        whole = path.with_suffix(suffix).read_bytes()
+        wholes.append(whole)
+        beside[whole] = folder / f"whole-{number}"
+        shutil.copytree(path.parent, beside[whole])
+        truths[whole] = FileLedger(path, lambda: 1_000.0, lambda: _UP)
+        truths[whole].close()
+
+    def judge(whole: bytes, copy: bytes) -> str:
+        place = folder / "copy"
+        shutil.rmtree(place, ignore_errors=True)
+        shutil.copytree(beside[whole], place)
+        (place / "a1").with_suffix(suffix).write_bytes(copy)
+        try:
+            found = FileLedger(place / "a1.jsonl", lambda: 1_000_000.0, lambda: _UP)
+        except M100Error:
+            return ""
+        found.close()
+        return _untold_of_ledger(found, truths[whole])
+
+    return wholes, judge
+
+
+async def _kept(path: Path, orders: int) -> None:
+    up = [100.0]
+    ledger = FileLedger(path, lambda: 1_000.0, lambda: ("boot", up[0]))
+    for number in range(orders):
+        up[0] += 0.5
+        await ledger.begin(f"{number:032x}")
+        if number % 7 == 0:
+            await ledger.flies(number * (number % 2))
+        await ledger.granted(number * 50)
+    ledger.close()
+
+
+def _untold_of_ledger(found: FileLedger, true: FileLedger) -> str:
+    if not found.begun.items() <= true.begun.items():
+        return "an order that nobody gave, or at another time"
+    if found.leases_before < true.leases_before:
+        return "leases begin below those that were granted"
+    if found.aloft != true.aloft and (found.aloft and found.aloft.ago_s is not None):
+        return f"{found.aloft} flew, and it was {true.aloft}"
+    is_same = (found.begun, found.aloft) == (true.begun, true.aloft)
+    if not is_same and not found.damaged:
+        return "it forgets in silence"
+    return ""
+
+
+KINDS: dict[str, Callable[[Path], tuple[list[bytes], Judge]]] = {
+    "log": logs,
+    "ledger": ledgers,
+    "mark": partial(ledgers, suffix=".lock"),
+}

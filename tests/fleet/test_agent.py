@@ -182,7 +182,7 @@ async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_a
     damaged.damaged = 2
     one = await rig.aircraft("a1", virtual=with_camera(), ledger=damaged)
     assert [e.text[:34] for e in one.client.events if "ledger" in e.text] == [
-        "2 words of the ledger cannot be re"
+        "2 words of the ledger are damaged "
     ]
     [answer] = await rig.network.session().ask(KEYS.status(before.id), timeout=1.0)
     assert unpack(Reply, answer.payload).progress is Progress.NEVER, "it may be sent again"

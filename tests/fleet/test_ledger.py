@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -165,6 +167,7 @@ def test_a_line_of_nonsense_lands_nobody(tmp_path: Path, line: str) -> None:
     ledger = FileLedger(path, lambda: 0.0)
     assert ledger.aloft is None
     ledger.close()
+    path.with_suffix(".lock").unlink()  # as of an older version
     path.write_text('{"flies": 17, "at": "x", "up": "y", "boot": 3}\n')
     ledger = FileLedger(path, lambda: 0.0)
     assert ledger.aloft == LeftAloft(17, None)
@@ -219,3 +222,133 @@ async def test_who_flew_is_not_believed_where_a_later_word_is_lost(
     ledger = opened(path, 1001.0, "boot", 51.0)
     assert ledger.aloft == LeftAloft(17, ago_s)
     ledger.close()
+
+
+async def full(path: Path) -> FileLedger:
+    """One that knows an order, and who flies."""
+    ledger = opened(path, 1000.0, "boot", 50.0)
+    await ledger.begin("one")
+    await ledger.flies(17)
+    return ledger
+
+
+@pytest.mark.parametrize("how", ["removed", "replaced", "emptied", "folder"])
+async def test_a_ledger_that_goes_while_the_agent_runs_is_made_again_and_told(
+    tmp_path: Path, how: str
+) -> None:
+    path = tmp_path / "site" / "a1.jsonl"
+    ledger, told = await full(path), list[str]()
+    ledger.tell = told.append
+    if how == "replaced":
+        path.rename(path.with_suffix(".old"))
+        path.write_text("")
+    elif how == "emptied":
+        os.truncate(path, 0)
+    else:
+        path.unlink()
+    if how == "folder":
+        path.with_suffix(".lock").unlink()
+        path.parent.rmdir()
+    await ledger.begin("two")
+    await ledger.begin("three")
+    assert len(told) == 1
+    assert "was removed or changed" in told[0]
+    with pytest.raises(UsageError, match="another agent has it"):
+        opened(path, 1000.0, "boot", 51.0)
+    ledger.close()
+    again = opened(path, 1000.0, "boot", 51.0)
+    assert list(again.begun) == ["one", "two", "three"]
+    assert again.aloft == LeftAloft(17, 1.0)
+    assert again.damaged == 0
+    again.close()
+
+
+@pytest.mark.parametrize("how", ["removed", "emptied", "last line", "mark"])
+async def test_a_ledger_that_went_while_no_agent_ran_is_noticed(tmp_path: Path, how: str) -> None:
+    path, utc = tmp_path / "a1.jsonl", 1_800_000_000.0
+    (await full(path)).close()
+    if how == "removed":
+        path.unlink()
+    elif how == "emptied":
+        path.write_text("")
+    elif how == "last line":
+        path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
+    else:
+        path.with_suffix(".lock").write_text("")
+    again = opened(path, utc, "boot", 51.0)
+    assert again.damaged >= 1
+    assert again.leases_before == utc, "above all that may have been granted"
+    assert again.aloft in (None, LeftAloft(17, None)), "nobody is landed for who flew"
+    again.close()
+    after = opened(path, utc, "boot", 52.0)
+    assert after.damaged == 0, "it was told once"
+    after.close()
+
+
+async def test_what_a_full_disk_refused_is_never_told_as_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It stood in a buffer, and was written with the next word when there was room again."""
+    path = tmp_path / "a1.jsonl"
+    ledger = await full(path)
+    write = os.pwrite
+
+    def part(handle: int, data: bytes, at: int) -> int:
+        if len(data) > 20 and not data.endswith(b"00\n"):
+            return write(handle, data[:20], at)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "pwrite", part)
+    for _ in range(3):
+        with pytest.raises(UsageError, match="No space left"):
+            await ledger.begin("refused")
+    for fence in (5000, 5000):
+        with pytest.raises(UsageError, match="No space left"):
+            await ledger.granted(fence)
+    with pytest.raises(UsageError, match="No space left"):
+        await ledger.flies(0)
+    monkeypatch.setattr(os, "pwrite", write)
+    await ledger.granted(5000)
+    await ledger.begin("two")
+    ledger.close()
+    again = opened(path, 1000.0, "boot", 51.0)
+    assert list(again.begun) == ["one", "two"]
+    assert again.leases_before >= 5000
+    assert again.aloft is None, "that nobody flies was written as soon as there was room"
+    assert again.damaged == 0
+    again.close()
+
+
+async def test_no_file_is_left_behind_by_a_disk_without_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ledger = await full(tmp_path / "a1.jsonl")
+    (tmp_path / "a1.jsonl").unlink()
+
+    def fail(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(UsageError, match="No space left"):
+        await ledger.begin("two")
+    monkeypatch.undo()
+    with os.scandir(tmp_path) as entries:
+        assert [one.name for one in entries] == ["a1.lock"]
+    await ledger.begin("three")
+    ledger.close()
+
+
+async def test_one_of_an_older_version_is_read_and_sealed(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    path.write_text(
+        '{"fence": 3000}\n{"id": "one", "boot": "boot", "up": 50.0}\n'
+        '{"flies": 17, "at": 1000.0, "boot": "boot", "up": 50.0}\n'
+    )
+    path.with_suffix(".lock").touch()
+    for _ in range(2):
+        ledger = opened(path, 1001.0, "boot", 51.0)
+        assert ledger.damaged == 0
+        assert ledger.begun == {"one": 50.0}
+        assert ledger.leases_before >= 3000
+        assert ledger.aloft == LeftAloft(17, 1.0)
+        ledger.close()
