@@ -18,6 +18,7 @@ from m100link.station.console.orders import Orders
 from m100link.station.mavlink import open_mavlink, serving_mavlink
 from m100link.station.ros2 import check_ros2, serving_ros2
 from m100link.station.web.access import Access
+from m100link.station.web.intake import Intake
 
 if TYPE_CHECKING:
     from m100link.station.console.tabs import Tabs
@@ -162,9 +163,10 @@ async def serving_fronts(
         agents: dict[str, AgentClient] = {}
         bridge: Bridge | None = None
         servers: list[Server] = []
+        intake = Intake()  # of all servers of this process
         if sockets.rosbridge:
             agents = await reached("rosbridge")
-            bridge, server = _rosbridge(agents, settings)
+            bridge, server = _rosbridge(agents, settings, intake)
             await stack.enter_async_context(_serving(server, sockets.rosbridge))
             servers.append(server)
         access: Access | None = None
@@ -173,7 +175,7 @@ async def serving_fronts(
         if sockets.console is not None:
             console = await reached("console")
             server, access, tabs = _console(
-                console, settings, orders, dict if bridge is None else bridge.dropped
+                console, settings, orders, dict if bridge is None else bridge.dropped, intake
             )
             dropped_by_tabs, shown = tabs.dropped, tabs.shown
             agents = agents or console
@@ -188,20 +190,22 @@ async def serving_fronts(
             flown = await reached("ROS 2") if has_own else agents
             await stack.enter_async_context(serving_ros2(flown, settings))
         if sockets.metrics is not None and bridge is not None:
-            servers.append(_metrics(bridge, settings, dropped_by_tabs))
+            servers.append(_metrics(bridge, settings, dropped_by_tabs, intake))
             await stack.enter_async_context(_serving(servers[-1], [sockets.metrics]))
         if sockets.foxglove is not None:
             viewed = await reached("foxglove")
-            servers.append(await _foxglove(stack, viewed, settings))
+            servers.append(await _foxglove(stack, viewed, settings, intake))
             await stack.enter_async_context(_serving(servers[-1], [sockets.foxglove]))
         yield Fronts(agents, bridge, servers, access, shown)
 
 
-def _rosbridge(agents: Mapping[str, AgentClient], settings: Settings) -> tuple[Bridge, Server]:
+def _rosbridge(
+    agents: Mapping[str, AgentClient], settings: Settings, intake: Intake
+) -> tuple[Bridge, Server]:
     from m100link.station.web.server import Bridge, Server
 
     bridge = Bridge(agents, max_clients=settings.max_clients, pages=settings.pages)
-    return bridge, Server.make(bridge.app(settings), settings)
+    return bridge, Server.make(bridge.app(settings), settings, intake=intake)
 
 
 def _console(
@@ -209,6 +213,7 @@ def _console(
     settings: Settings,
     orders: Mapping[str, Orders],
     dropped_by_clients: Callable[[], Mapping[str, int]],
+    intake: Intake,
 ) -> tuple[Server, Access | None, Tabs]:
     try:
         from m100link.station.console.app import console_app
@@ -221,11 +226,14 @@ def _console(
         ) from None
     tabs = Tabs(agents, dropped_by_clients)
     app = console_app(agents, settings, orders, tabs)
-    return Server.make(app, settings, lifespan="on"), app.access, tabs
+    return Server.make(app, settings, lifespan="on", intake=intake), app.access, tabs
 
 
 def _metrics(
-    bridge: Bridge, settings: Settings, dropped_by_tabs: Callable[[], Mapping[str, int]]
+    bridge: Bridge,
+    settings: Settings,
+    dropped_by_tabs: Callable[[], Mapping[str, int]],
+    intake: Intake,
 ) -> Server:
     try:
         from m100link.station.web.metrics import metrics_app
@@ -235,18 +243,22 @@ def _metrics(
             f"the metrics need {error.name}, which is not installed",
             remedy="pip install 'm100link[station]'",
         ) from None
-    return Server.make(metrics_app(bridge, settings, dropped_by_tabs), settings)
+    app = metrics_app(bridge, settings, dropped_by_tabs)
+    return Server.make(app, settings, intake=intake)
 
 
 async def _foxglove(
-    stack: AsyncExitStack, agents: Mapping[str, AgentClient], settings: Settings
+    stack: AsyncExitStack,
+    agents: Mapping[str, AgentClient],
+    settings: Settings,
+    intake: Intake,
 ) -> Server:
     from m100link.station.foxglove.app import FoxgloveServer
     from m100link.station.web.server import Server
 
     viewed = FoxgloveServer(agents)
     await stack.enter_async_context(viewed.feeding())
-    return Server.make(viewed.app(settings), settings)
+    return Server.make(viewed.app(settings), settings, intake=intake)
 
 
 @asynccontextmanager

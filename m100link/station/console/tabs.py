@@ -17,6 +17,7 @@ from m100link.station.console.looks import Looks
 from m100link.station.console.tab import Tab
 from m100link.station.console.view.instruments import live, seen_from_afar
 from m100link.station.web.places import who_makes_room
+from m100link.station.web.protocol import WebSocketConnection
 
 __all__ = ["LIVE_INTERVAL", "PLACES", "UNHEARD_INTERVAL", "Tabs"]
 
@@ -186,6 +187,8 @@ class Tabs:
         place = self._places[key] = _Place(tab, peer, self._agent.now, asyncio.Event())
         try:
             await websocket.accept()
+            connection: WebSocketConnection = websocket.scope["state"]["connection"]
+            connection.is_steering = lambda: tab.has_lease
             await self._talk(websocket, place)
         except WebSocketDisconnect:
             pass

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, cast
@@ -19,13 +19,16 @@ import uvicorn
 from starlette.websockets import WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.exceptions import ProtocolError
 from websockets.frames import Frame, Opcode
 from websockets.server import ServerProtocol
 
 from m100link.station.web.door import Door
+from m100link.station.web.intake import Intake, Metered
 from m100link.station.web.logs import SparingLogger
 
 if TYPE_CHECKING:
+    from uvicorn._types import ASGISendEvent
     from websockets.http11 import Request, Response
 
 __all__ = ["HEADERS", "Config", "HttpConnection", "WebSocketConnection"]
@@ -34,6 +37,10 @@ PATIENCE = 5.0
 """Seconds in which a connection has to have asked something completely."""
 
 _FLUSH_TIME = 2.0
+
+_LONGEST_HEAD = 16 * 1024
+_REQUEST_COST = 16
+"""Frames that a request stands for: 25 requests a second of one connection."""
 
 _FRAMED = 512
 """Messages that are kept framed: more than ten clients with every topic are behind each other."""
@@ -54,16 +61,23 @@ HEADERS = (
 class Config(uvicorn.Config):
     """What the connections of one server share.
 
+    Args:
+        app: The application.
+        intake: Gives their connections turns; of its own by default.
+        keywords: As uvicorn takes them.
+
     Attributes:
         door: Connections that speak HTTP.
+        intake: As given.
         log: Where they complain.
     """
 
-    def __init__(self, app: Any, **keywords: Any) -> None:
+    def __init__(self, app: Any, intake: Intake | None = None, **keywords: Any) -> None:
         # Proxy headers are not believed: anybody could say who and how he came.
         own: dict[str, Any] = {"http": HttpConnection, "ws": WebSocketConnection}
         super().__init__(app, **keywords, **own, headers=list(HEADERS), proxy_headers=False)
         self.door = Door()
+        self.intake = intake or Intake()
         self.log = SparingLogger(logging.getLogger(__name__))
 
 
@@ -75,7 +89,26 @@ def _framed(message: str | bytes) -> bytes:
     return Frame(Opcode.BINARY, message).serialize(mask=False)
 
 
-class _Handshake(ServerProtocol):
+class _Frames(ServerProtocol):
+    """Frames of a WebSocket, counted.
+
+    Attributes:
+        count: How many came.
+    """
+
+    count = 0
+
+    def recv_frame(self, frame: Frame) -> None:
+        """A frame has come.
+
+        Raises:
+            ProtocolError: It is of no use: a message of these would never be too long.
+        """
+        self.count += 1
+        if frame.opcode is Opcode.CONT and not frame.data and not frame.fin:
+            raise ProtocolError("empty continuation frame")
+        super().recv_frame(frame)
+
     def send_response(self, response: Response) -> None:
         """Accepted, refused or failed: each goes out here."""
         for name, value in HEADERS:
@@ -85,7 +118,11 @@ class _Handshake(ServerProtocol):
 
 
 class WebSocketConnection(WebSocketsSansIOProtocol):
-    """A WebSocket of the station."""
+    """A WebSocket of the station.
+
+    Attributes:
+        is_steering: Whether its client holds control of an aircraft, as its application knows.
+    """
 
     config: Config
 
@@ -93,13 +130,39 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         super().__init__(*args, **keywords)
         self.logger = cast(logging.Logger, self.config.log)
         self._heard_at = 0.0
-        self.conn = _Handshake(max_size=self.config.ws_max_size, logger=self.logger)
+        self.conn: _Frames = _Frames(max_size=self.config.ws_max_size, logger=self.logger)
+        self.is_steering: Callable[[], bool] = lambda: False
+
+    @property
+    def events(self) -> int:
+        """Frames that came."""
+        return self.conn.count
+
+    @property
+    def steers(self) -> bool:
+        """Whether it holds control of an aircraft."""
+        return self.is_steering()
+
+    def handle_ping(self) -> None:
+        """Answer it; a client that reads nothing gets no answers that would pile up."""
+        if self.writable.is_set():
+            super().handle_ping()
+        else:
+            self.conn.data_to_send()
 
     def handle_connect(self, event: Request) -> None:
         """Let the application find this connection as ``state["connection"]``."""
         super().handle_connect(event)
         if self.response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
             self.scope.setdefault("state", {})["connection"] = self
+            # A client that does not wait for the answer has said nothing until there is one.
+            self.transport.pause_reading()
+
+    async def send(self, message: ASGISendEvent) -> None:
+        """Take what the application has to say."""
+        await super().send(message)
+        if message["type"] == "websocket.accept":
+            self.transport.resume_reading()
 
     def data_received(self, data: bytes) -> None:
         """A client that says anything is alive."""
@@ -132,22 +195,62 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         self.transport.write(b"".join((*self.conn.data_to_send(), *map(_framed, messages))))
 
 
+class _Requests(h11.Connection):
+    """Requests, counted. None has a body: nothing that the station serves needs one.
+
+    Attributes:
+        count: What was parsed; a request counts for as many frames as it costs.
+        is_too_much: Whether a request came with a body.
+    """
+
+    count = 0
+    is_too_much = False
+
+    def next_event(self) -> Any:
+        """What comes next.
+
+        Raises:
+            RemoteProtocolError: It is not HTTP, or it has a body.
+        """
+        event = super().next_event()
+        if isinstance(event, h11.Request):
+            self.count += _REQUEST_COST
+            if any(_announces_body(*header) for header in event.headers):
+                self.is_too_much = True
+                raise h11.RemoteProtocolError("a request has no body here", 413)
+        elif event is not h11.NEED_DATA and event is not h11.PAUSED:
+            self.count += 1
+        return event
+
+
+def _announces_body(name: bytes, value: bytes) -> bool:
+    return name == b"transfer-encoding" or (name == b"content-length" and value.strip(b"0") != b"")
+
+
 class HttpConnection(H11Protocol):
     """A connection that speaks HTTP, until it asks for a WebSocket.
 
     Attributes:
         peer: Address that it comes from.
+        steers: It does not.
     """
 
     config: Config
+    steers = False
 
     def __init__(self, *args: Any, **keywords: Any) -> None:
         super().__init__(*args, **keywords)
         self.logger = cast(logging.Logger, self.config.log)
+        self.conn: _Requests = _Requests(h11.SERVER, _LONGEST_HEAD)
         self.peer = ""
         # Ends the connection unless it asks something, or its answer is on the way.
         self._patience: asyncio.TimerHandle | None = None
         self._waited = 0.0
+
+    @property
+    def events(self) -> int:
+        """What was parsed."""
+        return self.conn.count
 
     @property
     def is_answered(self) -> bool:
@@ -186,6 +289,7 @@ class HttpConnection(H11Protocol):
             return
         self._leave()
         super().handle_websocket_upgrade(event)
+        cast(Metered, self.transport).put_back(len(self.conn.trailing_data[0]))
 
     def _leave(self) -> None:
         self._end_patience()
@@ -209,7 +313,10 @@ class HttpConnection(H11Protocol):
             self._patience = self.loop.call_later(PATIENCE, self._look_again)
 
     def send_400_response(self, msg: str) -> None:
-        """What is not HTTP has no application that could answer."""
+        """What is not HTTP, or too much of it, has no application that could answer."""
+        status = HTTPStatus.BAD_REQUEST
+        if self.conn.is_too_much:
+            status, msg = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "A request has no body here."
         text = msg.encode("ascii")
         headers = [(name.encode(), value.encode()) for name, value in HEADERS]
         headers += [
@@ -218,7 +325,7 @@ class HttpConnection(H11Protocol):
             (b"connection", b"close"),
         ]
         for event in (
-            h11.Response(status_code=400, headers=headers, reason=b"Bad Request"),
+            h11.Response(status_code=status, headers=headers, reason=status.phrase.encode()),
             h11.Data(data=text),
             h11.EndOfMessage(),
         ):

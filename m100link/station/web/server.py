@@ -14,7 +14,7 @@ import ssl
 import time
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import uvicorn
 from starlette.applications import Starlette
@@ -34,6 +34,8 @@ from m100link.station.ros.rosapi import add_rosapi
 from m100link.station.ros.rosout import Rosout
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import App, Gate
+from m100link.station.web.intake import Intake
+from m100link.station.web.listener import Listener
 from m100link.station.web.logs import SparingLogger
 from m100link.station.web.places import who_makes_room
 from m100link.station.web.protocol import PATIENCE, Config, HttpConnection, WebSocketConnection
@@ -47,7 +49,7 @@ __all__ = ["Bridge", "Server", "listen"]
 
 PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
 _POLICY_VIOLATION = 1008
-_ACCEPTED_AT_ONCE, _BACKLOG = 8, 128
+_BACKLOG = 128
 _GUARD_INTERVAL = 0.05
 _LAG = 0.1
 _PACKING_TIME = 0.001
@@ -194,6 +196,8 @@ class Bridge:
         session.heard_at, session.peer = self.agent.now, peer
         try:
             await websocket.accept()
+            connection: WebSocketConnection = websocket.scope["state"]["connection"]
+            connection.is_steering = lambda: self._steers(session)
             self._log.info("%s connected", name)
             writing = asyncio.create_task(self._write(websocket, session, wake, closing))
             reading = asyncio.create_task(self._read(websocket, session))
@@ -304,10 +308,12 @@ class Server(uvicorn.Server):
         *,
         message_size: int = Limits().message_size,
         lifespan: Literal["on", "off"] = "off",
+        intake: Intake | None = None,
     ) -> Server:
         """A server with the limits of the station."""
         config = Config(
             app,
+            intake,
             ws_max_size=message_size,
             ws_ping_interval=PING_INTERVAL,
             ws_ping_timeout=PING_TIMEOUT,
@@ -336,25 +342,20 @@ class Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to listen. A TLS handshake has as little time as a first request."""
         await self.lifespan.startup()
-        config, loop = self.config, asyncio.get_running_loop()
+        config = cast(Config, self.config)
         self.server_state.default_headers = list(config.encoded_headers)
 
         def connection() -> asyncio.Protocol:
             return HttpConnection(config, self.server_state, self.lifespan.state)
 
-        timeout = PATIENCE if config.ssl is not None else None
-        self.servers = [
-            await loop.create_server(
-                connection,
-                sock=one,
-                ssl=config.ssl,
-                ssl_handshake_timeout=timeout,
-                backlog=_ACCEPTED_AT_ONCE,
-            )
-            for one in sockets or []
-        ]
+        self.servers = []
         for one in sockets or []:
-            one.listen(_BACKLOG)  # how many may wait; asyncio takes it for how many to accept
+            one.listen(_BACKLOG)
+            listener = Listener(
+                one, config.intake, config.door, connection, context=config.ssl, patience=PATIENCE
+            )
+            # uvicorn only closes it.
+            self.servers.append(cast(asyncio.Server, listener))
         self.started = True
 
     async def run_on(self, sockets: Sequence[socket.socket]) -> None:

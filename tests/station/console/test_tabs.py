@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -36,6 +37,7 @@ class Page:
             "path_params": {"key": self.key},
             "client": (peer, 1),
             "headers": [],
+            "state": {"connection": SimpleNamespace()},
         }
         receive: Callable[[], Awaitable[Any]] = self._inbox.get
         self.work = asyncio.create_task(tabs.serve(WebSocket(scope, receive, self._send)))
