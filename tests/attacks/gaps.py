@@ -15,12 +15,14 @@ import asyncio
 import json
 import math
 import os
+import ssl
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -32,7 +34,7 @@ from m100link.sim.virtual import VirtualAircraft
 from tests.attacks.common import publish
 from tests.waiting import kept_waiting, until
 
-__all__ = ["ATTACKS", "Gaps", "Line", "measure", "table"]
+__all__ = ["ATTACKS", "Gaps", "Line", "Station", "be_nice", "flying", "measure", "table"]
 
 ATTACKS = ("large_arrays", "half_open", "idle_sockets", "orders", "greedy_readers", "pages")
 """Modules beside this one."""
@@ -46,25 +48,30 @@ class Line(Driver):
     """The aircraft's end of the line.
 
     Attributes:
-        agent: Process id of the agent, once it runs.
+        station: Process ids of the agent and its front, once they run.
         arrivals: When each movement frame came, and how long others kept it waiting until then.
+        moving: Of each, whether it moves the aircraft.
     """
 
     def __init__(self, aircraft: VirtualAircraft) -> None:
         super().__init__(aircraft)
-        self.agent: int | None = None
+        self.station: tuple[int, ...] = ()
         self.arrivals: list[tuple[float, float]] = []
+        self.moving: list[bool] = []
 
     def now(self) -> tuple[float, float]:
-        """The time, and for how long others kept the agent and this process waiting."""
-        return self.loop.time(), kept_waiting() + kept_waiting(self.agent)
+        """The time, and for how long others kept the station and this process waiting."""
+        return self.loop.time(), kept_waiting() + sum(map(kept_waiting, self.station))
 
     def receive(self, data: bytes) -> None:
         """Bytes came from the station."""
         counters = self.aircraft.autopilot.counters
         before, now = counters.movements, self.now()
         super().receive(data)
-        self.arrivals += [now] * (counters.movements - before)
+        if count := counters.movements - before:
+            self.arrivals += [now] * count
+            moves = list(self.aircraft.autopilot.received_movements)[-count:]
+            self.moving += [any(move[1:]) for move in moves]
 
 
 @dataclass
@@ -74,17 +81,20 @@ class Gaps:
     Attributes:
         gaps: Times between two setpoints, s.
         own: The same without what others took.
+        unflown: Times between two setpoints that carry the key, without what others took, s.
         is_in_control: Whether the client that flies had control at the end of each.
     """
 
     gaps: list[float] = field(default_factory=list)
     own: list[float] = field(default_factory=list)
+    unflown: list[float] = field(default_factory=list)
     is_in_control: bool = True
 
     def add(self, other: Gaps) -> None:
         """What was seen another time."""
         self.gaps += other.gaps
         self.own += other.own
+        self.unflown += other.unflown
         self.is_in_control &= other.is_in_control
 
 
@@ -136,12 +146,18 @@ class Station:
         loop, seen = asyncio.get_running_loop(), Gaps()
         key = publish("/sdk_request_ctrl", z=1.0)
         due = loop.time()
-        begin = len(self.line.arrivals)
+        line = self.line
+        begin = len(line.arrivals)
         while not is_over():
             await self.pilot.send(key)
             due += _KEY_INTERVAL
             await asyncio.sleep(due - loop.time())
-        arrivals = [*self.line.arrivals[begin:], self.line.now()]
+        arrivals = [*line.arrivals[begin:], line.now()]
+        flown = [
+            one for one, is_moving in zip(arrivals, line.moving[begin:], strict=False) if is_moving
+        ]
+        for (earlier, waited_before), (later, waited) in pairwise([*flown, arrivals[-1]]):
+            seen.unflown.append(later - earlier - (waited - waited_before))
         for (earlier, waited_before), (later, waited) in pairwise(arrivals):
             seen.gaps.append(later - earlier)
             seen.own.append(later - earlier - (waited - waited_before))
@@ -153,7 +169,7 @@ class Station:
         attacker = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", f"tests.attacks.{name}", str(self.ports[name])),
             *("--seconds", str(seconds)),
-            preexec_fn=_be_nice,
+            preexec_fn=be_nice,
         )
         seen = await self.hold_a_key(lambda: attacker.returncode is not None)
         assert attacker.returncode == 0, name
@@ -166,8 +182,24 @@ class Station:
         return await self.hold_a_key(lambda: loop.time() >= until_then)
 
 
-def _be_nice() -> None:
+def be_nice() -> None:
+    """For an attacker's process."""
     os.nice(_ATTACKERS_NICENESS)
+
+
+def _children(process: int) -> list[int]:
+    try:
+        text = Path(f"/proc/{process}/task/{process}/children").read_text(encoding="ascii")
+    except OSError:
+        return []
+    return [int(one) for one in text.split()]
+
+
+def _trusting() -> ssl.SSLContext:
+    context = ssl.create_default_context()
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE  # a certificate of this test's own
+    return context
 
 
 def _port(url: str) -> int:
@@ -175,8 +207,13 @@ def _port(url: str) -> int:
 
 
 @asynccontextmanager
-async def flying(*options: str) -> AsyncIterator[Station]:
-    """A station in processes of its own, with an aircraft in the air."""
+async def flying(*options: str, token: str = "") -> AsyncIterator[Station]:
+    """A station in processes of its own, with an aircraft in the air.
+
+    Args:
+        options: For ``m100link console``.
+        token: What its clients have to know.
+    """
     line = Line(VirtualAircraft(seed=1))
     server = await serve_tcp(line)
     environment = os.environ | {
@@ -194,10 +231,14 @@ async def flying(*options: str) -> AsyncIterator[Station]:
         stack.push_async_callback(server.stop)
         stack.push_async_callback(_ended, process)
         assert process.stdout is not None
-        line.agent = process.pid
         announced = json.loads(await process.stdout.readline())
+        line.station = (process.pid, *_children(process.pid))
         rosbridge = announced["rosbridge"][0]
-        pilot = await stack.enter_async_context(connect(rosbridge, compression=None))
+        context = _trusting() if rosbridge.startswith("wss") else None
+        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        pilot = await stack.enter_async_context(
+            connect(rosbridge, compression=None, ssl=context, additional_headers=headers)
+        )
         station = Station(rosbridge, announced["console"], line, pilot)
         await station.take_off()
         yield station
