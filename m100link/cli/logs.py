@@ -24,7 +24,7 @@ class LogOptions:
 
     Attributes:
         log_level: Lowest level that is shown (M100LINK_LOG): warning by default; debug has every
-            frame, cut short. Neither key nor app id is ever in it.
+            frame, cut short. No key, no token and no app id is in it.
         log_json: One JSON object per line: time, level, logger, message, aircraft.
     """
 

@@ -78,7 +78,9 @@ class Config(uvicorn.Config):
         super().__init__(app, **keywords, **own, headers=list(HEADERS), proxy_headers=False)
         self.door = Door()
         self.intake = intake or Intake()
-        self.log = SparingLogger(logging.getLogger(__name__))
+        # Below warnings, uvicorn and websockets write addresses, headers and messages as they
+        # came: tokens, cookies and the keys of pages stand in them.
+        self.log = SparingLogger(logging.getLogger(__name__), least=logging.WARNING)
 
 
 @lru_cache(maxsize=_FRAMED)

@@ -38,3 +38,15 @@ def test_a_few_lines_of_a_kind_then_one_in_a_while_with_a_number(
     for number in range(10):
         log.warning("refused %d", number)
     assert len(caplog.records) == 3
+
+
+def test_below_its_least_level_nothing_is_written_nor_made(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.DEBUG, "test")
+    log = SparingLogger(logging.getLogger("test"), least=logging.WARNING)
+    assert [log.isEnabledFor(level) for level in (10, 20, 30, 40)] == [False, False, True, True]
+    log.info("WebSocket /?token=%s", "secret")
+    log.debug("authorization: %s", "secret")
+    log.warning("a warning")
+    assert [one.getMessage() for one in caplog.records] == ["a warning"]
