@@ -19,9 +19,9 @@ def ask(session: zenoh.Session, key: str, payload: bytes | None = None) -> list[
 
 def order(name: str, message: object) -> bytes:
     told = {"id": uuid.uuid4().hex, "aircraft": name, "by": "plain zenoh", "fence": 0, "clock": 0.0}
-    told |= {"at": time.time(), "proof": "", "signer": "", "signature": ""}
+    told |= {"at": time.time(), "proof": "", "signer": "", "signature": "", "key": ""}
     told |= {"message": base64.b64encode(json.dumps(message).encode()).decode()}
-    return b"\x01" + json.dumps(told).encode()
+    return b"\x02" + json.dumps(told).encode()
 
 
 config = zenoh.Config()
@@ -30,7 +30,7 @@ config.insert_json5("connect/endpoints", json.dumps(sys.argv[1:] or ["tcp/127.0.
 with zenoh.open(config) as session:
     # A ring: what is not taken keeps nothing waiting.
     telemetry = session.declare_subscriber("m100/site/*/tel/5hz", zenoh.handlers.RingChannel(1))
-    tokens = session.liveliness().get("m100-live/site/*", timeout=2.0)
+    tokens = session.liveliness().get("m100-live/site/*/*", timeout=2.0)
     for name in sorted(str(one.ok.key_expr).split("/")[2] for one in tokens if one.ok):
         for card in ask(session, f"m100/site/{name}/state"):
             print(name, card["connection"], card["phase"], card["battery_percent"], "%")

@@ -134,7 +134,7 @@ class _Asking:
         self, one: _Declared, key: str, payload: bytes, _attachment: bytes | None = None
     ) -> None:
         def arrive() -> None:
-            self._hear(Answer(key, payload))
+            self._hear(Answer(key, payload, one.session.session))
             self._end(one)
 
         self._network.carry(one.session, self._asker, arrive)
@@ -329,10 +329,10 @@ class MemoryBus:
 
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
         """Ask everybody who serves it."""
-        answers: dict[str, Answer] = {}
+        answers: dict[tuple[str, str], Answer] = {}
 
         def hear(answer: Answer) -> None:
-            answers[answer.key] = answer
+            answers[answer.session, answer.key] = answer
 
         asking = _Asking(self, key, payload, hear)
         try:

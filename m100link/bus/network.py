@@ -80,10 +80,12 @@ class Answer:
     Attributes:
         key: Under which key.
         payload: The bytes.
+        session: Id of the session that answered, as it says itself; empty when it does not.
     """
 
     key: str
     payload: bytes
+    session: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +133,11 @@ class Inbox(Protocol[T]):
 
 class Bus(Protocol):
     """One session, which hands over."""
+
+    @property
+    def session(self) -> str:
+        """Id of the session."""
+        ...
 
     def publish(self, key: str, *, within: float = 0.0) -> Outlet:
         """Offer messages under a key to other sessions; one does not hear itself.

@@ -325,8 +325,8 @@ class ZenohBus:
             )
 
         return [
-            Answer(str(one.key_expr), self._bytes(one.payload))
-            for one in await self._replies(get, timeout)
+            Answer(str(one.key_expr), self._bytes(one.payload), session)
+            for session, one in await self._replies(get, timeout)
         ]
 
     async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
@@ -335,18 +335,21 @@ class ZenohBus:
         def get(handler: Any) -> None:
             self._session.liveliness().get(pattern, handler, timeout=timeout)
 
-        return [str(one.key_expr) for one in await self._replies(get, timeout)]
+        return [str(one.key_expr) for _, one in await self._replies(get, timeout)]
 
-    async def _replies(self, get: Callable[[Any], None], timeout: float) -> list[zenoh.Sample]:
-        """What is answered until zenoh says that no more comes, or the time is over."""
+    async def _replies(
+        self, get: Callable[[Any], None], timeout: float
+    ) -> list[tuple[str, zenoh.Sample]]:
+        """Who answered, and what, until zenoh says that no more comes, or the time is over."""
         import zenoh
 
-        found: list[zenoh.Sample] = []
+        found: list[tuple[str, zenoh.Sample]] = []
         ended = asyncio.Event()
 
         def heard(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                found.append(reply.ok)
+                who = reply.replier_id
+                found.append(("" if who is None else str(who.zid), reply.ok))
 
         def end() -> None:
             try:

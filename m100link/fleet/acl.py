@@ -73,7 +73,7 @@ def _keys(rights: Rights, patterns: Iterable[str], ends: Iterable[str]) -> list[
 
 def _tokens(rights: Rights, patterns: Iterable[str]) -> list[str]:
     words = [_word(one) for one in patterns]
-    apart = [f"{LIVE}/{rights.site}/{word}" for word in words]
+    apart = [f"{LIVE}/{rights.site}/{word}/*" for word in words]
     return apart + [f"m100/{rights.site}/{word}/live" for word in words]
 
 

@@ -22,7 +22,6 @@ from functools import partial
 import m100link
 from m100link.agent.client import AgentClient
 from m100link.agent.fault import MessageError, fault_of
-from m100link.agent.lease import Lease
 from m100link.agent.message_bytes import decode
 from m100link.agent.messages import Event, Message, Telemetry
 from m100link.bus.network import Bus, Held, Question
@@ -35,7 +34,17 @@ from m100link.fleet.ledger import Ledger
 from m100link.fleet.lost import Lost, LostPlan
 from m100link.fleet.missions.board import Missions
 from m100link.fleet.namesake import Namesakes
-from m100link.fleet.orders import Done, Orders, acquires, is_kept, lands, moves, revokes, takes
+from m100link.fleet.orders import (
+    Done,
+    Orders,
+    acquires,
+    is_kept,
+    lands,
+    moves,
+    renews,
+    revokes,
+    takes,
+)
 from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import (
     Card,
@@ -151,7 +160,7 @@ class FleetAgent:
             self.client.on_event.append(self._on_event)
             # No task is woken for each of a hundred packages a second.
             self.client.on_sample.append(self._on_sample)
-            for token in (keys.live, keys.live_beside):
+            for token in (keys.live_by(bus.session), keys.live_beside):
                 hold(bus.declare(token))
             self._tell_damage()
             self._ledger.tell = partial(self.client.note, level="error")
@@ -193,7 +202,7 @@ class FleetAgent:
             UsageError: Another agent has it, and both would obey.
         """
         deadline = self.client.now + _NAMESAKE_S
-        while self._keys.live in await self._bus.tokens(self._keys.live, timeout=1.0):
+        while await self._bus.tokens(self._keys.live, timeout=1.0):
             if self.client.now >= deadline:
                 raise UsageError(
                     f"an agent named {self._keys.name} is there already",
@@ -245,7 +254,7 @@ class FleetAgent:
         if self._has_namesake and not had:
             told = f"another agent is named {self._keys.name}: this aircraft hovers until one ends"
             client.note(told, "error")
-            if client.holder.number in self._orders.tokens:  # a show flies by what is on board
+            if client.holder.number in self._orders.leases:  # a show flies by what is on board
                 client.halt(told)
         elif had and not self._has_namesake:
             client.note(f"no other agent is named {self._keys.name} any more")
@@ -348,8 +357,9 @@ class FleetAgent:
             # Looked at before a stranger's words are worth a disk's time.
             if self._orders.lease_for(order, message) is not None:
                 self._ages.hear(order.fence, order.clock, self.client.now)
-        elif takes(message) or (acquires(message) and order.clock):
-            # Who never heard this clock cannot say when, and takes nothing from anybody.
+        elif takes(message) or renews(message) or (acquires(message) and order.clock):
+            # Who never heard this clock cannot say when, and takes nothing from anybody. A renewal
+            # that was recorded is of no use when its id has been forgotten.
             require_young(order.clock, self.client.now)
         elif revokes(message):
             if lands(message):
@@ -392,7 +402,8 @@ class FleetAgent:
             fault=fault_of(error) or done.fault,
             text=done.text,
             number=done.number,
-            token=done.token,
+            offer=done.offer,
+            key=done.key,
         )
 
     async def _wait(self, identity: str) -> None:
@@ -435,7 +446,7 @@ class FleetAgent:
             self.dropped[Dropped.DAMAGED] += 1
             return
         try:
-            found = unpack_steer(payload, self._orders.tokens)
+            found = unpack_steer(payload, self._orders.secret)
         except MessageError:
             self.dropped[Dropped.DAMAGED] += 1
             return
@@ -453,8 +464,7 @@ class FleetAgent:
             if why is Dropped.BROKEN:
                 self._orders.refused = broken()
             return
-        lease = Lease(holder.name, self._orders.tokens[steer.fence], steer.fence)
-        self.client.steer(lease, steer.setpoint, steer.lifetime)
+        self.client.steer(self._orders.leases[steer.fence].lease, steer.setpoint, steer.lifetime)
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
         """Whoever steers hears of it as its lease is renewed, twice a second."""

@@ -10,17 +10,21 @@ from __future__ import annotations
 import asyncio
 import time
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
+from m100link.agent.actions import LeaseAction
 from m100link.agent.fault import MessageError
+from m100link.agent.lease import Lease
 from m100link.agent.message_bytes import encode
 from m100link.agent.messages import LeaseAsk, Message
 from m100link.bus.network import Answer, Bus
 from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
-from m100link.fleet.keys import Keys
+from m100link.fleet.answers import believed
+from m100link.fleet.keys import Keys, session_in
 from m100link.fleet.outcome import Outcome
-from m100link.fleet.payloads import Order, Progress, Reply, pack, unpack
+from m100link.fleet.payloads import Order, Progress, Reply, pack
 from m100link.fleet.questions import Questions
+from m100link.fleet.secret import Half, LeaseRequest
 from m100link.fleet.show.clock import DRIFT
 
 __all__ = ["PATIENCE_S", "Asker", "Sign", "nobody_there"]
@@ -59,7 +63,7 @@ class Asker:
         name: Who asks, for people.
         sign: Signs orders.
         patience: Seconds without any answer after which the outcome is unknown.
-        is_known: Whether the aircraft was seen to be there, without asking anybody.
+        sessions: Ids of those that are known to show its token, without asking anybody.
         utc: POSIX time, s.
 
     Attributes:
@@ -76,10 +80,11 @@ class Asker:
         *,
         sign: Sign = _unsigned,
         patience: float = PATIENCE_S,
-        is_known: Callable[[], bool] = lambda: False,
+        sessions: Callable[[], Collection[str]] = frozenset,
         utc: Callable[[], float] = time.time,
     ) -> None:
-        self._is_known = is_known
+        self._known = sessions
+        self._found: frozenset[str] = frozenset()
         self._bus = bus
         self._keys = keys
         self._name = name
@@ -92,8 +97,14 @@ class Asker:
 
     async def is_there(self) -> bool:
         """Whether its agent shows itself."""
-        live = self._keys.live
-        return self._is_known() or live in await self._bus.tokens(live, timeout=self.patience)
+        if not self._known():
+            tokens = await self._bus.tokens(self._keys.live, timeout=self.patience)
+            self._found = frozenset(map(session_in, tokens))
+        return bool(self._sessions)
+
+    @property
+    def _sessions(self) -> Collection[str]:
+        return self._known() or self._found
 
     async def ask(
         self,
@@ -110,7 +121,7 @@ class Asker:
         Args:
             message: What: a question of the agent's messages.
             fence: Number of the lease it is asked under; 0 for none.
-            token: Proof of that lease.
+            token: Secret of that lease; it is proved, and not sent.
             clock: The agent's own clock, at the earliest, s; by default what follows from its last
                 answer. What moves has to say it, and is not carried out when it is old.
             identity: Of the order; a new one by default.
@@ -129,11 +140,41 @@ class Asker:
         key = self._key(message)
         return _raised(await self._answered(key, order, patience or self.patience))
 
-    async def try_once(self, message: Message, *, within: float) -> Reply | None:
-        """Ask for what may be asked again, such as the renewal of a lease.
+    def lease_request(
+        self, action: LeaseAction = LeaseAction.ACQUIRE, offer: str = "", *, clock: float = 0.0
+    ) -> LeaseRequest:
+        """A request for the lease, for :meth:`take_lease`.
 
         Args:
-            message: What.
+            action: Acquire it, or confirm that it is taken over.
+            offer: What is confirmed.
+            clock: As :meth:`ask`.
+        """
+        half = Half()
+        ask = encode(LeaseAsk(0, action, self._name, offer))
+        order = self._around(ask, clock=clock or self._its_at_least(), key=half.public)
+        return LeaseRequest(order, half)
+
+    async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
+        """Ask for the lease, whose secret this side and the agent then know and nobody else.
+
+        Returns:
+            The lease, and the agent's time in its answer, s.
+
+        Raises:
+            M100Error: As :meth:`ask`.
+        """
+        if not await self.is_there():
+            raise nobody_there(self._keys.name)
+        reply = _raised(await self._answered(self._keys.lease, request.order, self.patience))
+        return request.lease(reply), reply.clock
+
+    async def renew(self, lease: Lease, clock: float, *, within: float) -> Reply | None:
+        """Renew a lease: what may be asked again, and nobody else can say.
+
+        Args:
+            lease: Which.
+            clock: As :meth:`ask`.
             within: Seconds.
 
         Returns:
@@ -142,8 +183,8 @@ class Asker:
         Raises:
             M100Error: As :meth:`ask`.
         """
-        order = self._order(message)
-        answers = await self._bus.ask(self._key(message), pack(order), timeout=within)
+        order = self._order(LeaseAsk(0, LeaseAction.RENEW), lease.number, lease.token, clock)
+        answers = await self._bus.ask(self._keys.lease, pack(order), timeout=within)
         reply = self._read(answers, order.id)
         if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
@@ -165,6 +206,10 @@ class Asker:
         named = identity or uuid.uuid4().hex
         reply = self._read(await self._bus.ask(self._keys.status(named), timeout=within), named)
         return reply if isinstance(reply, Reply) else None
+
+    def is_of_aircraft(self, answer: Answer) -> bool:
+        """Whether it comes from a session that shows the aircraft's token."""
+        return answer.session in self._sessions
 
     def _its_at_least(self) -> float:
         """What the agent's clock shows by now, at the earliest; 0: nobody knows."""
@@ -191,11 +236,16 @@ class Asker:
         return order.under(token) if token else order
 
     def _around(
-        self, message: bytes, fence: int = 0, clock: float = 0.0, identity: str = ""
+        self,
+        message: bytes,
+        fence: int = 0,
+        clock: float = 0.0,
+        identity: str = "",
+        key: bytes = b"",
     ) -> Order:
-        named = identity or uuid.uuid4().hex
-        at = self._utc()
-        return self._sign(Order(named, self._keys.name, self._name, fence, at, message, clock))
+        named, at = identity or uuid.uuid4().hex, self._utc()
+        order = Order(named, self._keys.name, self._name, fence, at, message, clock, key=key)
+        return self._sign(order)
 
     async def _answered(self, key: str, order: Order, patience: float) -> Reply:
         payload, status = pack(order), self._keys.status(order.id)
@@ -260,25 +310,12 @@ class Asker:
         """One answer, or why there are only such as cannot be read; None for none.
 
         Raises:
-            OutcomeUnknown: There are answers of two agents.
+            OutcomeUnknown: There are answers of two agents, or two that disagree.
         """
-        replies: list[Reply] = []
-        unread: MessageError | None = None
-        for one in answers:
-            try:
-                replies.append(unpack(Reply, one.payload))
-            except MessageError as error:
-                unread = error
-        ours = [one for one in replies if one.id in (identity, "") and one.name == self._keys.name]
-        if len({one.boot for one in ours}) > 1:
-            raise OutcomeUnknown(
-                f"two agents are named {self._keys.name}, and both answered",
-                remedy="end one of them, and look at both aircraft",
-            )
-        if not ours:
-            return unread
-        self.heard_at, self.its_clock = self._clock(), ours[0].clock
-        return ours[0]
+        found = believed(answers, self._keys, identity, self._sessions)
+        if isinstance(found, Reply):
+            self.heard_at, self.its_clock = self._clock(), found.clock
+        return found
 
 
 def _raised(reply: Reply) -> Reply:

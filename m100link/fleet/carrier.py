@@ -19,7 +19,7 @@ from m100link.agent.background import BackgroundTasks
 from m100link.agent.client import MAX_SILENCE
 from m100link.agent.fault import Fault, MessageError, agent_gone
 from m100link.agent.guided import GuidedOrder
-from m100link.agent.lease import TAKE_OVER_LIFETIME, LeaseRefused
+from m100link.agent.lease import TAKE_OVER_LIFETIME, Lease, LeaseRefused
 from m100link.agent.messages import (
     VERSION,
     Ask,
@@ -61,7 +61,7 @@ _RENEWAL_S = 0.4
 
 _UNANSWERED_S = 4.0
 _LET_GO_S = 1.0
-_MOST_TOKENS = 8
+_MOST_LEASES = 8
 _MOST_ASKS = 64
 
 
@@ -77,7 +77,7 @@ async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetCha
         LinkError: It is not there, or it is older than this front.
     """
     channel = FleetChannel(bus, keys, asker)
-    if not await channel.look_at_clock():
+    if not await asker("").is_there() or not await channel.look_at_clock():
         channel.close()
         raise agent_gone(f"{keys.name} does not answer, or has an older release")
     return channel
@@ -115,7 +115,7 @@ class FleetChannel:
         # was granted to this front, whose answer overtakes what was told before.
         self._told_at = self._granted_at = 0.0
         self._holder = LeaseChanged(0, "")
-        self._tokens: dict[int, str] = {}
+        self._leases: dict[int, Lease] = {}
         self._renewed_at = -_RENEWAL_S
         # Why the newest setpoint that the agent told of was not flown. A page shows what is true of
         # the newest beat: it is told again with each, until the agent says that they fly.
@@ -175,11 +175,14 @@ class FleetChannel:
 
     async def let_go(self) -> None:
         """Give back what was granted here: it hovers, and authority goes back. Before the close."""
-        token = self._tokens.get(self._holder.number)
-        if token is not None and not self._is_closed:
+        lease = self._leases.get(self._holder.number)
+        if lease is not None and not self._is_closed:
             try:
                 await self._asker.ask(
-                    LeaseAsk(0, LeaseAction.RELEASE, token=token), patience=_LET_GO_S
+                    LeaseAsk(0, LeaseAction.RELEASE),
+                    fence=lease.number,
+                    token=lease.token,
+                    patience=_LET_GO_S,
                 )
             except M100Error as error:
                 _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
@@ -211,6 +214,8 @@ class FleetChannel:
         answers = await self._bus.ask(self._keys.told, timeout=_GREETING_S)
         answered_at = self._clock()
         for answer in answers:
+            if not self._asker.is_of_aircraft(answer):
+                continue
             message = self._read(answer.payload)
             if isinstance(message, Hello) and self._greeted(message):
                 self._heard_clock(asked_at, message.at, answered_at)
@@ -330,7 +335,8 @@ class FleetChannel:
         clock = self._agent_clock.made_at(self._clock(), asker.its_clock)
 
         async def ask() -> None:
-            token = self._tokens.get(fence, "")
+            lease = self._leases.get(fence)
+            token = "" if lease is None else lease.token
             plain = replace(message, id=0)
             self._answer(message.id, await asker.ask(plain, fence=fence, token=token, clock=clock))
 
@@ -338,15 +344,15 @@ class FleetChannel:
 
     def _steer(self, steer: Steer) -> None:
         try:
-            token = self._tokens.get(steer.fence)
-            if token is None or steer.fence != self._holder.number:
+            lease = self._leases.get(steer.fence)
+            if lease is None or steer.fence != self._holder.number:
                 raise LeaseRefused(f"lease {steer.fence} is not in force")
             # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
             # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
-            self._keep(LeaseAsk(0, LeaseAction.RENEW, token=token))
+            self._keep(lease)
             self._require_answers()
             self._setpoints.send(
-                steer.fence, token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
+                steer.fence, lease.token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
             )
             if self._unflown is not None:
                 self._deliver(SteerRefused(steer.fence, self._unflown))
@@ -368,20 +374,27 @@ class FleetChannel:
 
     def _send_lease_ask(self, ask: LeaseAsk) -> None:
         if ask.action is LeaseAction.RENEW and not ask.id:
-            self._keep(ask)
+            lease = self._lease_of(ask)
+            if lease is not None:
+                self._keep(lease)
             return
         self._spawn(ask, lambda: self._ask_lease(ask), f"{ask.action.value} lease")
 
-    def _keep(self, ask: LeaseAsk) -> None:
+    def _lease_of(self, ask: LeaseAsk) -> Lease | None:
+        """The lease that a front means, which was granted here."""
+        return next((one for one in self._leases.values() if one.token == ask.token), None)
+
+    def _keep(self, lease: Lease) -> None:
         if self._clock() - self._renewed_at < _RENEWAL_S:
             return
         self._renewed_at = self._clock()
-        self._background.spawn(self._renew(ask), "renewal of a lease")
+        self._background.spawn(self._renew(lease), "renewal of a lease")
 
-    async def _renew(self, ask: LeaseAsk) -> None:
+    async def _renew(self, lease: Lease) -> None:
         asked_at, fence = self._clock(), self._holder.number
+        made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
         try:
-            reply = await self._asker.try_once(ask, within=_GREETING_S)
+            reply = await self._asker.renew(lease, made_at, within=_GREETING_S)
         except M100Error as error:
             _logger.info("%s: %s", self._keys.name, error.seen)  # who has it is told by the agent
             return
@@ -394,22 +407,29 @@ class FleetChannel:
     async def _ask_lease(self, ask: LeaseAsk) -> None:
         asked_at = self._clock()
         made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
-        reply = await self._asker_of(ask.name).ask(replace(ask, id=0), clock=made_at)
-        now = self._clock()
-        self._heard_clock(asked_at, reply.clock, now)
+        asker = self._asker_of(ask.name)
         if ask.action in (LeaseAction.ACQUIRE, LeaseAction.CONFIRM):
+            request = asker.lease_request(ask.action, ask.token, clock=made_at)
+            lease, its = await asker.take_lease(request)
+            self._heard_clock(asked_at, its, self._clock())
             # By what is told none of them ends: that may be old, lost on the way, or of a stranger,
             # and who believes to have control has to be able to steer, and to give it back.
-            kept = sorted({**self._tokens, reply.number: reply.token}.items())
-            self._tokens = dict(kept[-_MOST_TOKENS:])
-            self._granted_at = self._told_at = reply.clock
-            self._lease_changed(LeaseChanged(reply.number, reply.text))
+            kept = sorted({**self._leases, lease.number: lease}.items())
+            self._leases = dict(kept[-_MOST_LEASES:])
+            self._granted_at = self._told_at = its
+            self._lease_changed(LeaseChanged(lease.number, lease.name))
+            self._deliver(LeaseGranted(ask.id, lease.name, lease.token, lease.number))
+            return
+        held = self._lease_of(ask)
+        fence, token = (0, "") if held is None else (held.number, held.token)
+        plain = replace(ask, id=0, token="")
+        reply = await asker.ask(plain, fence=fence, token=token, clock=made_at)
+        self._heard_clock(asked_at, reply.clock, self._clock())
         if ask.action is LeaseAction.TAKE_OVER:
-            until = now + TAKE_OVER_LIFETIME
-            offer = (ask.id, ask.name, reply.text, reply.token, reply.number, until)
+            until = self._clock() + TAKE_OVER_LIFETIME
+            offer = (ask.id, ask.name, reply.text, reply.offer, reply.number, until)
             self._deliver(TakeOverOffered(*offer))
         elif ask.action is LeaseAction.RELEASE:
             self._answer(ask.id, reply)
         else:
-            token = reply.token or ask.token
-            self._deliver(LeaseGranted(ask.id, reply.text, token, reply.number))
+            self._deliver(LeaseGranted(ask.id, reply.text, ask.token, reply.number))

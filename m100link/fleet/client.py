@@ -21,7 +21,7 @@ from m100link.fleet.age import ORDER_AGE
 from m100link.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there
 from m100link.fleet.carrier import FleetChannel, reach
 from m100link.fleet.control import FleetControl
-from m100link.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in
+from m100link.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in, session_in
 from m100link.fleet.logs.fetching import Fetched, LogFetcher, Progress
 from m100link.fleet.logs.words import LogEntry
 from m100link.fleet.missions.flight import mission_card
@@ -233,7 +233,8 @@ class Fleet:
         if sign is not None:
             self._options["sign"] = sign
         self._clock = asyncio.get_running_loop().time
-        self._present: set[str] = set()
+        # Ids of the sessions that show the token of each.
+        self._present: dict[str, set[str]] = {}
         self._heard_at: dict[str, float] = {}
         self._listeners: list[tuple[deque[Change], asyncio.Event]] = []
         self._held: list[Held] = []
@@ -241,8 +242,8 @@ class Fleet:
     async def __aenter__(self) -> Self:
         # Asked before anything is watched: while zenoh fills the tables of a watch, it answers
         # from what it has of them, and leaves out whom it does not have yet.
-        for name in await self._tokens():
-            self._see(name, is_there=True)
+        for token in await self._tokens():
+            self._on_token(token, is_there=True)
         self._held = [
             self.bus.subscribe(self.keys.state, self._on_state, within=WALL_WITHIN_S),
             self.bus.watch(self.keys.live, self._on_token),
@@ -264,12 +265,18 @@ class Fleet:
         self._heard_at[name_in(key)] = self._clock()
 
     def _on_token(self, key: str, is_there: bool) -> None:
-        self._see(name_in(key), is_there=is_there)
-
-    def _see(self, name: str, *, is_there: bool) -> None:
-        if not name or is_there == (name in self._present):
+        name = name_in(key)
+        if not name:
             return
-        (self._present.add if is_there else self._present.discard)(name)
+        sessions = self._present.setdefault(name, set())
+        had = bool(sessions)
+        (sessions.add if is_there else sessions.discard)(session_in(key))
+        if not sessions:
+            del self._present[name]
+        if had != bool(sessions):
+            self._tell(name, is_there=is_there)
+
+    def _tell(self, name: str, *, is_there: bool) -> None:
         heard_at = self._heard_at.get(name)
         silent = None if heard_at is None else self._clock() - heard_at
         change = Change(name, is_there, silent)
@@ -278,8 +285,7 @@ class Fleet:
             event.set()
 
     async def _tokens(self) -> list[str]:
-        tokens = await self.bus.tokens(self.keys.live, timeout=self._options["patience"])
-        return list(filter(None, map(name_in, tokens)))
+        return await self.bus.tokens(self.keys.live, timeout=self._options["patience"])
 
     @property
     def present(self) -> frozenset[str]:
@@ -288,7 +294,8 @@ class Fleet:
 
     async def names(self) -> list[str]:
         """Names of the agents that are there: those that were seen come, and who is found now."""
-        return in_order(self._present.union(await self._tokens()))
+        found = filter(None, map(name_in, await self._tokens()))
+        return in_order(set(self._present).union(found))
 
     async def changes(self) -> AsyncIterator[Change]:
         """Who appears and who is gone, without end; first those that are there."""
@@ -340,7 +347,7 @@ class Fleet:
             self.bus,
             Keys(self.keys.site, name),
             f"{self._name}: {by}" if by else self._name,
-            is_known=lambda: name in self._present,
+            sessions=lambda: self._present.get(name, frozenset()),
             **self._options,
         )
 

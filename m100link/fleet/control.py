@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import uuid
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -18,12 +17,13 @@ from typing import Literal, Self
 from m100link.agent.actions import Action, LeaseAction
 from m100link.agent.background import BackgroundTasks
 from m100link.agent.guided import FlyTo
-from m100link.agent.lease import LeaseHeld
+from m100link.agent.lease import Lease, LeaseHeld
 from m100link.agent.messages import Ask, LeaseAsk, Message
 from m100link.agent.steering import SETPOINT_LIFETIME
 from m100link.bus.network import Bus
 from m100link.errors import (
     FleetError,
+    GuardRefused,
     M100Error,
     OutcomeUnknown,
     StaleLease,
@@ -35,6 +35,7 @@ from m100link.fleet.keys import Keys
 from m100link.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.fleet.payloads import Progress, Reply
 from m100link.fleet.questions import STEP_S
+from m100link.fleet.secret import LeaseRequest
 from m100link.fleet.sending import SetpointSender
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
@@ -80,7 +81,7 @@ class FleetControl:
         self._bus, self._keys = bus, keys
         self._clock = asyncio.get_running_loop().time
         self._agent_clock = AgentClock()
-        self._lease: Reply | None = None
+        self._lease: Lease | None = None
         self._renewed_at = 0.0
         self._renewing: asyncio.Task[None] | None = None
         self._owner: asyncio.Task[object] | None = None
@@ -97,7 +98,7 @@ class FleetControl:
 
     @property
     def proof(self) -> tuple[int, str]:
-        """Number and secret of the lease: whoever has both orders under it.
+        """Number and secret of the lease: whoever has both can order under it.
 
         Raises:
             StaleLease: It has ended.
@@ -114,7 +115,7 @@ class FleetControl:
         # An order that says when it was made is not carried out when nobody waits for it any more.
         if await self._asker.is_there():
             await self._asker.look(within=STEP_S)
-        lease = await self._ask_lease(LeaseAction.ACQUIRE)
+        lease = await self._take_lease()
         self._lease, self._renewed_at = lease, self._clock()
         self._setpoints = SetpointSender(self._bus, self._keys, self._agent_clock)
         self._owner = asyncio.current_task()
@@ -159,45 +160,49 @@ class FleetControl:
         lease, self._lease = self._lease, None
         if lease is None or self._lost is not None:
             return
-        await self._try(LeaseAsk(0, LeaseAction.RELEASE, token=lease.token))
+        await self._release(lease)
 
-    async def _try(self, message: Message) -> None:
+    async def _release(self, lease: Lease) -> None:
+        await self._try(LeaseAsk(0, LeaseAction.RELEASE), lease)
+
+    async def _try(self, message: Message, lease: Lease | None = None) -> None:
         """Ask for what happens by itself as well, only later: expiry ends setpoint and lease."""
+        fence, token = (0, "") if lease is None else (lease.number, lease.token)
         try:
-            await self._asker.ask(message, patience=_LEASE_S)
+            await self._asker.ask(message, fence=fence, token=token, patience=_LEASE_S)
         except FleetError as error:
             _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
 
     # -- the lease -------------------------------------------------------------------------------
 
-    async def _ask_lease(self, action: LeaseAction, token: str = "") -> Reply:
-        asked_at, identity = self._clock(), uuid.uuid4().hex
+    async def _take_lease(self, offer: str = "") -> Lease:
+        action = LeaseAction.CONFIRM if offer else LeaseAction.ACQUIRE
+        asked_at, request = self._clock(), self._asker.lease_request(action, offer)
         try:
-            ask = LeaseAsk(0, action, self._name, token)
-            reply = await self._asker.ask(ask, identity=identity)
+            lease, its = await self._asker.take_lease(request)
         except LeaseHeld:
-            if not self._is_take_over or action is not LeaseAction.ACQUIRE:
+            if not self._is_take_over or offer:
                 raise
-            offer = await self._ask_lease(LeaseAction.TAKE_OVER)
-            return await self._ask_lease(LeaseAction.CONFIRM, offer.token)
+            found = await self._asker.ask(LeaseAsk(0, LeaseAction.TAKE_OVER, self._name))
+            return await self._take_lease(found.offer)
         except (OutcomeUnknown, asyncio.CancelledError):
-            await self._give_back(identity)
+            await self._give_back(request)
             raise
-        self._agent_clock.heard(asked_at, reply.clock, self._clock())
-        return reply
+        self._agent_clock.heard(asked_at, its, self._clock())
+        return lease
 
-    async def _give_back(self, identity: str) -> None:
+    async def _give_back(self, request: LeaseRequest) -> None:
         """Give a lease back that was granted, or is about to be, to who waits for it no more."""
         until = self._clock() + _GIVEN_BACK_S
         while (left := until - self._clock()) > 0:
             try:
-                found = await self._asker.look(identity, within=left)
+                found = await self._asker.look(request.order.id, within=left)
             except FleetError as error:  # what ended the wait for it is what is told
                 _logger.warning("%s: its lease is left to silence: %s", self._keys.name, error.seen)
                 return
             if found is not None and found.progress is Progress.DONE:
-                if found.token:
-                    await self._try(LeaseAsk(0, LeaseAction.RELEASE, token=found.token))
+                if found.key:
+                    await self._release(request.lease(found))
                 return
             await asyncio.sleep(_AGAIN_S)
 
@@ -232,11 +237,13 @@ class FleetControl:
             remedy="it hovers, then does what its agent was told by --lost",
         )
 
-    async def _renew_once(self, lease: Reply) -> None:
+    async def _renew_once(self, lease: Lease) -> None:
         asked_at = self._clock()
-        ask = LeaseAsk(0, LeaseAction.RENEW, token=lease.token)
+        made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
         try:
-            reply = await self._asker.try_once(ask, within=_LEASE_S)
+            reply = await self._asker.renew(lease, made_at, within=_LEASE_S)
+        except GuardRefused:
+            return  # it came too late to renew anything, and says nothing of the lease
         except M100Error as error:
             self._lose(error)
             return
@@ -253,7 +260,7 @@ class FleetControl:
         if self._owner is not None:
             self._owner.cancel()
 
-    def _held(self) -> Reply:
+    def _held(self) -> Lease:
         """The lease.
 
         Raises:

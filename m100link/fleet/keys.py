@@ -8,7 +8,16 @@ from dataclasses import dataclass
 
 from m100link.errors import UsageError
 
-__all__ = ["DEFAULT_SITE", "LIVE", "NAME", "Keys", "check_name", "in_order", "name_in"]
+__all__ = [
+    "DEFAULT_SITE",
+    "LIVE",
+    "NAME",
+    "Keys",
+    "check_name",
+    "in_order",
+    "name_in",
+    "session_in",
+]
 
 DEFAULT_SITE = "site"
 
@@ -51,9 +60,14 @@ def name_in(key: str) -> str:
     Whoever reaches the router may show a token with any word in that place: it is no aircraft.
     """
     words = key.split("/")
-    is_one = (len(words) > 3 and words[0] == "m100") or (len(words) == 3 and words[0] == LIVE)
+    is_one = (len(words) > 3 and words[0] == "m100") or (len(words) == 4 and words[0] == LIVE)
     is_one = is_one and bool(NAME.fullmatch(words[2]))
     return words[2] if is_one else ""
+
+
+def session_in(token: str) -> str:
+    """Id of the session in a token of :meth:`Keys.live_by`."""
+    return token.rpartition("/")[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,16 +93,20 @@ class Keys:
 
     @property
     def live(self) -> str:
-        """Token: there as long as the agent is.
+        """Its tokens: there as long as agents are that have its name, one for each session.
 
         Not among the other keys: zenoh compares each message with all tokens beside its key that
         whoever hears it watches. Of a thousand aircraft that cost ten times the message itself.
         """
-        return f"{LIVE}/{self.site}/{self.name}"
+        return f"{LIVE}/{self.site}/{self.name}/*"
+
+    def live_by(self, session: str) -> str:
+        """The token that an agent shows; an answer of another session is not the aircraft's."""
+        return f"{LIVE}/{self.site}/{self.name}/{session}"
 
     @property
     def live_beside(self) -> str:
-        """The same token among the other keys, where whoever writes a tool looks for it first."""
+        """A token without session among the other keys: whoever writes a tool looks there first."""
         return self.of("live")
 
     @property

@@ -22,10 +22,11 @@ from m100link.fleet.ledger import Ledger
 from m100link.fleet.missions.board import Missions
 from m100link.fleet.payloads import Order
 from m100link.fleet.revoked import Since, nobody
+from m100link.fleet.secret import agree
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = ["Done", "Orders", "acquires", "is_kept", "lands", "moves", "revokes", "takes"]
+__all__ = ["Done", "Orders", "acquires", "is_kept", "lands", "moves", "renews", "revokes", "takes"]
 
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
@@ -42,14 +43,31 @@ class Done:
     Attributes:
         text: Where it is a text.
         number: Where it is a number.
-        token: Proof of a lease.
+        offer: What confirms a take-over.
+        key: Public half of the secret of a lease.
         fault: Why the last setpoint was not flown.
     """
 
     text: str = ""
     number: int = 0
-    token: str = field(default="", repr=False)
+    offer: str = ""
+    key: bytes = b""
     fault: Fault | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Granted:
+    """A lease that was granted to the fleet.
+
+    Attributes:
+        lease: As the agent knows it; its token never leaves the aircraft.
+        secret: What orders and setpoints under it are proved with.
+        signer: Who signed for it, who may be revoked meanwhile; empty when nobody did.
+    """
+
+    lease: Lease
+    secret: str = field(repr=False)
+    signer: str
 
 
 def is_kept(message: Message) -> bool:
@@ -81,6 +99,11 @@ def acquires(message: Message) -> bool:
     return isinstance(message, LeaseAsk) and message.action is LeaseAction.ACQUIRE
 
 
+def renews(message: Message) -> bool:
+    """Whether it lets a lease last, which nobody who recorded it may do later."""
+    return isinstance(message, LeaseAsk) and message.action is LeaseAction.RENEW
+
+
 def lands(message: Message) -> bool:
     """Whether it brings the aircraft down: that nobody may be surprised by, minutes later."""
     return isinstance(message, Ask) and message.action is Action.LAND
@@ -96,19 +119,18 @@ class Orders:
 
     Attributes:
         missions: What flies by plans.
-        tokens: Secrets of the leases in force that were granted to the fleet, by number.
+        leases: Those in force that were granted to the fleet, by number.
         refused: Why the last setpoint was not flown; told when the lease is renewed.
     """
 
     def __init__(self, client: AgentClient, ledger: Ledger, revoked: Since = nobody) -> None:
         self._revoked = revoked
-        # Who signed for each lease, and for the landing under way: they may be revoked meanwhile.
-        self._signers: dict[int, str] = {}
+        # Who signed for the landing under way: they may be revoked meanwhile.
         self._descent_signers: set[str] = set()
         self._client = client
         self._ledger = ledger
         self.missions = Missions(client)
-        self.tokens: dict[int, str] = {}
+        self.leases: dict[int, Granted] = {}
         self.refused: M100Error | None = None
         # A landing that nobody has to hold a lease for, and that all who ask for it wait for.
         self._descent: asyncio.Task[None] | None = None
@@ -128,8 +150,12 @@ class Orders:
         """Leases that have ended are of no use, nor is why a setpoint under one was not flown."""
         self.refused = None
         number = self._client.holder.number
-        self.tokens = {one: token for one, token in self.tokens.items() if one >= number > 0}
-        self._signers = {one: who for one, who in self._signers.items() if one in self.tokens}
+        self.leases = {one: it for one, it in self.leases.items() if one >= number > 0}
+
+    def secret(self, number: int) -> str | None:
+        """Secret of the lease of that number; None when it is not in force, or not the fleet's."""
+        granted = self.leases.get(number)
+        return None if granted is None else granted.secret
 
     def shut_out(self) -> str:
         """Let nobody who is revoked steer any more; who did until now, empty for nobody."""
@@ -138,9 +164,10 @@ class Orders:
         if descent is not None and all(map(self._revoked, self._descent_signers)):
             descent.cancel()
             found = ", ".join(sorted(self._descent_signers))
-        for number, who in self._signers.items():
-            if self._revoked(who) and self.tokens.pop(number, ""):
-                found = who
+        for number, granted in list(self.leases.items()):
+            if self._revoked(granted.signer):
+                del self.leases[number]
+                found = granted.signer
         return found
 
     async def carry_out(self, order: Order, message: Message) -> Done:
@@ -194,11 +221,10 @@ class Orders:
     # -- the lease -------------------------------------------------------------------------------
 
     def _lease_if_any(self, order: Order) -> Lease | None:
-        token = self.tokens.get(order.fence)
-        is_ours = token is not None and order.fence == self._client.holder.number
-        if token is None or not is_ours or not order.proves(token):
+        granted = self.leases.get(order.fence)
+        if granted is None or order.fence != self._client.holder.number:
             return None
-        return Lease(self._client.holder.name, token, order.fence)
+        return granted.lease if order.proves(granted.secret) else None
 
     def lease_for(self, order: Order, message: Message) -> Lease | None:
         """The lease that something is asked under; None for an activation that nobody minds.
@@ -224,26 +250,27 @@ class Orders:
             raise StaleLease(f"lease {order.fence} is not in force{who}")
         return lease
 
-    async def _grant(self, order: Order, lease: Lease) -> Done:
+    async def _grant(self, order: Order, asked: Awaitable[Lease], key: bytes, secret: str) -> Done:
+        lease = await asked
         since = self._revoked(order.signer)
         if since:  # while it was being granted
             self._client.let_go(lease)
             raise NotAllowed(f"{order.signer} is revoked since {since}")
-        self.tokens[lease.number] = lease.token
-        self._signers[lease.number] = order.signer
+        self.leases[lease.number] = Granted(lease, secret, order.signer)
         await self._ledger.granted(lease.number)
-        return Done(lease.name, lease.number, lease.token)
+        return Done(lease.name, lease.number, key=key)
 
     async def _acquire(self, order: Order, ask: LeaseAsk) -> Done:
-        return await self._grant(order, await self._client.acquire(order.by))
+        key, secret = agree(order)  # before anything is taken from anybody
+        return await self._grant(order, self._client.acquire(order.by), key, secret)
 
     async def _renew(self, order: Order, ask: LeaseAsk) -> Done:
-        lease = await self._client.renew(ask.token)
+        lease = await self._client.renew(self.require_lease(order).token)
         refused, self.refused = self.refused, None
         return Done(lease.name, lease.number, fault=fault_of(refused))
 
     async def _release(self, order: Order, ask: LeaseAsk) -> Done:
-        await self._client.release_lease(ask.token)
+        await self._client.release_lease(self.require_lease(order).token)
         return Done()
 
     async def _take_over(self, order: Order, ask: LeaseAsk) -> Done:
@@ -251,7 +278,8 @@ class Orders:
         return Done(offer.from_name, offer.number, offer.token)
 
     async def _confirm(self, order: Order, ask: LeaseAsk) -> Done:
-        return await self._grant(order, await self._client.confirm(ask.token))
+        key, secret = agree(order)
+        return await self._grant(order, self._client.confirm(ask.token), key, secret)
 
     # -- down ------------------------------------------------------------------------------------
 

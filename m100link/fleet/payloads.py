@@ -11,7 +11,8 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -38,7 +39,7 @@ __all__ = [
     "unpack_steer",
 ]
 
-VERSION = 1
+VERSION = 2
 """Of these payloads."""
 
 SHOW = b"show\n"
@@ -71,6 +72,8 @@ class Order:
         proof: That whoever asks has the lease; empty without one.
         signer: Whose signature it is; empty for none.
         signature: Over :meth:`signed`; empty for none.
+        key: Public half of the secret of the lease that it asks for; see
+            :mod:`m100link.fleet.secret`. Empty where it asks for none.
     """
 
     id: str
@@ -83,11 +86,12 @@ class Order:
     proof: bytes = b""
     signer: str = ""
     signature: bytes = b""
+    key: bytes = b""
 
     def signed(self) -> bytes:
         """What proof and signature are over: everything that must not be changed on the way."""
         head = [self.id, self.aircraft, self.by, self.fence, self.at, self.clock, self.signer]
-        return json.dumps(head).encode() + b"\n" + self.message
+        return json.dumps([*head, self.key.hex()]).encode() + b"\n" + self.message
 
     def under(self, token: str) -> Order:
         """The order with the proof that whoever asks has the lease."""
@@ -111,7 +115,8 @@ class Reply:
         fault: Why it is not ``ok``.
         text: What was asked for, where that is a text.
         number: What was asked for, where that is a number.
-        token: Proof of a lease, for whoever got it and nobody else.
+        offer: What confirms a take-over that was asked for; no secret.
+        key: Public half of the secret of a lease that was granted; empty otherwise.
         clock: The agent's own clock, s; setpoints are stamped by it.
         is_repeated: The order had been heard before.
     """
@@ -124,7 +129,8 @@ class Reply:
     fault: Fault | None = None
     text: str = ""
     number: int = 0
-    token: str = field(default="", repr=False)
+    offer: str = ""
+    key: bytes = b""
     clock: float = 0.0
     is_repeated: bool = False
 
@@ -290,19 +296,21 @@ def pack_steer(steer: Steer, token: str, *, begins: bool) -> bytes:
 
     Args:
         steer: The setpoint.
-        token: Proof of the lease.
+        token: Secret of the lease.
         begins: It begins a stream; see :mod:`m100link.fleet.stream`.
     """
     data = bytes([begins]) + encode(steer)
     return bytes([VERSION]) + _proof(token, data) + data
 
 
-def unpack_steer(payload: bytes, token_of: dict[int, str]) -> tuple[Steer, bool] | None:
+def unpack_steer(
+    payload: bytes, token_of: Callable[[int], str | None]
+) -> tuple[Steer, bool] | None:
     """The setpoint in these bytes, and whether it begins a stream.
 
     Args:
         payload: The bytes.
-        token_of: Secrets of the leases that were granted, by their numbers.
+        token_of: Secret of the lease of a number; None where none was granted.
 
     Returns:
         None when the lease that it names is not proved.
@@ -315,6 +323,6 @@ def unpack_steer(payload: bytes, token_of: dict[int, str]) -> tuple[Steer, bool]
     steer = decode(data[1:])
     if not isinstance(steer, Steer):
         raise MessageError(f"{type(steer).__name__} is no setpoint")
-    token = token_of.get(steer.fence)
+    token = token_of(steer.fence)
     is_proved = token is not None and hmac.compare_digest(proof, _proof(token, data))
     return (steer, data[0] != 0) if is_proved else None

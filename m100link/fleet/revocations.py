@@ -21,10 +21,11 @@ from m100link.agent.background import BackgroundTasks
 from m100link.agent.fault import MessageError, fault_of
 from m100link.bus.network import Bus, Question
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
+from m100link.fleet.answers import believed
 from m100link.fleet.asking import nobody_there
-from m100link.fleet.keys import Keys
+from m100link.fleet.keys import Keys, session_in
 from m100link.fleet.outcome import outcome_of
-from m100link.fleet.payloads import VERSION, Progress, Reply, body, pack, unpack
+from m100link.fleet.payloads import VERSION, Progress, Reply, body, pack
 from m100link.fleet.revoked import LARGEST, BadRevoked, Revoked
 from m100link.fleet.rights import Rights
 
@@ -299,16 +300,19 @@ async def bring(bus: Bus, keys: Keys, data: bytes = b"") -> int:
         UsageError: It does not believe the list, or cannot keep it, as it says itself.
         MessageError: Its answer cannot be read.
     """
-    if keys.live not in await bus.tokens(keys.live, timeout=_ANSWER_S):
+    sessions = {session_in(token) for token in await bus.tokens(keys.live, timeout=_ANSWER_S)}
+    if not sessions:
         raise nobody_there(keys.name)
     for attempt in range(_TRIES):
         await asyncio.sleep(attempt * _AGAIN_S)
-        for answer in await bus.ask(keys.revoked, bytes([VERSION]) + data, timeout=_ANSWER_S):
-            reply: Reply = unpack(Reply, answer.payload)
-            if reply.name == keys.name and reply.fault is not None:
-                raise reply.fault.error()
-            if reply.name == keys.name:
-                return reply.number
+        answers = await bus.ask(keys.revoked, bytes([VERSION]) + data, timeout=_ANSWER_S)
+        reply = believed(answers, keys, "", sessions)
+        if isinstance(reply, MessageError):
+            raise reply
+        if reply is not None and reply.fault is not None:
+            raise reply.fault.error()
+        if reply is not None:
+            return reply.number
     raise OutcomeUnknown(
         f"{keys.name} does not say which list of revoked names it has",
         cause="its agent has no --rights, no --pki or an older release, the way is cut, or the "

@@ -143,7 +143,10 @@ async def test_a_stop_that_nobody_answers_is_unknown_and_told_as_that(site: Site
     keys = Keys(DEFAULT_SITE, "a1")
     asked: list[Question] = []  # kept: one that is thrown away is answered by nobody, at once
     async with connect(site.place, name="one that hangs") as there:
-        held = there.bus.declare(keys.live), there.bus.serve(keys.command, asked.append)
+        held = (
+            there.bus.declare(keys.live_by(there.bus.session)),
+            there.bus.serve(keys.command, asked.append),
+        )
         with terminal("fleet", "stop", "a1", "nobody", environment=site.environment) as screen:
             with anyio.fail_after(PATIENCE):
                 while not asked:  # noqa: ASYNC110 - the network sets no event

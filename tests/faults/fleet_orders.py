@@ -19,12 +19,13 @@ from collections.abc import Iterable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 
-from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.actions import Action
 from m100link.agent.agent import Agent
 from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver
-from m100link.agent.messages import Ask, LeaseAsk
+from m100link.agent.lease import Lease
+from m100link.agent.messages import Ask
 from m100link.agent.service import Service
 from m100link.bus.memory import MemoryNetwork, Weather
 from m100link.errors import M100Error
@@ -34,7 +35,6 @@ from m100link.fleet.client import Fleet
 from m100link.fleet.keys import Keys
 from m100link.fleet.ledger import MemoryLedger
 from m100link.fleet.outcome import Outcome, outcome_of
-from m100link.fleet.payloads import Reply
 from m100link.sim import VirtualClockEventLoop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -87,7 +87,7 @@ class Ordering:
         self.told: dict[int, Outcome] = {}
         self.most = count
         self._activates = activates
-        self._lease: Reply | None = None
+        self._lease: Lease | None = None
         self._numbers = iter(range(count))
 
     async def keep(self, asker: Asker) -> None:
@@ -95,14 +95,13 @@ class Ordering:
         while True:
             try:
                 if self._lease is None:
-                    lease = await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+                    lease, _ = await asker.take_lease(asker.lease_request())
                     if self._activates:
                         activate = Ask(0, Action.ACTIVATE)
                         await asker.ask(activate, fence=lease.number, token=lease.token)
                     self._lease = lease
-                renewal = LeaseAsk(0, LeaseAction.RENEW, token=self._lease.token)
                 await asyncio.sleep(0.3)
-                await asker.try_once(renewal, within=0.5)
+                await asker.renew(self._lease, asker.its_clock, within=0.5)
             except M100Error:
                 self._lease = None  # it ended, or its agent did: another one is asked for
                 await asyncio.sleep(0.3)

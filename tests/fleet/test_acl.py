@@ -54,7 +54,7 @@ def test_an_agent_has_rules_for_nobody_elses_keys_but_a_question_and_places() ->
     """Where all stand is asked by one pattern, which has to be allowed as it stands."""
     keys = {key for rule in rules_of("agent a1") for key in rule["key_exprs"]}
     others = {key for key in keys if not key.startswith("m100/site/a1/")}
-    assert others == {"m100/site/*/state", "m100/site/*/place", "m100-live/site/a1"}
+    assert others == {"m100/site/*/state", "m100/site/*/place", "m100-live/site/a1/*"}
     places = [one for one in rules_of("agent a1") if "m100/site/*/place" in one["key_exprs"]]
     assert not any("put" in one["messages"] and one["flows"] == ["ingress"] for one in places)
     [rule] = [one for one in rules_of("agent a1") if "m100/site/*/state" in one["key_exprs"]]
@@ -158,7 +158,7 @@ def answers(session: Any, key: str) -> int:
 
 
 def seen(session: Any) -> set[str]:
-    replies = session.liveliness().get("m100-live/site/*", timeout=2.0)
+    replies = session.liveliness().get("m100-live/site/*/*", timeout=2.0)
     return {str(reply.ok.key_expr).split("/")[2] for reply in replies if reply.ok is not None}
 
 
@@ -184,7 +184,10 @@ def site(tmp_path: Path) -> Iterator[Site]:
 def test_a_router_lets_everybody_do_what_the_file_says(site: Site) -> None:
     agents = {name: site.come(name) for name in ("a1", "a2")}
     people = {name: site.come(name) for name in ("anna", "bert", "wall", "stranger")}
-    tokens = [agents[name].liveliness().declare_token(f"m100-live/site/{name}") for name in agents]
+    tokens = [
+        agents[name].liveliness().declare_token(f"m100-live/site/{name}/{agents[name].zid()}")
+        for name in agents
+    ]
     for name, session in agents.items():
         for what in ("cmd", "lease", "state"):
             site.serve(session, f"m100/site/{name}/{what}")

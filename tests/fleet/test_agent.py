@@ -12,6 +12,7 @@ import pytest
 
 from m100link.agent.actions import Action, LeaseAction
 from m100link.agent.guided import FlyTo
+from m100link.agent.lease import Lease
 from m100link.agent.message_bytes import encode
 from m100link.agent.messages import Ask, Event, LeaseAsk, Message, Steer, Telemetry
 from m100link.errors import NotAllowed, UsageError
@@ -29,6 +30,7 @@ from m100link.fleet.payloads import (
     unpack,
     unpack_message,
 )
+from m100link.fleet.secret import Half, LeaseRequest
 from m100link.fleet.stream import Dropped
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
@@ -40,11 +42,10 @@ KEYS = Keys(SITE, "a1")
 NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
-def order(message: Message, fence: int = 0, token: str = "") -> Order:
+def order(message: Message, fence: int = 0, token: str = "", key: bytes = b"") -> Order:
     """Made now: agents on virtual time go by the clock of the loop."""
-    made = Order(
-        uuid.uuid4().hex, "a1", "by hand", fence, 1.8e9, encode(message), anyio.current_time()
-    )
+    now = anyio.current_time()
+    made = Order(uuid.uuid4().hex, "a1", "by hand", fence, 1.8e9, encode(message), now, key=key)
     return made.under(token) if token else made
 
 
@@ -59,11 +60,17 @@ async def send(rig: Rig, what: Order, key: str = KEYS.command) -> Reply:
     return reply
 
 
-async def lease(rig: Rig) -> Reply:
-    return await send(rig, order(LeaseAsk(0, LeaseAction.ACQUIRE)), KEYS.lease)
+def request(action: LeaseAction = LeaseAction.ACQUIRE, offer: str = "") -> LeaseRequest:
+    half = Half()
+    return LeaseRequest(order(LeaseAsk(0, action, token=offer), key=half.public), half)
 
 
-async def in_the_air(rig: Rig, one: OnBoard) -> Reply:
+async def lease(rig: Rig, asked: LeaseRequest | None = None) -> Lease:
+    asked = asked or request()
+    return asked.lease(await send(rig, asked.order, KEYS.lease))
+
+
+async def in_the_air(rig: Rig, one: OnBoard) -> Lease:
     """The lease, kept as long as it is in force; the aircraft hovers."""
     got = await lease(rig)
 
@@ -78,8 +85,9 @@ async def in_the_air(rig: Rig, one: OnBoard) -> Reply:
     return got
 
 
-async def keep(rig: Rig, got: Reply) -> Reply:
-    return await send(rig, order(LeaseAsk(0, LeaseAction.RENEW, token=got.token)), KEYS.lease)
+async def keep(rig: Rig, got: Lease) -> Reply:
+    renewal = order(LeaseAsk(0, LeaseAction.RENEW), got.number, got.token)
+    return await send(rig, renewal, KEYS.lease)
 
 
 async def test_telemetry_is_the_wire_value_thinned_and_whole_for_who_listens(rig: Rig) -> None:
@@ -462,13 +470,12 @@ async def test_a_take_over_that_nobody_waits_for_takes_the_lease_from_nobody(rig
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
     offer = await send(rig, order(LeaseAsk(0, LeaseAction.TAKE_OVER)), KEYS.lease)
-    confirmed = LeaseAsk(0, LeaseAction.CONFIRM, token=offer.token)
-    late = order(confirmed)
+    late = request(LeaseAction.CONFIRM, offer.offer).order
     await anyio.sleep(6.0)
     reply = await send(rig, late, KEYS.lease)
     assert reply.outcome is Outcome.REFUSED
     assert one.client.holder.number == got.number
-    assert (await send(rig, order(confirmed), KEYS.lease)).number > got.number
+    assert (await lease(rig, request(LeaseAction.CONFIRM, offer.offer))).number > got.number
 
 
 async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) -> None:
@@ -478,6 +485,5 @@ async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) 
     rig.network.session().publish(KEYS.setpoint).put(pack_steer(on, got.token, begins=False))
     await rig.until(lambda: one.fleet_agent.dropped[Dropped.BROKEN])
     offer = await send(rig, order(LeaseAsk(0, LeaseAction.TAKE_OVER)), KEYS.lease)
-    confirmed = LeaseAsk(0, LeaseAction.CONFIRM, token=offer.token)
-    other = await send(rig, order(confirmed), KEYS.lease)
+    other = await lease(rig, request(LeaseAction.CONFIRM, offer.offer))
     assert (await keep(rig, other)).fault is None

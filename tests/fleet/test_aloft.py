@@ -7,8 +7,6 @@ from dataclasses import replace
 import anyio
 import pytest
 
-from m100link.agent.actions import LeaseAction
-from m100link.agent.messages import LeaseAsk
 from m100link.errors import M100Error, UsageError
 from m100link.fleet.aloft import KEPT_AGAIN_S
 from m100link.fleet.client import Fleet
@@ -134,7 +132,8 @@ async def not_flown(rig: Rig, how: str) -> OnBoard:
     one, pilot = await rig.aircraft("a1", lost=LAND), await rig.pilot()
     await pilot["a1"].take_off()
     if how == "lease alone":
-        await pilot["a1"].asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+        asker = pilot["a1"].asker
+        await asker.take_lease(asker.lease_request())
     elif how == "taken by the pilot":
         one.agent.background.spawn(hold_on(pilot), "a pilot")
         await rig.until(lambda: one.client.state.has_authority)

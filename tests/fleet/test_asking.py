@@ -8,15 +8,15 @@ from typing import cast
 import anyio
 import pytest
 
-from m100link.agent.actions import Action, LeaseAction
-from m100link.agent.messages import Ask, LeaseAsk, Message
+from m100link.agent.actions import Action
+from m100link.agent.lease import Lease
+from m100link.agent.messages import Ask, Message
 from m100link.bus.memory import MemoryBus, Weather
 from m100link.bus.network import Answer, Bus
 from m100link.errors import M100Error, OutcomeUnknown, Unreachable
 from m100link.fleet.asking import PATIENCE_S, Asker
 from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome, outcome_of
-from m100link.fleet.payloads import Reply
 from tests.fleet.conftest import SITE, Rig, with_camera
 
 pytestmark = pytest.mark.anyio
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.anyio
 NOT_DONE = (Outcome.REFUSED, Outcome.STALE_LEASE, Outcome.NOT_ALLOWED, Outcome.UNREACHABLE)
 
 
-async def asked(one: Asker, message: Message, lease: Reply) -> Outcome:
+async def asked(one: Asker, message: Message, lease: Lease) -> Outcome:
     try:
         await one.ask(message, fence=lease.number, token=lease.token)
     except M100Error as error:
@@ -43,7 +43,7 @@ async def test_at_most_once_and_never_a_false_ok(rig: Rig, seed: int) -> None:
     for _ in range(40):
         rig.network.weather = Weather()
         await anyio.sleep(4.0)  # what was late has come, the camera is ready, the lease has ended
-        lease = await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+        lease, _ = await asker.take_lease(asker.lease_request())
         before = camera.photos
         rig.network.weather = Weather(loss=0.2, repeat=0.3, delay_s=0.01, jitter_s=0.3)
         outcome = await asked(asker, Ask(0, Action.TAKE_PHOTO), lease)
@@ -106,7 +106,7 @@ async def test_an_order_that_never_arrives_is_not_sent_for_ever(rig: Rig) -> Non
     asker = Asker(bus, Keys(SITE, "a1"), "pilot", patience=3.0)
     began = anyio.current_time()
     with pytest.raises(OutcomeUnknown, match="has not heard of the order"):
-        await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+        await asker.take_lease(asker.lease_request())
     assert 3.0 <= anyio.current_time() - began < 6.0
 
 
@@ -114,7 +114,8 @@ async def test_an_answer_that_cannot_be_read_is_no_refusal(rig: Rig) -> None:
     """The one who gives it may have done what was asked, as here."""
     one, pilot = await rig.aircraft("a1", virtual=with_camera()), await rig.pilot()
     await one.agent.activate()
-    lease = await pilot["a1"].asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+    asker = pilot["a1"].asker
+    lease, _ = await asker.take_lease(asker.lease_request())
     other = rig.network.session()
     other.serve("m100/*/a1/cmd", lambda question: question.answer("m100/x/a1/cmd", b"\x09{}"))
     photo = Ask(0, Action.TAKE_PHOTO)

@@ -47,7 +47,7 @@ async def test_who_appears_and_who_is_gone(rig: Rig) -> None:
 
 async def test_what_can_be_no_name_is_nobody(rig: Rig) -> None:
     """One token of a stranger ended the list, the console and what is done with all."""
-    rig.network.session().declare(f"m100-live/{SITE}/no name")
+    rig.network.session().declare(f"m100-live/{SITE}/no name/9f")
     pilot = await rig.pilot()
     await rig.aircraft("a1")
     assert await pilot.names() == sorted(await pilot.cards()) == sorted(pilot.present) == ["a1"]

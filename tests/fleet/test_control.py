@@ -7,9 +7,9 @@ import asyncio
 import anyio
 import pytest
 
-from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.actions import Action
 from m100link.agent.lease import LeaseHeld
-from m100link.agent.messages import Ask, LeaseAsk
+from m100link.agent.messages import Ask
 from m100link.bus.memory import Weather
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.geodesy import LocalFrame
@@ -108,7 +108,7 @@ async def test_a_lease_that_nobody_waits_for_any_more_is_not_granted(rig: Rig) -
     await asker.ask(Ask(0, Action.VERSION))  # its clock is known now
     rig.network.weather = Weather(delay_s=5.5)
     with pytest.raises(OutcomeUnknown):
-        await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+        await asker.take_lease(asker.lease_request())
     rig.network.weather = Weather()
     for _ in range(100):
         await anyio.sleep(0.1)

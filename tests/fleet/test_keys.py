@@ -10,17 +10,18 @@ from m100link.fleet.keys import Keys, check_name, in_order, name_in
 
 def test_keys_of_one_and_of_all() -> None:
     keys = Keys("field", "a1")
-    assert (keys.live, keys.command) == ("m100-live/field/a1", "m100/field/a1/cmd")
+    assert (keys.live, keys.live_by("9f")) == ("m100-live/field/a1/*", "m100-live/field/a1/9f")
+    assert keys.command == "m100/field/a1/cmd"
     assert (keys.telemetry, keys.thinned) == ("m100/field/a1/tel", "m100/field/a1/tel/5hz")
     assert keys.status("abc") == "m100/field/a1/status/abc"
     assert Keys("field").state == "m100/field/*/state"
 
 
 def test_the_name_in_a_key() -> None:
-    assert name_in("m100-live/field/a1") == "a1"
+    assert name_in("m100-live/field/a1/9f") == "a1"
     assert name_in("m100/field") == ""
     assert name_in("other/field/a1") == ""
-    assert name_in("m100-live/field/no name") == ""
+    assert name_in("m100-live/field/no name/9f") == ""
     assert name_in(f"m100/field/{'a' * 33}/state") == ""
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.agent.actions import Action, LeaseAction
-from m100link.agent.messages import Ask, LeaseAsk
+from m100link.agent.actions import Action
+from m100link.agent.messages import Ask
 from m100link.bus.memory import Weather
 from m100link.errors import OutcomeUnknown
 from m100link.fleet.client import FleetAircraft
@@ -87,7 +87,7 @@ async def test_what_became_of_an_order_is_told_when_the_way_is_there_again(
     one, pilot = await rig.aircraft("a1", virtual=with_camera()), await rig.pilot()
     await one.agent.activate()
     asker = pilot["a1"].asker
-    lease = await asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+    lease, _ = await asker.take_lease(asker.lease_request())
 
     async def break_off() -> None:
         await rig.until(lambda: one.aircraft.vehicle.camera.photos)

@@ -7,8 +7,6 @@ from functools import partial
 import anyio
 import pytest
 
-from m100link.agent.actions import LeaseAction
-from m100link.agent.messages import LeaseAsk
 from m100link.errors import FleetError, GuardRefused, UsageError
 from m100link.fleet.client import Fleet
 from m100link.fleet.lost import LostAction, LostPlan
@@ -99,7 +97,8 @@ async def test_a_lease_alone_flies_nothing_and_its_end_lands_nothing(rig: Rig) -
     """Who takes the lease and is not heard again has not flown: the pilot with the remote does."""
     one, pilot = await rig.aircraft("a1", lost=LostPlan("land", 1.0)), await rig.pilot()
     await pilot["a1"].take_off()
-    await pilot["a1"].asker.ask(LeaseAsk(0, LeaseAction.ACQUIRE))
+    asker = pilot["a1"].asker
+    await asker.take_lease(asker.lease_request())
     await anyio.sleep(30.0)
     assert one.height > 1.0
 

@@ -215,7 +215,7 @@ async def test_a_lease_that_is_being_granted_is_granted_to_nobody(
         async with site.anna["a1"].control():
             pass
     await anyio.sleep(0.1)
-    assert (orders.tokens, site.one.client.holder.number) == ({}, 0)
+    assert (orders.leases, site.one.client.holder.number) == ({}, 0)
 
 
 # -- which list is in force -----------------------------------------------------------------------

@@ -14,6 +14,7 @@ from typing import Any
 import anyio
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from m100link.bus.network import Bus
 from m100link.fleet.signing import verifying
@@ -34,7 +35,7 @@ class Foreigner:
 
     async def ask(self, what: str, payload: bytes = b"") -> dict[str, Any]:
         [answer] = await self._bus.ask(f"m100/{SITE}/a1/{what}", payload, timeout=2.0)
-        assert answer.payload[0] == 1
+        assert answer.payload[0] == 2
         found: dict[str, Any] = json.loads(answer.payload[1:])
         return found
 
@@ -43,12 +44,19 @@ class Foreigner:
         assert told["progress"] == "never"
         return float(told["clock"])
 
-    def order(self, message: bytes, lease: tuple[int, str] = (0, ""), clock: float = 0.0) -> Any:
+    def order(
+        self,
+        message: bytes,
+        lease: tuple[int, str] = (0, ""),
+        clock: float = 0.0,
+        key: bytes = b"",
+    ) -> Any:
         fence, token = lease
         told: dict[str, Any] = {"id": uuid.uuid4().hex, "aircraft": "a1", "by": "Jürgen"}
         told |= {"fence": fence, "at": self._utc(), "clock": clock, "signer": self._signer}
         names = ("id", "aircraft", "by", "fence", "at", "clock", "signer")
-        body = json.dumps([told[name] for name in names]).encode() + b"\n" + message
+        head = [*(told[name] for name in names), key.hex()]
+        self.body = body = json.dumps(head).encode() + b"\n" + message
         claim = b"m100link order 1\n" + struct.pack(">Qd", fence, told["at"])
         for part in (told["id"].encode(), b"a1", self._signer.encode(), body):
             claim += struct.pack(">I", len(part)) + part
@@ -56,15 +64,24 @@ class Foreigner:
             "message": message,
             "proof": hmac.digest(token.encode(), body, "sha256")[:16] if token else b"",
             "signature": KEY.sign(claim) if self._signer else b"",
+            "key": key,
         }
         return told | {name: base64.b64encode(one).decode() for name, one in parts.items()}
 
     async def do(self, what: str, message: dict[str, Any], **around: Any) -> dict[str, Any]:
         order = self.order(json.dumps(message).encode(), **around)
-        told = await self.ask(what, b"\x01" + json.dumps(order).encode())
+        told = await self.ask(what, b"\x02" + json.dumps(order).encode())
         while told["progress"] == "running":
             told = await self.ask(f"status/{order['id']}")
         return told
+
+    async def lease(self, message: dict[str, Any]) -> tuple[int, str]:
+        half = X25519PrivateKey.generate()
+        told = await self.do("lease", message, key=half.public_key().public_bytes_raw())
+        agents = base64.b64decode(told["key"])
+        shared = half.exchange(X25519PublicKey.from_public_bytes(agents))
+        about = b"m100link lease 2\n" + agents + self.body
+        return told["number"], hmac.digest(shared, about, "sha256").hex()
 
 
 def action(name: str, fence: int = 0) -> dict[str, Any]:
@@ -81,11 +98,10 @@ async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
     assert (refused["outcome"], refused["fault"]["kind"]) == ("not_allowed", "NotAllowed")
     assert (await anna.do("cmd", action("stop")))["outcome"] == "ok"
     asked = {"kind": "LeaseAsk", "id": 0, "action": "acquire", "name": "Jürgen", "token": ""}
-    granted = await anna.do("lease", asked)
-    lease = granted["number"], granted["token"]
+    lease = await anna.lease(asked)
     for name in ("activate", "obtain", "take_off"):
-        await anna.do("lease", asked | {"action": "renew", "token": lease[1]})
         clock = await anna.clock()
+        await anna.do("lease", asked | {"action": "renew"}, lease=lease, clock=clock)
         told = await anna.do("cmd", action(name, lease[0]), lease=lease, clock=clock)
         assert told["outcome"] == "ok", told
         # A take-off takes longer than a lease that nobody renews.
@@ -97,7 +113,7 @@ async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
         values = (anyio.current_time() + ahead, 0.2, 0x40, 3.0, 0.0, 0.0, 0.0)
         data = bytes([number == 0]) + struct.pack("<BQddB4d", 1, lease[0], *values)
         assert len(data) == 59
-        setpoints.put(b"\x01" + hmac.digest(lease[1].encode(), data, "sha256")[:16] + data)
+        setpoints.put(b"\x02" + hmac.digest(lease[1].encode(), data, "sha256")[:16] + data)
         await anyio.sleep(0.05)
     assert one.speed > 2.5
     assert (await anna.do("cmd", action("stop")))["outcome"] == "ok"
@@ -115,7 +131,7 @@ async def test_telemetry_is_what_the_page_says(rig: Rig) -> None:
     await rig.until(lambda: len(heard) > 20)
     for payload in heard:
         version, kind, _, length = struct.unpack_from("<BBdB", payload)
-        assert (version, kind, payload[11 : 11 + length]) == (1, 2, b"1.0")
+        assert (version, kind, payload[11 : 11 + length]) == (2, 2, b"1.0")
 
 
 def test_the_page_names_every_key() -> None:

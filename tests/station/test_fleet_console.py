@@ -46,7 +46,7 @@ async def test_who_is_there_is_shown_and_who_is_not_is_named(rig: Rig) -> None:
 
 async def test_more_than_a_page_holds_are_refused(rig: Rig) -> None:
     bus = rig.network.session()
-    tokens = [bus.declare(Keys(SITE, f"a{n}").live) for n in range(MOST_SHIPS + 1)]
+    tokens = [bus.declare(Keys(SITE, f"a{n}").live_by(bus.session)) for n in range(MOST_SHIPS + 1)]
     with pytest.raises(UsageError, match="too many"):
         await names_of(await rig.pilot())
     tokens.pop().close()

@@ -206,7 +206,8 @@ class LogFetcher:
             # A new one each time, for a signature ages.
             order = self._asker.around(pack_question(question))
             found = None
-            for answer in await self._bus.ask(self._keys.log, pack(order), timeout=_ANSWER_S):
+            answers = await self._bus.ask(self._keys.log, pack(order), timeout=_ANSWER_S)
+            for answer in filter(self._asker.is_of_aircraft, answers):
                 try:
                     reply, data = unpack_reply(answer.payload)
                 except MessageError as error:

@@ -17,11 +17,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from m100link.agent.fault import MessageError
 from m100link.bus.network import Bus
 from m100link.errors import M100Error, Unreachable
+from m100link.fleet.answers import believed
 from m100link.fleet.asking import Sign
-from m100link.fleet.keys import Keys
-from m100link.fleet.payloads import SHOW, Order, Reply, pack, unpack
+from m100link.fleet.keys import Keys, session_in
+from m100link.fleet.payloads import SHOW, Order, Reply, pack
 from m100link.fleet.show.checks import SKEW_S
 from m100link.fleet.show.clock import ClockEstimate
 from m100link.fleet.show.document import Show
@@ -179,13 +181,19 @@ class Conductor:
                 self._its_at_least(track.name),
             )
             payload = pack(order if self._sign is None else self._sign(order))
-            for answer in await self._bus.ask(keys.show, payload, timeout=_ANSWER_S):
-                reply: Reply = unpack(Reply, answer.payload)
-                if reply.id in (order.id, "") and reply.name == track.name:
-                    self._behind[track.name] = self._clock() - reply.clock
-                    if reply.fault is not None:
-                        raise reply.fault.error()
-                    return _part(reply)
+            # Asked beside it: what ends a show waits for nothing.
+            answers, tokens = await asyncio.gather(
+                self._bus.ask(keys.show, payload, timeout=_ANSWER_S),
+                self._bus.tokens(keys.live, timeout=_ANSWER_S),
+            )
+            reply = believed(answers, keys, order.id, set(map(session_in, tokens)))
+            if isinstance(reply, MessageError):
+                raise reply
+            if reply is not None:
+                self._behind[track.name] = self._clock() - reply.clock
+                if reply.fault is not None:
+                    raise reply.fault.error()
+                return _part(reply)
             await asyncio.sleep(0.1)
         raise Unreachable(
             f"{track.name} does not answer",

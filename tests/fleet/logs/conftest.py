@@ -57,7 +57,7 @@ class Road:
         self.shelf = shelf
         self.board = self.network.session()
         self.here = self.network.session()
-        self.token = self.board.declare(KEYS.live)
+        self.token = self.board.declare(KEYS.live_by(self.board.session))
 
     def service(self, **options: Any) -> LogService:
         return LogService(self.board, KEYS, self.shelf, **{"apart": AtOnce()} | options)

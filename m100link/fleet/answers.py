@@ -1,0 +1,64 @@
+"""Which answer to an order is believed.
+
+Whoever reaches the router may answer for an aircraft. Believed is what comes from the session that
+shows the aircraft's token, if there is one such session, and if it says one thing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+
+from m100link.agent.fault import MessageError
+from m100link.bus.network import Answer
+from m100link.errors import OutcomeUnknown
+from m100link.fleet.keys import Keys
+from m100link.fleet.payloads import Reply, unpack
+
+__all__ = ["believed"]
+
+
+def believed(
+    answers: Iterable[Answer], keys: Keys, identity: str, sessions: Collection[str]
+) -> Reply | MessageError | None:
+    """What an aircraft says of an order.
+
+    Args:
+        answers: Whatever came to one question.
+        keys: Of the aircraft.
+        identity: Of the order.
+        sessions: Ids of those that show the aircraft's token.
+
+    Returns:
+        Its reply, or why there are only such as cannot be read; None when it said nothing. What
+        others say is nothing.
+
+    Raises:
+        OutcomeUnknown: Two agents have that name, or two answers say different things.
+    """
+    replies: list[Reply] = []
+    unread: MessageError | None = None
+    for one in answers:
+        if one.session not in sessions:
+            continue
+        try:
+            reply: Reply = unpack(Reply, one.payload)
+        except MessageError as error:
+            unread = error
+            continue
+        if reply.id in (identity, "") and reply.name == keys.name:
+            replies.append(reply)
+    if replies and (len(sessions) > 1 or len({one.boot for one in replies}) > 1):
+        raise OutcomeUnknown(
+            f"two agents are named {keys.name}: nobody knows which of them answered",
+            cause="two were given one name, or a stranger says to be it",
+            remedy="end one of them, and look at both aircraft",
+        )
+    # One agent gives one answer. When it was given, and whether it had been before, may differ.
+    if len({repr(replace(one, clock=0.0, is_repeated=False)) for one in replies}) > 1:
+        raise OutcomeUnknown(
+            f"two answers of {keys.name} to one order disagree",
+            cause="a stranger answers in its name",
+            remedy="look at the aircraft; the rules of a router keep strangers out",
+        )
+    return replies[0] if replies else unread
