@@ -15,7 +15,20 @@ from m100link.errors import OutcomeUnknown
 from m100link.fleet.keys import Keys
 from m100link.fleet.payloads import Reply, unpack
 
-__all__ = ["believed"]
+__all__ = ["believed", "clocks_told"]
+
+
+def clocks_told(answers: Iterable[Answer], name: str) -> list[float]:
+    """What time it is there, s, as each tells who says to be an aircraft of that name."""
+    found = set()
+    for one in answers:
+        try:
+            reply: Reply = unpack(Reply, one.payload)
+        except MessageError:
+            continue
+        if reply.name == name:
+            found.add(reply.clock)
+    return sorted(found)
 
 
 def believed(

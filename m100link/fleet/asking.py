@@ -19,7 +19,7 @@ from m100link.agent.message_bytes import encode
 from m100link.agent.messages import LeaseAsk, Message
 from m100link.bus.network import Answer, Bus
 from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
-from m100link.fleet.answers import believed
+from m100link.fleet.answers import believed, clocks_told
 from m100link.fleet.keys import Keys, session_in
 from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import Order, Progress, Reply, pack
@@ -70,6 +70,7 @@ class Asker:
         patience: As given.
         heard_at: When it answered last, on the event loop's clock; None: never.
         its_clock: What the agent's own clock showed in that answer, s.
+        doubtful_clocks: What was told instead by those of whom nobody knows which is the aircraft.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class Asker:
         self._clock = asyncio.get_running_loop().time
         self.heard_at: float | None = None
         self.its_clock = 0.0
+        self.doubtful_clocks: list[float] = []
 
     async def is_there(self) -> bool:
         """Whether its agent shows itself."""
@@ -312,7 +314,12 @@ class Asker:
         Raises:
             OutcomeUnknown: There are answers of two agents, or two that disagree.
         """
-        found = believed(answers, self._keys, identity, self._sessions)
+        came = list(answers)
+        try:
+            found = believed(came, self._keys, identity, self._sessions)
+        except OutcomeUnknown:
+            self.doubtful_clocks = clocks_told(came, self._keys.name)
+            raise
         if isinstance(found, Reply):
             self.heard_at, self.its_clock = self._clock(), found.clock
         return found

@@ -16,7 +16,7 @@ from m100link.agent.actions import Action
 from m100link.agent.fault import MessageError, fault_of
 from m100link.agent.messages import Ask
 from m100link.bus.network import Bus, Held
-from m100link.errors import GuardRefused, M100Error
+from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
 from m100link.fleet.age import ORDER_AGE
 from m100link.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there
 from m100link.fleet.carrier import FleetChannel, reach
@@ -37,6 +37,7 @@ _LANDINGS_ASKED = 3
 """Once to hear what time it is there, once to be lost on the way."""
 
 _MOST_CHANGES = 4096
+_MOST_DOUBTFUL = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +125,16 @@ class FleetAircraft:
                 # It was not begun, and the answer told what time it is there: that is known now.
                 if error.guard != ORDER_AGE or not left:
                     raise
+            except OutcomeUnknown:
+                await self._land_each(self._asker.doubtful_clocks)
+                raise
             else:
                 return
+
+    async def _land_each(self, clocks: list[float]) -> None:
+        """Where nobody knows which of them is the aircraft, each is asked by its own time."""
+        asked = (self._asker.ask(Ask(0, Action.LAND), clock=one) for one in clocks[:_MOST_DOUBTFUL])
+        await asyncio.gather(*asked, return_exceptions=True)
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, task. Needs no lease.

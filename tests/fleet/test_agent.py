@@ -364,7 +364,7 @@ async def test_fences_rise_over_a_restart(rig: Rig) -> None:
 # -- setpoints ------------------------------------------------------------------------------------
 
 
-async def fly(one: OnBoard, got: Reply, seconds: float, *, age: float = 0.0, by: int = 0) -> None:
+async def fly(one: OnBoard, got: Lease, seconds: float, *, age: float = 0.0, by: int = 0) -> None:
     outlet = one.rig.network.session().publish(KEYS.setpoint)
     for number in range(round(20 * seconds)):
         steer = Steer(got.number + by, one.client.now - age, 0.2, NORTH)
@@ -432,7 +432,7 @@ async def test_an_order_for_another_aircraft_and_one_that_is_not_admitted(rig: R
 
 async def test_what_cannot_be_read_is_answered(rig: Rig) -> None:
     await rig.aircraft("a1")
-    for payload in (b"", b"\x01{}", b"\x02" + pack(order(Ask(0, Action.STOP)))[1:]):
+    for payload in (b"", b"\x02{}", b"\x01" + pack(order(Ask(0, Action.STOP)))[1:]):
         [answer] = await rig.network.session().ask(KEYS.command, payload, timeout=1.0)
         reply: Reply = unpack(Reply, answer.payload)
         assert reply.outcome is Outcome.REFUSED
