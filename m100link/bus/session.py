@@ -395,7 +395,7 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
     until = clock() + opening.patience_s
     while True:
         try:
-            session = await asyncio.to_thread(zenoh.open, config)
+            session = await _opened(config)
             break
         except zenoh.ZError as error:
             if not (mode == "client" and (opening.is_patient or clock() < until)):
@@ -409,6 +409,44 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
         yield ZenohBus(session, opening.largest)
     finally:
         await _closed(session)
+
+
+async def _opened(config: zenoh.Config) -> zenoh.Session:
+    """Open a session; one that comes when nobody waits any more is closed again.
+
+    A router that takes the connection and never answers, or refuses a certificate, holds up zenoh
+    for as long as it likes: whoever is told to end meanwhile must not wait for it.
+    """
+    import zenoh
+
+    loop = asyncio.get_running_loop()
+    opened: asyncio.Future[zenoh.Session] = loop.create_future()
+
+    def done(session: zenoh.Session | None, error: Exception | None) -> None:
+        if opened.done():
+            if session is not None:
+                threading.Thread(target=_unless_closed, args=(session.close,), daemon=True).start()
+        elif session is not None:
+            opened.set_result(session)
+        else:
+            opened.set_exception(error or RuntimeError("no session"))
+
+    def work() -> None:
+        session: zenoh.Session | None = None
+        failed: Exception | None = None
+        try:
+            session = zenoh.open(config)
+        except Exception as error:  # noqa: BLE001 - raised again where it is waited for
+            failed = error
+        try:
+            loop.call_soon_threadsafe(done, session, failed)
+        except RuntimeError:  # the event loop has ended
+            if session is not None:
+                _unless_closed(session.close)
+
+    # None of the executor's: the loop would wait for it as it ends.
+    threading.Thread(target=work, name="m100link: a session", daemon=True).start()
+    return await opened
 
 
 async def _closed(session: zenoh.Session) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -23,7 +24,7 @@ from m100link.protocol.firmware import PROFILES
 from m100link.station.config import ENVIRONMENT, Settings, resolve
 from m100link.station.log_output import log_of
 
-__all__ = ["AppOptions", "LinkOptions", "Place", "Url", "err", "out", "places", "run_async"]
+__all__ = ["AppOptions", "LinkOptions", "Place", "Told", "Url", "err", "out", "places", "run_async"]
 
 out = Console(highlight=False)
 """Standard output: data."""
@@ -193,6 +194,33 @@ def run_async(work: Coroutine[Any, Any, int | None]) -> int:
         return asyncio.run(work) or ExitCode.OK
     except errors.M100Error as error:
         return complain(error)
+    except asyncio.CancelledError:  # told to end before it ran
+        return ExitCode.OK
     except KeyboardInterrupt:
         err.print("interrupted")
         return ExitCode.INTERRUPTED
+
+
+class Told(asyncio.Event):
+    """Set by Ctrl-C and SIGTERM.
+
+    A task that has not come to wait for it yet is cancelled instead: it may wait for a router that
+    never answers. Made in the task of the verb.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._beginning = asyncio.current_task()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, self._tell)
+
+    def _tell(self) -> None:
+        self.set()
+        if self._beginning is not None:
+            self._beginning.cancel()
+
+    async def wait(self) -> Literal[True]:
+        """Wait until it is set."""
+        self._beginning = None
+        return await super().wait()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import getpass
 import platform
-import signal
 import sys
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
@@ -38,7 +37,6 @@ __all__ = [
     "Names",
     "app",
     "tell_results",
-    "until_told",
     "wanted_names",
 ]
 
@@ -108,15 +106,6 @@ class FleetOptions:
 
 
 NO_OPTIONS = FleetOptions()
-
-
-def until_told() -> asyncio.Event:
-    """Set by Ctrl-C and SIGTERM."""
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
-    return ended
 
 
 # -- who is there ---------------------------------------------------------------------------------

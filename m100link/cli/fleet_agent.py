@@ -14,8 +14,8 @@ from cyclopts import Parameter
 
 from m100link.agent.journal import JOURNAL_LOG
 from m100link.agent.messages import Event
-from m100link.cli.common import err, out, places, run_async
-from m100link.cli.fleet import ROUTER, until_told
+from m100link.cli.common import Told, err, out, places, run_async
+from m100link.cli.fleet import ROUTER
 from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.options import Above0, Counted, offered, options_of
 from m100link.cli.outcome import ExitCode, print_json
@@ -117,7 +117,7 @@ def router(
         )
 
     async def run() -> None:
-        ended = until_told()
+        ended = Told()
         async with open_fleet("router", listen=listen, connect=connect, options=options):
             if json_output:
                 print_json({"listen": list(listen)})
@@ -197,7 +197,7 @@ def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[st
 
 
 async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:
-    ended = until_told()
+    ended = Told()
     tell_elsewhere(JOURNAL_LOG)
     events = logging.getLogger(__name__)
     with Teller() as teller:

@@ -10,8 +10,8 @@ from typing import Any
 
 from cyclopts import Parameter
 
-from m100link.cli.common import err, out, run_async
-from m100link.cli.fleet import NO_OPTIONS, FleetOptions, until_told
+from m100link.cli.common import Told, err, out, run_async
+from m100link.cli.fleet import NO_OPTIONS, FleetOptions
 from m100link.cli.options import options_of
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.cli.serving import require_packages, warn_of
@@ -70,7 +70,7 @@ def console(
 async def _serve(
     names: tuple[str, ...], options: FleetOptions, settings: Settings, *, is_opened: bool
 ) -> int:
-    ended = until_told()
+    ended = Told()
     async with options.open() as fleet, serving_fleet_console(fleet, settings, names) as served:
         scheme = "http" if settings.tls_cert is None else "https"
         path = served.fronts.console_path()

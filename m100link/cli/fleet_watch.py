@@ -10,8 +10,8 @@ from cyclopts import Parameter
 from rich.live import Live
 from rich.table import Table
 
-from m100link.cli.common import err, out, run_async
-from m100link.cli.fleet import NO_OPTIONS, FleetOptions, until_told
+from m100link.cli.common import Told, err, out, run_async
+from m100link.cli.fleet import NO_OPTIONS, FleetOptions
 from m100link.cli.fleet_lease import shared
 from m100link.cli.options import Above0
 from m100link.cli.outcome import print_json
@@ -55,7 +55,7 @@ def monitor(
     """
 
     async def run() -> None:
-        ended = until_told()
+        ended = Told()
         if duration is not None:
             asyncio.get_running_loop().call_later(duration, ended.set)
         async with options.open() as fleet:
@@ -132,7 +132,7 @@ def watch(
     """
 
     async def run() -> None:
-        ended = until_told()
+        ended = Told()
         gone: ReaderGone | None = None
 
         def tell(_: str, sample: Sample) -> None:
@@ -187,7 +187,7 @@ def lease(
     """
 
     async def run() -> None:
-        ended = until_told()
+        ended = Told()
         async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
             if options.json_output:
                 print_json({"name": name, "fence": control.fence})

@@ -7,7 +7,6 @@ import contextlib
 import importlib
 import logging
 import queue
-import signal
 import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self
 
 from cyclopts import Parameter
 
-from m100link.cli.common import err, out, run_async
+from m100link.cli.common import Told, err, out, run_async
 from m100link.cli.logs import AS_IT_IS, LogOptions
 from m100link.cli.outcome import ExitCode, print_json
 from m100link.errors import UsageError
@@ -152,10 +151,7 @@ async def _serve(
     from m100link.agent.journal import JOURNAL_LOG
     from m100link.station.child import leave_what_stays
 
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
+    ended = Told()
     tell_elsewhere(JOURNAL_LOG)
     events = logging.getLogger(__name__)
     log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")

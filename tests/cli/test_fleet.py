@@ -196,3 +196,33 @@ def test_the_console_of_a_fleet_shows_who_is_there(site: Site) -> None:
     assert console.wait(PATIENCE) == 0
     code, _ = site.ask("console", "a1", "b7", "--no-open-browser")
     assert code == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("is_mute", [False, True], ids=["no router", "a router that says nothing"])
+def test_whoever_waits_for_a_router_ends_when_told_to(
+    tmp_path: Path, number: int, is_mute: bool
+) -> None:
+    """Only the one that had come to the router looked whether it was told to."""
+    with ExitStack() as stack, socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        if is_mute:
+            listener.listen()
+        one = Site(stack, f"tcp/127.0.0.1:{listener.getsockname()[1]}", tmp_path)
+        command = [sys.executable, "-m", "m100link", "fleet", "agent", "sim://"]
+        process = subprocess.Popen(
+            command,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=one.environment | {"M100LINK_LOG": "info"},
+        )
+        stack.callback(one._end, process)
+        assert process.stderr is not None
+        stack.callback(process.stderr.close)
+        if is_mute:
+            listener.settimeout(PATIENCE)
+            stack.enter_context(listener.accept()[0])
+        else:
+            assert "no router answers yet" in process.stderr.readline()
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 0
