@@ -51,7 +51,7 @@ class StopCause(Enum):
 
     LEFT = "the program left the block: its end, an exception, a cancellation"
     NOT_ENTERED = "the block could not be entered"
-    SIGNALLED = "Ctrl-C, SIGTERM or SIGHUP"
+    SIGNALLED = "a signal that ends programs: Ctrl-C, SIGTERM, SIGHUP, SIGQUIT, SIGXCPU"
     CLOSED = "the connection is being closed, by whatever task"
     AUTHORITY_LOST = "the pilot or the app took the aircraft"
     TELEMETRY_STALLED = "no telemetry came for too long"

@@ -147,6 +147,7 @@ class Alarm:
             # The loop must not keep it alive: a Ticker has no end that its user would mark.
             alarm: weakref.ref[Alarm] = weakref.ref(self)
             self._loop.add_reader(self._fd, _ring, alarm)
+            _alarms.add(self)
 
     async def sleep_until(self, deadline: float) -> None:
         """Return at ``deadline`` or a little later; at once when it has passed."""
@@ -212,6 +213,22 @@ def _ring(reference: weakref.ref[Alarm]) -> None:
     alarm = reference()
     if alarm is not None:
         alarm._on_alarm()
+
+
+def _after_fork() -> None:
+    """A child has the parent's timers, and would set and hear them in its place."""
+    for alarm in list(_alarms):
+        own = _create_timer() if alarm._fd >= 0 else -1
+        if own >= 0:
+            os.dup2(own, alarm._fd, inheritable=False)
+            os.close(own)
+        elif alarm._fd >= 0:
+            os.close(alarm._fd)
+
+
+_alarms: weakref.WeakSet[Alarm] = weakref.WeakSet()
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 class _Timespec(ctypes.Structure):

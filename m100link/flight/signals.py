@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
+import os
 import signal
 import threading
 import time
@@ -13,13 +14,20 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
-__all__ = ["SIGNALS", "OtherWatch", "SignalWatch"]
+__all__ = ["NUMBERS", "SIGNALS", "OtherWatch", "SignalWatch"]
 
 _logger = logging.getLogger(__name__)
 
-_NUMBERS = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+NUMBERS: tuple[signal.Signals, ...] = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
+    if hasattr(signal, name)
 )
+"""By which a person, a terminal, a service manager or the kernel ends a program: all of them are
+taken. SIGUSR1, SIGUSR2, SIGALRM, SIGVTALRM, SIGPROF and SIGIO end a program as well, but one that
+has them sent mostly handles them in C (faulthandler, profilers), which Python cannot see: to take
+them would break that, or end a flight at a tick of a profiler."""
+
 _HUNG_S = 1.0
 
 Stop = Callable[[], object]
@@ -38,9 +46,10 @@ class OtherWatch(ABC):
 
 
 class SignalWatch:
-    """While a control block runs, SIGINT, SIGTERM and SIGHUP stop it instead of the program.
+    """While a control block runs, the signals of :data:`NUMBERS` stop it instead of the program.
 
-    (SIGHUP is what a closed terminal sends.) Dispositions belong to the process, so there is one
+    (SIGHUP is what a closed terminal sends, SIGQUIT that of Ctrl and the backslash, SIGXCPU the end
+    of the processor time that a limit allows.) Dispositions belong to the process, so there is one
     watch for all blocks: the first one takes the signals, all are stopped by one, and when the last
     has ended a signal that came does what it would have done. Meanwhile nothing raises
     KeyboardInterrupt: that could come between any two lines, of the stop path or of the event loop,
@@ -58,6 +67,14 @@ class SignalWatch:
         self._received: list[signal.Signals] = []
         self._received_at = 0.0
         self._is_seen = False  # by the event loop, since the first one came
+        if hasattr(os, "register_at_fork"):  # not on Windows
+            os.register_at_fork(after_in_child=self._after_fork)
+
+    def _after_fork(self) -> None:
+        """The child flies nothing: signals do to it what they did before the first block."""
+        self._blocks.clear()
+        self._received.clear()
+        self._let_go()
 
     def join(self, stop: Stop) -> None:
         """Call ``stop`` in the present event loop when a signal comes, or has come to others."""
@@ -94,7 +111,7 @@ class SignalWatch:
 
     def _take(self) -> None:
         self._is_seen = False
-        for number in _NUMBERS:
+        for number in NUMBERS:
             previous = signal.getsignal(number)
             if _would_end_the_program(number, previous):
                 self._previous[number] = previous
@@ -120,11 +137,11 @@ class SignalWatch:
             raise KeyboardInterrupt  # a program that blocks its loop can be broken into by hand
 
     def _stop(self, stop: Stop, number: signal.Signals) -> None:
-        if not self._is_seen:
-            _logger.warning("%s: stopping the aircraft", number.name)
-        self._is_seen = True
+        is_first, self._is_seen = not self._is_seen, True
         if stop in self._blocks:
             stop()
+        if is_first:  # behind the stop: a log can raise, or block for ever
+            _logger.warning("%s: stopping the aircraft", number.name)
 
 
 def _would_end_the_program(number: signal.Signals, handler: Any) -> bool:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
+from m100link.link.forked import lose_at_fork, lose_line
 from m100link.link.own_loop import require_loop
 from m100link.link.statistics import LinkStatistics, RoundTripCounter, counted
 from m100link.session.endpoint import Endpoint
@@ -81,10 +82,8 @@ class Link(asyncio.Protocol):
         self.on_received = on_received
         self.on_lost = on_lost
         self.name = "link"
-        # None until the line is open; what becomes of it then is in _failure.
-        self._transport: asyncio.Transport | None = None
-        # Who waits for which ack, and the word for it in errors, by the token of the session's
-        # request.
+        self._transport: asyncio.Transport | None = None  # until the line is open
+        # Who waits for which ack, and the word for it in errors, by the session's token.
         self._pending: dict[int, tuple[asyncio.Future[bytes], str]] = {}
         # The one timer of all requests, and its spare; they stand at the earliest repeat or end of
         # a wait.
@@ -275,6 +274,7 @@ class Link(asyncio.Protocol):
         """The transport is attached."""
         # By what it does, not by its class: those of uvloop are of no class of asyncio's.
         self._transport = cast(asyncio.Transport, transport)
+        lose_at_fork(self)
         if not self._connected.done():
             self._connected.set_result(None)
 
@@ -378,8 +378,7 @@ class Link(asyncio.Protocol):
         elif self.last_received_at is None:
             cause = "nothing arrives from the aircraft at all"
         elif (silent_s := self._loop.time() - self.last_received_at) > _SILENT_S:
-            cause = f"nothing has come from the aircraft for {silent_s:.1f} s: it stands still, or "
-            cause += "the line from it is broken"
+            cause = f"nothing came for {silent_s:.1f} s: it stands still, or the line is broken"
         return AckTimeout(
             f"no ack of {name} after {event.tries} tries; its outcome is unknown",
             command=name,
@@ -460,6 +459,12 @@ class Link(asyncio.Protocol):
             if is_empty and is_sent:
                 return
             await asyncio.sleep(0.005)
+
+    def after_fork(self) -> None:
+        """In the child of a fork: the line is the parent's."""
+        if self._transport is not None and not self._disconnected.is_set():
+            self._failure = self._failure or lose_line(self._transport, self._loop, self.name)
+            self._tell_of_failure()
 
     def _tell_of_failure(self) -> None:
         """Tell everybody who waits, and the owner; what Ctrl-C cuts off may be done again."""

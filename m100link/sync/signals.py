@@ -1,7 +1,8 @@
-"""Ctrl-C and SIGTERM while a program without ``await`` flies."""
+"""Ctrl-C, SIGTERM and their like while a program without ``await`` flies."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -9,13 +10,10 @@ import time
 from types import FrameType
 from typing import Any, Protocol
 
-from m100link.flight.signals import OtherWatch
+from m100link.flight.signals import NUMBERS, OtherWatch
 
 __all__ = ["SIGNALS", "SyncSignals"]
 
-_NUMBERS = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
 _HUNG_S = 1.0
 
 
@@ -69,6 +67,14 @@ class SyncSignals(OtherWatch):
         self._interrupted_at = 0.0
         self._has_acted = False  # since a block joined last: the program knows that it is to end
         self._pending: int | None = None  # came during a stop path, and acts behind it
+        if hasattr(os, "register_at_fork"):  # not on Windows
+            os.register_at_fork(after_in_child=self._after_fork)
+
+    def _after_fork(self) -> None:
+        """The child flies nothing: signals do to it what they did before it was connected."""
+        self._changes = threading.Lock()  # another thread may have held it, which is not here
+        self._blocks, self._aircraft, self._interrupted, self._pending = [], [], [], None
+        self._put_back()
 
     def connected(self, aircraft: object) -> None:
         """It may be flown from now on, in whatever thread."""
@@ -114,7 +120,7 @@ class SyncSignals(OtherWatch):
                 if self._excepthook is None:
                     self._excepthook, sys.excepthook = sys.excepthook, self._on_unhandled
             return
-        for number in _NUMBERS:
+        for number in NUMBERS:
             previous = signal.getsignal(number)
             if previous in (signal.SIG_DFL, signal.default_int_handler):
                 self._previous[number] = previous

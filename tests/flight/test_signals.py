@@ -20,7 +20,8 @@ from m100link.flight.tasks import Commander
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import NORTH, Rig, rig
 
-NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Every one that a person, a terminal, a service manager or the kernel ends a program by.
+NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU)
 
 
 @pytest.fixture

@@ -1,0 +1,95 @@
+"""In the child of a fork, the line and the event loop of the parent are taken out of its hands.
+
+A child has the parent's open files, not copies of them. Where it leaves the coroutine in which it
+was born (an exception, ``sys.exit``, ``return``), its event loop would take the line out of the
+parent's epoll; the parent would hear and send nothing any more, with its last setpoint flying.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import select
+import selectors
+import signal
+import threading
+from typing import Protocol
+from weakref import WeakSet
+
+from m100link.errors import LinkClosed
+
+__all__ = ["lose_at_fork", "lose_line"]
+
+
+_EPOLLS = (selectors.EpollSelector,) if hasattr(selectors, "EpollSelector") else ()  # Linux
+
+
+class Inherited(Protocol):
+    """What a child inherits, and must not use."""
+
+    def after_fork(self) -> None:
+        """Let go of it, in the child. Raises nothing."""
+
+
+_inherited: WeakSet[Inherited] = WeakSet()
+
+
+def lose_at_fork(inherited: Inherited) -> None:
+    """From here on it lets go of what it has in the child of each fork."""
+    _inherited.add(inherited)
+
+
+def _after_fork() -> None:
+    for inherited in list(_inherited):
+        inherited.after_fork()
+    _inherited.clear()
+
+
+def lose_line(
+    transport: asyncio.BaseTransport, loop: asyncio.AbstractEventLoop, name: str
+) -> LinkClosed:
+    """Let go of a line and of its event loop, in the child; returns why it is closed there."""
+    port = transport.get_extra_info("serial", transport.get_extra_info("socket"))
+    if port is not None:
+        _lose_file(port.fileno())
+    _lose_loop(loop)
+    return LinkClosed(
+        f"{name} belongs to the process from which this one was forked",
+        cause="a child has no part in the line of its parent",
+        remedy="fork before connect(), and fly from one process",
+    )
+
+
+def _lose_file(descriptor: int) -> None:
+    """Put a file that takes all and gives nothing in the place of one that is the parent's too."""
+    try:
+        nothing = os.open(os.devnull, os.O_RDWR)
+    except OSError:  # no descriptor is left
+        os.close(descriptor)
+        return
+    os.dup2(nothing, descriptor, inheritable=False)
+    os.close(nothing)
+
+
+def _lose_loop(loop: asyncio.AbstractEventLoop) -> None:
+    """Give an event loop of asyncio a selector of its own, which nothing wakes but its timers.
+
+    uvloop does that by itself.
+    """
+    # Neither has a public name; where they are called otherwise, the child is as it always was.
+    selector = getattr(loop, "_selector", None)
+    if selector is not None and isinstance(selector, _EPOLLS):
+        try:
+            with select.epoll() as own:
+                os.dup2(own.fileno(), selector.fileno(), inheritable=False)
+        except OSError:  # no descriptor is left
+            selector.close()
+    waker = getattr(loop, "_csock", None)
+    if waker is not None and threading.current_thread() is threading.main_thread():
+        before = signal.set_wakeup_fd(-1)
+        if before not in (-1, waker.fileno()):
+            signal.set_wakeup_fd(before)  # of somebody else
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_after_fork)
