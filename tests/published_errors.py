@@ -45,6 +45,7 @@ PUBLISHED = {
     "M100-NOT-SUPPORTED": "CommandNotSupported",
     "M100-ONLY-RECORDED": "OnlyRecorded",
     "M100-ORDER-REFUSED": "OrderRefused",
+    "M100-OUT-OF-RESOURCES": "OutOfResources",
     "M100-PAYLOAD-TOO-LARGE": "PayloadTooLarge",
     "M100-PORT-BUSY": "PortBusy",
     "M100-PORT-FAILED": "PortFailed",

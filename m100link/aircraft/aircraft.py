@@ -16,6 +16,7 @@ from m100link.errors import (
     LinkError,
     UsageError,
 )
+from m100link.errors.base import of_the_system
 from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
 from m100link.flight.handover import release_authority
 from m100link.flight.lifecycle import BlockClaim
@@ -266,18 +267,18 @@ class Aircraft:
 
         Args:
             stop: What to do when the block ends in any way: ``"hover"`` or ``"land"``.
-            on_pause: When the pilot takes the aircraft: ``"raise"`` ends the block with
-                :class:`AuthorityLost`; ``"wait"`` keeps it, see :meth:`Control.wait_resumable`.
+            on_pause: When the pilot takes the aircraft: ``"raise"`` AuthorityLost, or ``"wait"``,
+                see :meth:`Control.wait_resumable`.
             guards: Safety guards; all on by default.
-            handle_signals: Let Ctrl-C, SIGTERM and SIGHUP (a closed terminal) take the stop path
-                before they end the program.
+            handle_signals: Let signals that end programs take the stop path first.
 
         Raises (on entering):
             UsageError: Another control block of this program is running; the firmware is unknown.
             AuthorityRefused: With cause and remedy.
-            NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
+            NotActivated, KeyRejected, AckTimeout, OutOfResources, LinkError: See each class.
         """
-        from m100link.flight.control import Control
+        with of_the_system("control"):
+            from m100link.flight.control import Control
 
         return Control(
             self._commander,
@@ -289,11 +290,7 @@ class Aircraft:
         )
 
     def virtual_rc(
-        self,
-        *,
-        fall_back: bool = True,
-        guards: Guards | None = None,
-        handle_signals: bool = True,
+        self, *, fall_back: bool = True, guards: Guards | None = None, handle_signals: bool = True
     ) -> VirtualRc:
         """A remote control made of commands, for a block; it flies **without authority**.
 
@@ -304,7 +301,7 @@ class Aircraft:
             fall_back: When the channels stop, the pilot's own remote control flies. False makes the
                 aircraft act as if its remote control were lost, and go home.
             guards: Safety guards; all on by default.
-            handle_signals: Let Ctrl-C, SIGTERM and SIGHUP take the stop path first.
+            handle_signals: As for :meth:`control`.
 
         Raises (on entering):
             CommandNotSupported, NotActivated: Nothing was sent.
@@ -312,7 +309,8 @@ class Aircraft:
             UsageError: A control block of this program is running; the firmware is unknown.
             NotObserved: Telemetry does not show that it is on.
         """
-        from m100link.flight.virtual_rc import VirtualRc
+        with of_the_system("virtual RC"):
+            from m100link.flight.virtual_rc import VirtualRc
 
         return VirtualRc(
             self._commander,

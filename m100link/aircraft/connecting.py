@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import UsageError
+from m100link.errors.base import of_the_system
 from m100link.link import Direction, Link, Tap, open_link
 from m100link.link.tap import Listener
 from m100link.protocol.firmware import FirmwareProfile, profile
@@ -175,7 +176,8 @@ async def _open(
         if isinstance(line, Link):
             link = line
         else:
-            link = await open_link(line, baud_rate=baud_rate, tap=_both(tap, recorder))
+            with of_the_system("a connection"):
+                link = await open_link(line, baud_rate=baud_rate, tap=_both(tap, recorder))
     except BaseException:
         if recorder is not None:
             await recorder.aclose()
@@ -200,7 +202,8 @@ def be_recorded(aircraft: Aircraft, recorder: Recording) -> None:
 
 
 def _recorder(record: str | PathLike[str] | Recording) -> Recording:
-    from m100link.log.recorder import Recorder  # few programs record
+    with of_the_system("a recording"):
+        from m100link.log.recorder import Recorder  # few programs record
 
     return Recorder(record) if isinstance(record, str | PathLike) else record
 

@@ -11,6 +11,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── BadPlan                a waypoint mission that the aircraft would refuse
     │   ├── OnlyRecorded           an order to the aircraft of a replay
     │   └── PayloadTooLarge        more than 1007 bytes, or 100 to the mobile device
+    ├── OutOfResources             the system has no file, thread or memory for it     (OSError)
     ├── LinkError                  the cable and what is at its end (ConnectionError)
     │   ├── PortNotFound           no such device (FileNotFoundError)
     │   ├── PortPermissionDenied   the device is there but not for this user (PermissionError)
@@ -85,7 +86,7 @@ from m100link.errors.aircraft import (
     TelemetryOverflow,
     TelemetryStalled,
 )
-from m100link.errors.base import M100Error
+from m100link.errors.base import M100Error, OutOfResources
 from m100link.errors.fleet import (
     FleetError,
     NotAllowed,
@@ -157,6 +158,7 @@ __all__ = [
     "NotAllowed",
     "NotObserved",
     "OnlyRecorded",
+    "OutOfResources",
     "OutcomeUnknown",
     "PayloadTooLarge",
     "PortBusy",

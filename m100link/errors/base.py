@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar, Self, TypeVar
 
-__all__ = ["M100Error"]
+__all__ = ["M100Error", "OutOfResources", "of_the_system"]
 
 E = TypeVar("E", bound="M100Error")
 
@@ -62,6 +64,40 @@ class M100Error(Exception):
     def __reduce__(self) -> tuple[object, ...]:
         # Subclasses take keyword arguments that the default pickling would lose.
         return (_rebuild, (type(self), self.args, self.__dict__))
+
+
+class OutOfResources(
+    M100Error,
+    OSError,
+    code="M100-OUT-OF-RESOURCES",
+    cause="the program leaks file descriptors or threads, or the disk of its modules fails",
+    remedy="look at `/proc/<pid>/fd` and the system's log; start the program anew",
+):
+    """The system has no file, thread or memory for what was asked; nothing was sent.
+
+    The system's own error is chained.
+    """
+
+
+@contextmanager
+def of_the_system(what: str) -> Iterator[None]:
+    """What the system does not give for ``what`` is raised as an error of this package.
+
+    Raises:
+        OutOfResources: There is no file, module, descriptor, thread or memory for it.
+    """
+    try:
+        yield
+    except M100Error:
+        raise
+    except (OSError, ImportError, MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "thread" not in str(error):
+            raise  # Python has no class of its own for "can't start new thread"
+        raise OutOfResources(
+            f"{what} was not asked for: {error}",
+            cause=OutOfResources.usual_cause,
+            remedy=OutOfResources.usual_remedy,
+        ) from error
 
 
 def _rebuild(cls: type[E], args: tuple[object, ...], attributes: dict[str, object]) -> E:

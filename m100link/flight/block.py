@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Literal
 
@@ -23,6 +23,7 @@ from m100link.flight.guards import GuardKeeper
 from m100link.flight.handover import authority_lost, is_unexplained, obtain_authority
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
 from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.reserves import free, reserve
 from m100link.flight.setpoints import SetpointLoop
 from m100link.flight.signals import SIGNALS
 from m100link.flight.stop_path import StopAction, StopPath
@@ -48,7 +49,7 @@ class ControlBlock:
         guards: Their clock starts when authority was obtained.
         stop: What the stop path does after the neutral setpoint.
         on_pause: What happens when the pilot takes the aircraft.
-        handle_signals: Let Ctrl-C, SIGTERM and SIGHUP take the stop path first.
+        handle_signals: Let signals that end programs take the stop path first.
     """
 
     def __init__(
@@ -80,8 +81,6 @@ class ControlBlock:
         self.taking_off = self._stop_path.taking_off
         self.armed = self._stop_path.armed
         self._stopping = Errand(self._stop_path.run, self._on_stopped)
-        self._is_over = asyncio.Event()
-        self._keeper: asyncio.Task[None] | None = None  # by hand: see _keep()
         self._on_signal = partial(self.end, StopCause.SIGNALLED)
         self._watchdog = TelemetryWatchdog(
             commander.state,
@@ -170,21 +169,24 @@ class ControlBlock:
         if not self._life.is_open:
             await self._stopping.ended()
             self.require_flying("control")
-        self._keeper = asyncio.create_task(self._keep(), name="m100link control by hand")
 
-    async def _keep(self) -> None:
-        """Stand in for the block that is not there when the program ends without releasing.
+    def _abandoned(self) -> None:
+        """The task that waits to run the stop path was cancelled, and so becomes the one that does.
 
-        asyncio.run cancels every task on its way out and waits for those, and for no other: what
-        begins after that must be waited for in one of them.
+        asyncio.run cancels every task on its way out and waits for those, and for no other. The
+        program is over then and left control by hand, or it could not get as far as leaving its
+        block: its stack was used up, or nobody closed its generator.
         """
-        try:
-            await self._is_over.wait()
-        except asyncio.CancelledError:
-            _logger.warning("control was obtained and not released when the program ended")
+        if self._is_by_hand:
             self.end(StopCause.LEFT)
-            await self._stopping.ended()
-            raise
+            _logger.warning("control was obtained and not released when the program ended")
+            return
+        failure = M100Error(
+            "the task that ends this flight was cancelled, and so it has ended",
+            cause="every task of the event loop was cancelled, by the program or at its end",
+            remedy="cancel the tasks of the program alone",
+        )
+        self.end(StopCause.SENDING_FAILED, failure)
 
     async def release(self) -> None:
         """End what was obtained by hand, and wait for the end of the stop path.
@@ -208,6 +210,13 @@ class ControlBlock:
             raise UsageError("this control block was entered before; ask for a new one")
         self._commander.requests.fix_firmware()
         self._claim.take(self._close)
+        try:
+            reserve("control", self._close)
+        except M100Error:
+            self._claim.give_back()
+            self._commander.requests.free_firmware()
+            raise
+        self._stopping.park(self._abandoned)
         self._life.feed(BlockInput.ENTER)
         self._unsubscribe = self._authority.subscribe(self._on_authority_changed)
         if self._handles_signals:
@@ -261,9 +270,11 @@ class ControlBlock:
         is_first = self._life.state is not BlockState.STOPPING
         if not self._life.feed(cause, failure):
             return
-        self._stop_path.let_go()
         if is_first:
-            self._stopping.begin()
+            self._stopping.begin()  # first: it takes less of the stack than a frame that is sent
+        with suppress(Exception):  # the stop path lets go first of all, and logs what it cannot
+            self._stop_path.let_go()
+        if is_first:
             is_left = cause is StopCause.LEFT and not self._is_by_hand
             if not is_left and cause is not StopCause.NOT_ENTERED:
                 for program in self._programs:
@@ -292,7 +303,7 @@ class ControlBlock:
         self._watchdog.stop()
         self._commander.requests.free_firmware()
         self._claim.give_back()
-        self._is_over.set()
+        free(self._close)
         SIGNALS.leave(self._on_signal)  # last: a signal that came may end the process here
 
     # -- what may be sent ------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import Any
 
 import anyio
 
-__all__ = ["Errand", "ProgramTask", "undisturbed"]
+__all__ = ["Errand", "ProgramTask", "new_task", "undisturbed"]
 
 _logger = logging.getLogger(__name__)
 
@@ -79,6 +79,14 @@ async def undisturbed(task: asyncio.Task[None]) -> asyncio.CancelledError | None
     return cancelled
 
 
+def new_task(work: Coroutine[Any, Any, None], name: str) -> asyncio.Task[None]:
+    """A task of the running event loop that no task factory of the program makes or refuses.
+
+    A factory may raise, or run the first lines at once, on the stack of its caller.
+    """
+    return asyncio.Task(work, loop=asyncio.get_running_loop(), name=name)
+
+
 class Errand:
     """Work in a task of its own that is carried to its end, whatever is cancelled meanwhile.
 
@@ -96,11 +104,23 @@ class Errand:
         self._work = work
         self._on_end = on_end
         self._has_ended = False
-        self._task: asyncio.Task[None] | None = None  # the present attempt
+        self._is_wanted = asyncio.Event()  # whether it was begun
+        self._task: asyncio.Task[None] | None = None  # the present attempt, or parked for the first
+
+    def park(self, on_cancelled: Callable[[], None]) -> None:
+        """Make the task now, which waits to be begun: then that takes nothing of the system.
+
+        Args:
+            on_cancelled: Called when somebody cancels the task before it was begun, as asyncio.run
+                does on its way out; it should lead to :meth:`begin`.
+        """
+        self._task = new_task(self._wait(on_cancelled), "m100link stop path")
 
     def begin(self) -> asyncio.Task[None]:
-        """Begin, or begin again."""
-        self._task = asyncio.get_running_loop().create_task(self._run(), name="m100link stop path")
+        """Begin, or begin again. One that is parked needs two frames of the stack for it."""
+        self._is_wanted.set()
+        if self._task is None or self._task.done():
+            self._task = new_task(self._run(), "m100link stop path")
         return self._task
 
     async def ended(self) -> None:
@@ -123,11 +143,20 @@ class Errand:
         if not task.cancelled():
             task.result()
 
-    async def _run(self) -> None:
+    async def _wait(self, on_cancelled: Callable[[], None]) -> None:
         cancelled: asyncio.CancelledError | None = None
         try:
+            await self._is_wanted.wait()
+        except asyncio.CancelledError as error:
+            cancelled = error
+            if not self._is_wanted.is_set():
+                on_cancelled()
+        await self._run(cancelled)
+
+    async def _run(self, cancelled: asyncio.CancelledError | None = None) -> None:
+        try:
             for _ in range(_ATTEMPTS):
-                attempt = asyncio.get_running_loop().create_task(self._work())
+                attempt = new_task(self._work(), "m100link attempt of the stop path")
                 cancelled = await undisturbed(attempt) or cancelled
                 if not attempt.cancelled():
                     attempt.result()

@@ -173,11 +173,11 @@ async def release_authority(commander: Commander) -> bool:
             outcome = AuthorityInput.RELEASED
             _logger.info("control authority released")
         else:
-            _logger.warning("control authority may not be released: code 0x%04X", code)
+            _logger.error("control authority may not be released: code 0x%04X", code)
     except NotActivated:
         outcome = AuthorityInput.RELEASED  # nobody has it before an activation
     except (M100Error, TimeoutError) as error:
-        _logger.warning("control authority may not be released: %s", error)
+        _logger.error("control authority may not be released: %s", error)
     finally:
         authority.feed(outcome)
     return outcome is AuthorityInput.RELEASED

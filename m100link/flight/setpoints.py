@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 
 from m100link.errors import UsageError
+from m100link.flight.cancellation import new_task
 from m100link.flight.pacing import INSTANT, MAX_RATE_HZ, Alarm
 from m100link.protocol.setpoint import Setpoint
 
@@ -111,6 +112,7 @@ class SetpointLoop:
         self._task: asyncio.Task[None] | None = None
         self.sent = 0
         self.expired = 0
+        self._told = 0  # of those, in the log
 
     @property
     def current(self) -> Setpoint | None:
@@ -133,7 +135,7 @@ class SetpointLoop:
         if now >= self._due_at() - _SLACK and (is_checked or self._admits(self._setpoint)):
             self._transmit(self._setpoint, now)
         if self._task is None or self._task.done():  # done: somebody cancelled every task
-            self._task = asyncio.create_task(self._run(), name="m100link setpoints")
+            self._task = new_task(self._run(), "m100link setpoints")
         self._news.set()
 
     @property
@@ -148,8 +150,9 @@ class SetpointLoop:
     def neutralise(self) -> None:
         """Replace the setpoint by its neutral, which then falls silent by itself."""
         if self._setpoint is not None:
-            now = self._loop.time()
+            # Before anything that may raise: whatever sends later sends this.
             self._owed = self._setpoint = self._setpoint.neutral()
+            now = self._loop.time()
             self._period = _PERIOD
             self._expires_at = now
             self._silent_at = now + NEUTRAL_TIME
@@ -199,10 +202,13 @@ class SetpointLoop:
         self._frame = setpoint
         if setpoint == self._owed:
             self._owed = None
-        self.sent += 1
-        if not self._send(setpoint):  # the line takes no more: the aircraft is still to be told
-            self._frame, self._owed = before
-            self.sent -= 1
+        is_sent = False  # when the line takes no more, or sending raises: it is still to be sent
+        try:
+            is_sent = self._send(setpoint)
+        finally:
+            if not is_sent:
+                self._frame, self._owed = before
+        self.sent += is_sent
 
     async def _run(self) -> None:
         """Repeat, and never end in silence: whoever flies by this has to hear of it."""
@@ -240,6 +246,9 @@ class SetpointLoop:
                     continue  # the program may have sent one itself meanwhile
                 self._is_renewed = False
                 self._take_turn(self._setpoint, now)
+                if self.expired > self._told:  # the neutral first: a log can take its time
+                    self._told = self.expired
+                    _logger.warning("a setpoint was not renewed in time: sending neutral")
                 # A send that blocks for longer than a period must not starve the other tasks.
                 await asyncio.sleep(0)
 
@@ -256,6 +265,5 @@ class SetpointLoop:
             self._period = _PERIOD
             if now >= self._silent_at:  # the process stood still: the aircraft flies on by it
                 self._silent_at = now + NEUTRAL_TIME
-            _logger.warning("a setpoint was not renewed in time: sending neutral")
         elif now >= self._silent_at:
             self._setpoint = self._frame = None  # what is owed stays so

@@ -129,7 +129,6 @@ class Steering:
 
     def _on_send_failed(self, error: Exception) -> None:
         """The task that repeats setpoints has ended, and not because of the line."""
-        _logger.error("setpoints cannot be sent", exc_info=error)
         failure = M100Error(
             f"setpoints cannot be sent: {error!r}",
             cause="an error that nobody expected: a bug, of m100link or of what it stands on",
@@ -137,6 +136,7 @@ class Steering:
         )
         failure.__cause__ = error
         self.block.end(StopCause.SENDING_FAILED, failure)
+        _logger.error("setpoints cannot be sent", exc_info=error)
 
     def _admits(self, setpoint: Setpoint) -> bool:
         """The gate in front of the wire, for each frame that :meth:`steer` did not check itself."""
@@ -152,8 +152,8 @@ class Steering:
             self._guards.check(setpoint)
         except GuardRefused as error:
             if setpoint != setpoint.neutral():  # standing still is never refused
-                _logger.warning("sending neutral: %s", error.seen)
                 self._refused = error
                 self.setpoints.neutralise()
+                _logger.warning("sending neutral: %s", error.seen)
                 return False
         return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
@@ -77,18 +77,19 @@ class StopPath:
         self._is_armed = is_armed
 
     def let_go(self) -> None:
-        """At once: the neutral instead of the setpoint that is being sent, or nothing.
-
-        A neutral that cannot be sent must not keep the steps after it from their turn.
-        """
+        """At once: the neutral instead of the setpoint that is being sent, or nothing."""
         if self._life.plan.neutral:
-            try:
-                self._setpoints.neutralise()
-            except Exception as error:  # noqa: BLE001 (whatever it is: the stop path must begin)
-                _logger.error("no neutral was sent, and nothing more will be: %s", error)
-                self._setpoints.silence()
+            self._setpoints.neutralise()
         else:
             self._setpoints.silence()
+
+    def _surely(self, send: Callable[[], None]) -> None:
+        """A neutral that cannot be sent must not keep the steps after it from their turn."""
+        try:
+            send()
+        except Exception as error:  # noqa: BLE001 (whatever it is: the stop path must go on)
+            self._setpoints.silence()
+            _logger.error("no neutral was sent, and nothing more will be: %s", error)
 
     async def run(self) -> None:
         """Every step in its turn, however the one before ended; every wait is bounded.
@@ -96,6 +97,7 @@ class StopPath:
         The plan is read before each step, because the line may be lost meanwhile. May be begun
         again.
         """
+        self._surely(self.let_go)  # what ended the block may have had no room on its stack for it
         failed: Exception | None = None
         steps = (
             self._explain,
@@ -146,11 +148,11 @@ class StopPath:
             self._life.failure = await explained_loss(self._commander, failure)
 
     async def _end_setpoints(self) -> None:
-        self.let_go()  # again, when it was begun again: the task that sends may be gone
+        self._surely(self.let_go)  # when it was begun again, the task that sends may be gone
         if self._has_authority and self._setpoints.current is not None:
             await asyncio.sleep(NEUTRAL_TIME)
         if self._has_authority and self._life.plan.neutral:
-            self._setpoints.pay()  # nothing, unless this process stood still meanwhile
+            self._surely(self._setpoints.pay)  # nothing, unless this process stood still meanwhile
         await self._setpoints.stop()
         if self._is_armed and self._setpoints.sent:
             self._take_off_at = self._clock()  # any of them may have lifted it, up to now
@@ -167,7 +169,7 @@ class StopPath:
         if self._missions.is_detached:
             return
         if self._missions.is_of_another:
-            _logger.warning(
+            _logger.error(
                 "stop='land' did not land: a %s flies that this block did not start",
                 self._missions.flying,
             )

@@ -30,6 +30,7 @@ from m100link.flight.guards import FIRST_VALUES_S, GuardKeeper, Guards
 from m100link.flight.known import known
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
 from m100link.flight.motors import is_on_ground
+from m100link.flight.reserves import free, reserve
 from m100link.flight.signals import SIGNALS
 from m100link.flight.sticks import CENTRED, GESTURE, SettingsPace, Sticks
 from m100link.flight.tasks import Commander
@@ -79,7 +80,7 @@ class VirtualRc:
         pace: When settings may be sent.
         fall_back: Whether the pilot's own remote control flies when the channels stop.
         guards: Safety guards; all on by default.
-        handle_signals: Let Ctrl-C, SIGTERM and SIGHUP take the stop path first.
+        handle_signals: Let signals that end programs take the stop path first.
     """
 
     def __init__(
@@ -141,6 +142,13 @@ class VirtualRc:
         except M100Error:
             self._requests.free_firmware()
             raise
+        try:
+            reserve("virtual RC", self._close)
+        except M100Error:
+            self._claim.give_back()
+            self._requests.free_firmware()
+            raise
+        self._stopping.park(partial(self._end, StopCause.LEFT))
         self._life.feed(BlockInput.ENTER)
         self._program.enter()
         if self._handles_signals:
@@ -247,8 +255,8 @@ class VirtualRc:
         if self._timer is not None:
             self._timer.cancel()
         if is_first:
+            self._stopping.begin()  # first: it takes less of the stack than a frame that is sent
             self._say_neutral()
-            self._stopping.begin()
             if cause not in (StopCause.LEFT, StopCause.NOT_ENTERED):
                 self._program.cancel()
 
@@ -292,6 +300,7 @@ class VirtualRc:
         self._watchdog.stop()
         self._requests.free_firmware()
         self._claim.give_back()
+        free(self._close)
         SIGNALS.leave(self._on_signal)  # last: a signal that came may end the process here
 
     # -- sticks ----------------------------------------------------------------------------------
@@ -422,14 +431,14 @@ class VirtualRc:
         if not self._watchdog.is_quiet() or not self.is_flying:
             return
         if now >= self._renewed_at + DEAD_MAN_S - 1e-6 and self._sticks != CENTRED:
-            _logger.warning("the sticks were not renewed in time: centred")
             self._sticks = CENTRED
+            _logger.warning("the sticks were not renewed in time: centred")
         if self._sticks not in (CENTRED, GESTURE):
             try:
                 self._guards.check_sticks(*self._sticks)
             except GuardRefused as error:
-                _logger.warning("the sticks are centred: %s", error.seen)
                 self._refused, self._sticks = error, CENTRED
+                _logger.warning("the sticks are centred: %s", error.seen)
         if self._requests.push(self._sticks.encoded()):
             self._sent_at = now
 

@@ -23,6 +23,7 @@ import serial_asyncio
 from m100link.errors import (
     BadURL,
     LinkError,
+    OutOfResources,
     PortBusy,
     PortFailed,
     PortNotFound,
@@ -235,7 +236,14 @@ def _translate(device: str, address: ConnectionString, error: Exception) -> Link
             cause="an adapter that does not know this rate",
             remedy="check the baud rate that is set in the PC assistant",
         )
-    return PortFailed(f"{device} cannot be opened: {error}")
+    return PortFailed(f"{device} cannot be opened: {error}", **_of_a_full_table(number))
+
+
+def _of_a_full_table(number: int | None) -> dict[str, str]:
+    """Cause and remedy, where the system has no file descriptor left."""
+    if number not in (errno.EMFILE, errno.ENFILE):
+        return {}
+    return {"cause": OutOfResources.usual_cause, "remedy": OutOfResources.usual_remedy}
 
 
 def _errno_of(error: BaseException) -> int | None:
@@ -283,6 +291,9 @@ async def _open_tcp(address: ConnectionString, protocol: asyncio.Protocol) -> as
             remedy="check the name, or give the address: tcp://192.168.1.5:7000",
         ) from error
     except (OSError, TimeoutError) as error:
+        words = _of_a_full_table(error.errno)
+        if words:
+            raise PortFailed(f"{address} cannot be opened: {error}", **words) from error
         raise PortFailed(
             f"nothing answers at {address}: {error or 'no connection in time'}",
             cause="the program that should listen there is not running",

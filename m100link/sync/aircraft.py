@@ -207,16 +207,15 @@ class Aircraft:
 
         Args:
             stop: What to do when the block ends in any way: ``"hover"`` or ``"land"``.
-            on_pause: When the pilot takes the aircraft: ``"raise"`` ends the block with
-                :class:`AuthorityLost`; ``"wait"`` keeps it, see :meth:`Control.wait_resumable`.
+            on_pause: When the pilot takes the aircraft: ``"raise"`` AuthorityLost, or ``"wait"``,
+                see :meth:`Control.wait_resumable`.
             guards: Safety guards; all on by default.
-            handle_signals: Let Ctrl-C, SIGTERM and SIGHUP (a closed terminal) take the stop path
-                before they end the program.
+            handle_signals: Let signals that end programs take the stop path first.
 
         Raises (on entering):
             UsageError: Another control block of this program is running; the firmware is unknown.
             AuthorityRefused: With cause and remedy.
-            NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
+            NotActivated, KeyRejected, AckTimeout, OutOfResources, LinkError: See each class.
         """
         return Control(
             self._portal,

@@ -270,6 +270,7 @@ class ForeignAircraft(ForeignMatrice):
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         self.name = os.ttyname(self._slave)
+        self.is_mute = False  # a wire is broken
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="foreign aircraft", daemon=True)
         self._thread.start()
@@ -302,6 +303,8 @@ class ForeignAircraft(ForeignMatrice):
                 self.receive(os.read(self._master, 4096))
 
     def _write(self, data: bytes) -> None:
+        if self.is_mute:
+            return
         if select.select([], [self._master], [], 0.0)[1]:  # a reader that hangs loses bytes
             os.write(self._master, data)
 

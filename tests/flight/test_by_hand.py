@@ -359,7 +359,7 @@ async def test_what_stands_in_for_the_block_ends_behind_the_stop_path_and_stays_
     async with rig() as flown:
         control = await flown.aircraft.control(stop="land").obtain()
         await control.take_off()
-        keeper = control._block._keeper
+        keeper = control._block._stopping._task
         assert keeper is not None
         keeper.cancel()
         with pytest.raises(asyncio.CancelledError):

@@ -1,0 +1,63 @@
+"""What the end of a flight needs is had before the flight begins: it may not be there later."""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import os
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import anyio
+
+from m100link.errors.base import of_the_system
+from m100link.flight.log_thread import LOG_THREAD
+
+__all__ = ["free", "reserve"]
+
+Close = Callable[[], Coroutine[Any, Any, None]]
+
+_NOW_S = 1.0  # by how much an event loop's clock may differ from the system's, which it mostly is
+
+
+_flying: dict[Close, asyncio.AbstractEventLoop] = {}
+
+
+def reserve(what: str, close: Close) -> None:
+    """From here on nothing that ends a flight loads, opens, or begins a thread.
+
+    Modules come from a disk that may fail, by file descriptors that may be used up; so what a stop
+    path would load is loaded. The thread of the log begins. Behind the flight: :func:`free`.
+
+    Args:
+        what: Word for the error.
+        close: Ends the flight and waits for that. It is run when the program falls off its end
+            between two runs of its event loop.
+
+    Raises:
+        OutOfResources: The system has no more.
+    """
+    loop = asyncio.get_running_loop()
+    with of_the_system(what):
+        anyio.CancelScope()  # which loads what it stands on when the first one is made
+        LOG_THREAD.hold(is_simulated=abs(loop.time() - time.monotonic()) > _NOW_S)
+    _flying[close] = loop
+
+
+def free(close: Close) -> None:
+    """The flight has ended."""
+    _flying.pop(close, None)
+    LOG_THREAD.release()
+
+
+def _end_flights() -> None:
+    """The interpreter ends. A loop that runs is its owner's to end, one that is closed gone."""
+    for close, loop in list(_flying.items()):
+        if not loop.is_running() and not loop.is_closed():
+            loop.run_until_complete(close())
+
+
+atexit.register(_end_flights)
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_flying.clear)
