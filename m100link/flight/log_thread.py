@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import atexit
+import io
 import logging
 import os
 import queue
 import sys
 import threading
 import time
+from collections.abc import Iterator
 
 __all__ = ["LOG_THREAD", "LogThread"]
 
@@ -154,20 +157,46 @@ class LogThread(logging.Filter):
             lost = self.dropped + self.failed
             _say(f"m100link: {lost} log records of flights were lost: {why}")
 
+    def leave_behind(self) -> None:
+        """The interpreter ends: handlers that block for ever must not keep it from that.
+
+        ``logging.shutdown`` waits for the lock of each handler, and Python for that of stderr.
+        """
+        if self._thread is None or self._flush():
+            return
+        for handler in {one for logger in self._covered for one in _handlers(logger)}:
+            if handler.lock is None:
+                continue
+            if handler.lock.acquire(blocking=False):
+                handler.lock.release()
+                continue
+            handler.createLock()
+            for name in ("flush", "close"):
+                setattr(handler, name, _do_nothing)
+            if getattr(handler, "stream", None) is sys.stderr:
+                sys.stderr = io.StringIO()
+
     def _after_fork(self) -> None:
         """The child has no such thread."""
         self._uncover()
         self._begin()
 
 
-def _is_configured(logger: logging.Logger) -> bool:
-    """Whether a record reaches a handler that is not there only to be one."""
+def _handlers(logger: logging.Logger) -> Iterator[logging.Handler]:
+    """Those that its records reach."""
     here: logging.Logger | None = logger
     while here is not None:
-        if any(not isinstance(handler, logging.NullHandler) for handler in here.handlers):
-            return True
+        yield from here.handlers
         here = here.parent if here.propagate else None
-    return False
+
+
+def _is_configured(logger: logging.Logger) -> bool:
+    """Whether a record reaches a handler that is not there only to be one."""
+    return any(not isinstance(handler, logging.NullHandler) for handler in _handlers(logger))
+
+
+def _do_nothing() -> None:
+    """What a handler that is left behind is told at the end."""
 
 
 def _say(text: str) -> None:
@@ -187,3 +216,5 @@ def _say(text: str) -> None:
 
 LOG_THREAD = LogThread()
 """The one of this process."""
+
+atexit.register(LOG_THREAD.leave_behind)  # before logging.shutdown, which was registered earlier

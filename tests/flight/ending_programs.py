@@ -35,14 +35,18 @@ GUARDS = m100link.Guards(envelope=m100link.Envelope(max_radius_m=10_000.0))
 
 # -- what is lost ---------------------------------------------------------------------------------
 
-_ASKED_FOR = {"import", "open", "socket.__new__", "_thread.start_new_thread", "os.listdir"}
-_ASKED_FOR |= {"os.scandir", "os.fork", "subprocess.Popen"}
+ASKED_FOR = {"import", "open", "socket.__new__", "_thread.start_new_thread", "os.listdir"}
+ASKED_FOR |= {"os.scandir", "os.fork", "subprocess.Popen"}
+LOG = "m100link log"
+"""The thread that may ask, in vain: it writes the log, tracebacks with lines of files in it."""
+
 _sealed = threading.Event()
 
 
 def _refuse(event: str, args: tuple[Any, ...]) -> None:
-    if event in _ASKED_FOR and _sealed.is_set():
-        os.write(1, f"asked for {event} {args[0]!r}\n".encode())
+    if event in ASKED_FOR and _sealed.is_set():
+        if threading.current_thread().name != LOG:
+            os.write(1, f"asked for {event} {args[0]!r}\n".encode())
         raise OSError(5, "Input/output error")
 
 
