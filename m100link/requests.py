@@ -25,6 +25,7 @@ from m100link.protocol.command import Command, Movement, Push, Request
 from m100link.protocol.commands.activation import GetVersion, Version
 from m100link.protocol.firmware import FIRMWARE_1_0, FirmwareProfile, names_hardware, reads_unknown
 from m100link.wire.cipher import Cipher
+from m100link.wire.frame import encode_frame
 
 if TYPE_CHECKING:
     from m100link.link import Link
@@ -178,6 +179,13 @@ class Requests:
         link = self._link
         encrypted = command.ENCRYPTED and link.cipher is not None
         return link.push(command.encode(self.firmware), encrypted=encrypted)
+
+    def prepared(self, command: Command, *, session: int = 0, sequence: int = 0) -> bytes:
+        """The frame of a command, which somebody else sends when this program cannot."""
+        cipher = self._link.cipher if command.ENCRYPTED else None
+        return encode_frame(
+            command.encode(self.firmware), session=session, sequence=sequence, cipher=cipher
+        )
 
     async def admit(self, command: Push | Movement) -> None:
         """Refuse a command that nobody answers and that the aircraft would ignore in silence.

@@ -21,6 +21,8 @@ PUBLISHED = {
     "M100-BAD-VALUE": "BadValue",
     "M100-COMMAND-REFUSED": "CommandRefused",
     "M100-GUARD-REFUSED": "GuardRefused",
+    "M100-GUARDIAN-FAILED": "GuardianFailed",
+    "M100-GUARDIAN-TOOK-OVER": "GuardianTookOver",
     "M100-KEY-REJECTED": "KeyRejected",
     "M100-LAYOUT-MISMATCH": "LayoutMismatch",
     "M100-LEASE-HELD": "LeaseHeld",

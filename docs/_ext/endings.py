@@ -33,6 +33,9 @@ STOPS = Outcome("the mission's stop, then the release", "stops where it is and h
 SILENCE = Outcome(
     "the last setpoint, then nothing", "hovers, with nobody in control until the pilot leaves F"
 )
+LANDS_BY_GUARDIAN = Outcome(
+    "neutral, the landing, and a minute later the release", "lands and stops its motors"
+)
 FLIES_ON = Outcome(
     "nothing more", "flies the mission to its end; the pilot or the next program stops it"
 )
@@ -40,6 +43,9 @@ GOES_ON = Outcome("what the parent sends", "flies as before: the child has no pa
 
 IN_ORDER = (HOVERS, LANDS, STOPS)
 """Whatever leaves the program time to act."""
+
+BY_GUARDIAN = (HOVERS, LANDS_BY_GUARDIAN, STOPS)
+"""The program cannot act any more; the guardian does, and nobody reads the aircraft's answers."""
 
 CUT_OFF = (SILENCE, SILENCE, FLIES_ON)
 """Nobody can send anything any more; a landing that was asked for does not happen."""
@@ -58,9 +64,12 @@ class Ending(Enum):
     EXIT = "`sys.exit()`: the interpreter ends"
     COLLECTED = "an abandoned generator is collected (GC)"
     FORK = "the child of a fork ends"
-    UNPLUGGED = "the cable is pulled"
-    HANG = "the process hangs (SIGSTOP)"
-    KILL = "kill -9"
+    HANG = "the event loop is blocked for 2 s: `time.sleep()`, a debugger"
+    STOPPED = "the process stands still for 2 s (SIGSTOP), or the computer slept"
+    KILL = "`kill -9`, the system is out of memory"
+    CRASH = "a crash (SIGSEGV, SIGABRT), `os._exit()`, `os.execv()`"
+    UNPLUGGED = "the cable is pulled, the computer loses power"
+    UNGUARDED = "what the four rows above say, with `control(guardian=False)`"
 
 
 ENDINGS: dict[Ending, tuple[Outcome, Outcome, Outcome]] = {
@@ -74,8 +83,11 @@ ENDINGS: dict[Ending, tuple[Outcome, Outcome, Outcome]] = {
     Ending.EXIT: IN_ORDER,
     Ending.COLLECTED: IN_ORDER,
     Ending.FORK: (GOES_ON, GOES_ON, GOES_ON),
+    Ending.HANG: BY_GUARDIAN,
+    Ending.STOPPED: BY_GUARDIAN,
+    Ending.KILL: BY_GUARDIAN,
+    Ending.CRASH: BY_GUARDIAN,
     Ending.UNPLUGGED: CUT_OFF,
-    Ending.HANG: CUT_OFF,
-    Ending.KILL: CUT_OFF,
+    Ending.UNGUARDED: CUT_OFF,
 }
 """What becomes of the aircraft, in the order of :data:`MODES`."""

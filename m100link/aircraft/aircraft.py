@@ -26,11 +26,7 @@ from m100link.flight.tasks import Commander, task_sequences
 from m100link.link import Link, LinkStatistics
 from m100link.notifications import Notifications
 from m100link.protocol.command import Address, Push, Request
-from m100link.protocol.commands.activation import (
-    Credentials,
-    SendToMobile,
-    Version,
-)
+from m100link.protocol.commands.activation import Credentials, SendToMobile, Version
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.requests import Requests
@@ -262,6 +258,7 @@ class Aircraft:
         on_pause: PauseAction = "raise",
         guards: Guards | None = None,
         handle_signals: bool = True,
+        guardian: bool | float = True,
     ) -> Control:
         """Control authority for a block: ``async with aircraft.control() as control``.
 
@@ -271,8 +268,11 @@ class Aircraft:
                 see :meth:`Control.wait_resumable`.
             guards: Safety guards; all on by default.
             handle_signals: Let signals that end programs take the stop path first.
+            guardian: A process that ends the flight when this program cannot: it dies, or blocks
+                its event loop for 2 s, or so many (0.5 to 60). None in memory, nor outside Linux.
 
         Raises (on entering):
+            GuardianFailed: It cannot be started; nothing was sent.
             UsageError: Another control block of this program is running; the firmware is unknown.
             AuthorityRefused: With cause and remedy.
             NotActivated, KeyRejected, AckTimeout, OutOfResources, LinkError: See each class.
@@ -287,10 +287,16 @@ class Aircraft:
             on_pause=on_pause,
             guards=guards,
             handle_signals=handle_signals,
+            guardian=guardian,
         )
 
     def virtual_rc(
-        self, *, fall_back: bool = True, guards: Guards | None = None, handle_signals: bool = True
+        self,
+        *,
+        fall_back: bool = True,
+        guards: Guards | None = None,
+        handle_signals: bool = True,
+        guardian: bool | float = True,
     ) -> VirtualRc:
         """A remote control made of commands, for a block; it flies **without authority**.
 
@@ -302,9 +308,10 @@ class Aircraft:
                 aircraft act as if its remote control were lost, and go home.
             guards: Safety guards; all on by default.
             handle_signals: As for :meth:`control`.
+            guardian: As for :meth:`control`.
 
         Raises (on entering):
-            CommandNotSupported, NotActivated: Nothing was sent.
+            CommandNotSupported, NotActivated, GuardianFailed: Nothing was sent.
             AuthorityRefused: The pilot's mode switch is not seen in F.
             UsageError: A control block of this program is running; the firmware is unknown.
             NotObserved: Telemetry does not show that it is on.
@@ -319,6 +326,7 @@ class Aircraft:
             fall_back=fall_back,
             guards=guards,
             handle_signals=handle_signals,
+            guardian=guardian,
         )
 
     async def release_authority(self) -> bool:

@@ -22,6 +22,7 @@ _TYPED = {
     "control(guards=Guards(envelope=Envelope(max_height_m=…)))": "--max-height",
     "control(guards=Guards(envelope=Envelope(max_radius_m=…)))": "--max-radius",
     "fly slower, or control(guards=Guards(envelope=Envelope(max_speed_m_s=…)))": "fly slower",
+    "close what is open, or fly without one: control(guardian=False)": "close other programs",
     "docs: howto/silent-line": "m100link docs silent-line",
 }
 """What remedies ask a program to do, and what a person types for it."""

@@ -44,7 +44,9 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     ├── AuthorityError
     │   ├── NoAuthority            movement was asked for without authority
     │   │   └── MissionRunning     or while a mission flies: the aircraft would ignore it
-    │   └── AuthorityLost          the pilot, the app or the link took it away
+    │   ├── AuthorityLost          the pilot, the app or the link took it away
+    │   ├── GuardianFailed         the guardian of the flight did not start; nothing was asked for
+    │   └── GuardianTookOver       the program stood still, and the guardian ended its flight
     ├── GuardRefused               a safety guard said no; it names itself and the measured value
     ├── FleetError                 an order to an aircraft of a fleet
     │   ├── Unreachable            no agent of that name is there; nothing was sent
@@ -68,6 +70,8 @@ from m100link.errors.aircraft import (
     BadAck,
     CommandNotSupported,
     CommandRefused,
+    GuardianFailed,
+    GuardianTookOver,
     GuardRefused,
     KeyRejected,
     LayoutMismatch,
@@ -138,6 +142,8 @@ __all__ = [
     "CommandRefused",
     "FleetError",
     "GuardRefused",
+    "GuardianFailed",
+    "GuardianTookOver",
     "KeyRejected",
     "LayoutMismatch",
     "LevelTooLow",

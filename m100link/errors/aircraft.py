@@ -16,6 +16,8 @@ __all__ = [
     "CommandNotSupported",
     "CommandRefused",
     "GuardRefused",
+    "GuardianFailed",
+    "GuardianTookOver",
     "KeyRejected",
     "LayoutMismatch",
     "LevelTooLow",
@@ -380,6 +382,33 @@ class AuthorityLost(
     ) -> None:
         super().__init__(seen, cause=cause, remedy=remedy)
         self.reason = reason
+
+
+class GuardianFailed(
+    AuthorityError,
+    code="M100-GUARDIAN-FAILED",
+    cause="no memory, no descriptors or no processes are left, or Python cannot be started again",
+    remedy="close what is open, or fly without one: control(guardian=False)",
+):
+    """The process that ends the flight when the program cannot did not start.
+
+    Nothing was asked of the aircraft.
+    """
+
+
+class GuardianTookOver(
+    AuthorityError,
+    code="M100-GUARDIAN-TOOK-OVER",
+    cause="a call that blocks the event loop, a debugger, a suspended process or computer",
+    remedy="see where the aircraft is, and keep what takes long out of the event loop "
+    "(asyncio.to_thread)",
+):
+    """The program stood still in flight, and the guardian ended the flight for it.
+
+    The mission, if one flew, was told to stop, the setpoint was replaced by its neutral, a landing
+    was begun where ``stop="land"`` asks for it, and authority was given back. Nobody heard the
+    aircraft's answers to that.
+    """
 
 
 class GuardRefused(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Literal
 
 from m100link.errors import (
+    GuardianTookOver,
     LinkClosed,
     LinkLost,
     LossReason,
@@ -17,8 +19,10 @@ from m100link.errors import (
     NoAuthority,
     UsageError,
 )
-from m100link.flight.authority import AuthorityState
+from m100link.flight.authority import AuthorityInput, AuthorityState
 from m100link.flight.cancellation import Errand, ProgramTask
+from m100link.flight.guardian import Guardian
+from m100link.flight.guardian_plan import control_plan
 from m100link.flight.guards import GuardKeeper
 from m100link.flight.handover import authority_lost, is_unexplained, obtain_authority
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
@@ -50,6 +54,11 @@ class ControlBlock:
         stop: What the stop path does after the neutral setpoint.
         on_pause: What happens when the pilot takes the aircraft.
         handle_signals: Let signals that end programs take the stop path first.
+        patience_s: How long the event loop may stand still until a guardian ends the flight; None:
+            there is none.
+
+    Attributes:
+        guardian: Ends the flight when this program cannot.
     """
 
     def __init__(
@@ -63,6 +72,7 @@ class ControlBlock:
         stop: StopAction,
         on_pause: PauseAction,
         handle_signals: bool,
+        patience_s: float | None = None,
     ) -> None:
         self._commander = commander
         self._authority = commander.authority
@@ -78,9 +88,16 @@ class ControlBlock:
         self._is_by_hand = False
         self._is_told = False  # by hand: the program was told what ended the block
         self._stop_path = StopPath(commander, self._life, setpoints, missions, stop)
-        self.taking_off = self._stop_path.taking_off
         self.armed = self._stop_path.armed
-        self._stopping = Errand(self._stop_path.run, self._on_stopped)
+        first_sequence = int.from_bytes(os.urandom(2))
+        self.guardian = Guardian(
+            commander.link,
+            lambda: self._stop_path.wanted,
+            lambda wanted: control_plan(commander, wanted, first_sequence),
+            self._on_guardian,
+            patience_s,
+        )
+        self._stopping = Errand(self._stop, self._on_stopped)
         self._on_signal = partial(self.end, StopCause.SIGNALLED)
         self._watchdog = TelemetryWatchdog(
             commander.state,
@@ -224,6 +241,7 @@ class ControlBlock:
 
     async def _obtain(self) -> None:
         try:
+            await self.guardian.start()
             await obtain_authority(self._commander)
             self._life.feed(BlockInput.OBTAINED)
             self._guards.start()
@@ -280,6 +298,26 @@ class ControlBlock:
                 for program in self._programs:
                     program.cancel()
 
+    async def _stop(self) -> None:
+        """The stop path, and behind it the end of the guardian. May be begun again."""
+        try:
+            await self._stop_path.run()
+        finally:
+            await self.guardian.end()
+
+    def _on_guardian(self, error: GuardianTookOver) -> None:
+        """The guardian ends the flight: what it sent has given authority back, as far as known."""
+        self._authority.feed(AuthorityInput.RELEASE)
+        self._authority.feed(AuthorityInput.NOT_RELEASED)
+        self.end(StopCause.GUARDIAN, error)
+
+    @contextmanager
+    def taking_off(self) -> Iterator[None]:
+        """A take-off is commanded: from here on it counts as flown, for the guardian as well."""
+        with self._stop_path.taking_off():
+            self.guardian.update()
+            yield
+
     async def _close(self) -> None:
         """The connection is about to be closed."""
         error = LinkClosed("the aircraft was disconnected while this block was flying it")
@@ -288,6 +326,7 @@ class ControlBlock:
 
     def _on_authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
         reason = self._authority.reason
+        self.guardian.update()
         if reason is LossReason.LINK:
             lost = self._commander.link.failure or LinkLost("the line is gone")
             self.end(StopCause.LINK_LOST, lost.again())

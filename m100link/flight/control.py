@@ -15,6 +15,7 @@ from m100link.errors import (
 )
 from m100link.flight.authority import AuthorityState
 from m100link.flight.block import ControlBlock, PauseAction
+from m100link.flight.guardian import patience_of
 from m100link.flight.guards import GuardKeeper, Guards
 from m100link.flight.guidance import Guidance
 from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
@@ -88,6 +89,7 @@ class Control:
         on_pause: PauseAction = "raise",
         guards: Guards | None = None,
         handle_signals: bool = True,
+        guardian: bool | float = True,
     ) -> None:
         if stop not in ("hover", "land"):
             raise UsageError(f"there is no stop action {stop!r}", remedy="use 'hover' or 'land'")
@@ -109,6 +111,7 @@ class Control:
             stop=stop,
             on_pause=on_pause,
             handle_signals=handle_signals,
+            patience_s=patience_of(guardian),
         )
         self._guidance = Guidance(
             commander.state, steer=self._steering.steer, halt=self._setpoints.halt
@@ -188,6 +191,11 @@ class Control:
     def is_over(self) -> bool:
         """Whether the stop path has ended."""
         return self._block.state is BlockState.OVER
+
+    @property
+    def has_guardian(self) -> bool:
+        """Whether a process of its own would end the flight if this program could not."""
+        return self._block.guardian.is_watching
 
     def interrupt(self) -> None:
         """Begin the stop path and do not wait for its end: what a signal does."""

@@ -59,6 +59,7 @@ class StopCause(Enum):
     SENDING_FAILED = "a setpoint could not be sent, and not because of the line"
     LINE_BLOCKED = "the line takes no more: setpoints do not reach the aircraft"
     LINK_LOST = "the line is gone"
+    GUARDIAN = "the program stood still, and the guardian ended the flight"
 
 
 class StopPlan(NamedTuple):
@@ -107,6 +108,8 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
     _C.LINE_BLOCKED: _OURS,
     # There is nobody to talk to.
     _C.LINK_LOST: StopPlan(mission=False, explain=False, neutral=False, land=False, release=False),
+    # The guardian does all that; two who fly the end would disturb each other.
+    _C.GUARDIAN: StopPlan(mission=False, explain=False, neutral=False, land=False, release=False),
 }
 """What the stop path does for each cause. Every step still asks whether authority is held."""
 
@@ -139,6 +142,8 @@ TRANSITIONS: dict[BlockState, dict[BlockInput | StopCause, BlockState]] = {
         _I.STOPPED: _S.OVER,
         # The rest of the stop path has nobody to talk to, and the program is told.
         _C.LINK_LOST: _S.STOPPING,
+        # So is the rest of one that stands still.
+        _C.GUARDIAN: _S.STOPPING,
     },
     _S.OVER: {},
 }
@@ -150,7 +155,8 @@ class Lifecycle:
 
     Attributes:
         state: Where it is.
-        cause: Why it stops or stopped, None before; a line that is lost replaces any other cause.
+        cause: Why it stops or stopped, None before; a line that is lost, or a guardian that takes
+            over, replaces any other cause.
         failure: The error that the block will raise, the first one if there were several.
     """
 

@@ -54,6 +54,7 @@ class Steering:
         self._clock = commander.link.loop.time
         # When the line took no setpoint, the first and the newest time; None since it took one.
         self._blocked: tuple[float, float] | None = None
+        self._mode: object = None  # of the newest frame
         self.setpoints = SetpointLoop(
             self._transmit, self._admits, self._on_send_failed, commander.link.loop
         )
@@ -102,6 +103,10 @@ class Steering:
             raise self._refused.again()
 
     def _transmit(self, setpoint: Setpoint) -> bool:
+        mode = setpoint.mode, setpoint.frame, setpoint.stable
+        if mode != self._mode:  # the guardian's neutral has to be one of this mode
+            self._mode = mode
+            self.block.guardian.update()
         try:
             is_sent = self._requests.push(setpoint)
         except LinkError as error:

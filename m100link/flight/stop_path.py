@@ -10,9 +10,10 @@ from typing import Literal
 
 from m100link.errors import AuthorityLost, M100Error, TaskRefused
 from m100link.flight.authority import AuthorityState
+from m100link.flight.guardian_plan import NOTHING, Wanted
 from m100link.flight.handover import explained_loss, release_authority
 from m100link.flight.known import known
-from m100link.flight.lifecycle import Lifecycle, StopCause
+from m100link.flight.lifecycle import STOP_PLANS, BlockState, Lifecycle, StopCause
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.motors import is_on_ground, switch_motors
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
@@ -76,6 +77,28 @@ class StopPath:
         """The block starts the motors, or has stopped them."""
         self._is_armed = is_armed
 
+    @property
+    def wanted(self) -> Wanted:
+        """What a guardian would have to do for the aircraft if this program ended now."""
+        state, life, missions = self._commander.authority.state, self._life, self._missions
+        if state is AuthorityState.NONE or life.state in (BlockState.NEW, BlockState.OVER):
+            return NOTHING
+        plan = STOP_PLANS[life.cause or StopCause.LEFT]
+        if not self._has_authority:  # the pilot's, the app's, or nobody knows: only a release helps
+            is_ours = state is AuthorityState.OBTAINING
+            return Wanted(release=plan.release and not (is_ours and missions.is_of_another))
+        is_kept = missions.is_detached or missions.is_of_another
+        is_airborne = self._may_be_airborne(says_why=False)
+        lands = plan.land and self._action == "land" and not is_kept and is_airborne
+        flies_home = missions.lands_by_plan and is_airborne and not lands
+        current = self._setpoints.current if plan.neutral else None
+        return Wanted(
+            neutral=None if current is None else current.neutral(),
+            mission=missions.to_stop if plan.mission and not plan.explain else None,
+            land=lands,
+            release=plan.release and not is_kept and not flies_home,
+        )
+
     def let_go(self) -> None:
         """At once: the neutral instead of the setpoint that is being sent, or nothing."""
         if self._life.plan.neutral:
@@ -134,7 +157,9 @@ class StopPath:
         ):
             failure = await self._missions.stop()
             life.failure = life.failure or failure
-        if not life.plan.mission:  # perhaps only since the line was lost meanwhile
+        if life.cause is StopCause.GUARDIAN:
+            self._missions.ended_elsewhere(life.failure)
+        elif not life.plan.mission:  # perhaps only since the line was lost meanwhile
             self._missions.give_up(life.failure, "nobody can be told to stop it")
         if self._missions.left_in_flight and life.failure is not None:
             life.failure.remedy = (
@@ -189,7 +214,7 @@ class StopPath:
                 _logger.error("the stop path could not land: %s", error)
             return
 
-    def _may_be_airborne(self) -> bool:
+    def _may_be_airborne(self, *, says_why: bool = True) -> bool:
         """What the newest status says; while nobody knows, whether a take-off was commanded."""
         state, take_off_at = self._commander.state, self._take_off_at
         status, status_at = state.flight_status, state.received_at(FlightStatus)
@@ -197,7 +222,7 @@ class StopPath:
             return True
         if take_off_at is not None:  # "standby" of before it left the ground proves nothing
             return status_at is None or status_at < take_off_at + _LEAVES_THE_GROUND_S
-        if known(state, FlightStatus) is None:
+        if says_why and known(state, FlightStatus) is None:
             _logger.error(
                 "stop='land' did not land: the flight status is %s, and no take-off was commanded",
                 "unknown" if status is None else "old",

@@ -26,6 +26,8 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.flight.cancellation import Errand, ProgramTask
+from m100link.flight.guardian import Guardian, patience_of
+from m100link.flight.guardian_plan import GuardianPlan, virtual_rc_plan
 from m100link.flight.guards import FIRST_VALUES_S, GuardKeeper, Guards
 from m100link.flight.known import known
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
@@ -55,8 +57,13 @@ _AIRCRAFT_WAITS_S = 0.9  # after a second without channels the aircraft has ende
 _SHOWN_S = 1.2
 _GESTURE_S = 2.3  # the aircraft wants 2 s (facts V4)
 
-_SILENT = frozenset({StopCause.AUTHORITY_LOST, StopCause.LINK_LOST})
-"""Where no centred sticks are sent any more: the pilot has the aircraft, or nobody hears them."""
+_SILENT = frozenset({StopCause.AUTHORITY_LOST, StopCause.LINK_LOST, StopCause.GUARDIAN})
+"""Where no centred sticks are sent any more: the pilot has the aircraft, nobody hears them, or the
+guardian sends them."""
+
+
+_HOPELESS = frozenset({StopCause.LINK_LOST, StopCause.GUARDIAN})
+"""Where it is not switched off here: nobody hears it, or the guardian does it."""
 
 
 class VirtualRc:
@@ -81,6 +88,7 @@ class VirtualRc:
         fall_back: Whether the pilot's own remote control flies when the channels stop.
         guards: Safety guards; all on by default.
         handle_signals: Let signals that end programs take the stop path first.
+        guardian: As of ``aircraft.control()``.
     """
 
     def __init__(
@@ -92,6 +100,7 @@ class VirtualRc:
         fall_back: bool = True,
         guards: Guards | None = None,
         handle_signals: bool = True,
+        guardian: bool | float = True,
     ) -> None:
         self._commander = commander
         self._requests = commander.requests
@@ -104,6 +113,13 @@ class VirtualRc:
         self._life = Lifecycle()
         self._program = ProgramTask(self._loop)
         self._stopping = Errand(self._stop, self._on_stopped)
+        self._guardian = Guardian(
+            commander.link,
+            self._is_to_end,
+            self._guardian_plan,
+            partial(self._end, StopCause.GUARDIAN),
+            patience_of(guardian),
+        )
         self._on_signal = partial(self._end, StopCause.SIGNALLED)
         self._guards = GuardKeeper(guards or Guards(), commander.state)
         self._watchdog = TelemetryWatchdog(
@@ -154,6 +170,7 @@ class VirtualRc:
         if self._handles_signals:
             SIGNALS.join(self._on_signal)
         try:
+            await self._guardian.start()
             await self._switch_on(settings)
         except BaseException as error:
             self._end(StopCause.NOT_ENTERED)
@@ -196,6 +213,7 @@ class VirtualRc:
                 cause="more is sent than the baud rate carries, or the other end stands still",
             )
         self._is_on = True
+        self._guardian.update()
         self._guards.start()
         self._watchdog.start()
         self._renewed_at = self._sent_at = self._clock()
@@ -275,10 +293,26 @@ class VirtualRc:
         except Exception as error:  # noqa: BLE001 (whatever it is: switching off must come)
             _logger.error("no centred sticks were sent: %s", error)
 
+    def _is_to_end(self) -> bool:
+        """Whether the guardian would have to end it if this program ended now."""
+        return self._is_on and self._life.cause not in _SILENT
+
+    def _guardian_plan(self, is_to_end: bool) -> GuardianPlan:
+        if not is_to_end:
+            return GuardianPlan()
+        return virtual_rc_plan(self._commander, falls_back=self._falls_back)
+
     async def _stop(self) -> None:
-        """Centred sticks until it may be switched off, then off. May be begun again."""
+        """Switch it off, and let the guardian go. May be begun again."""
+        try:
+            await self._centre_and_switch_off()
+        finally:
+            await self._guardian.end()
+
+    async def _centre_and_switch_off(self) -> None:
+        """Centred sticks until it may be switched off, then off."""
         settle_until = self._clock() + _NEUTRAL_S
-        while self._is_on and self._life.cause is not StopCause.LINK_LOST:
+        while self._is_on and self._life.cause not in _HOPELESS:
             if self._clock() >= max(settle_until, self._pace.free_at):
                 self._switch_off()
                 return

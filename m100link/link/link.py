@@ -16,8 +16,10 @@ from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
 from m100link.link.forked import lose_at_fork, lose_line
+from m100link.link.gate import Gate, descriptor_of
 from m100link.link.own_loop import require_loop
 from m100link.link.statistics import LinkStatistics, RoundTripCounter, counted
+from m100link.link.tap import excerpt
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Event, Expired, SessionMode
 from m100link.wire.cipher import Cipher
@@ -37,9 +39,7 @@ The document forgets never (1.4). But an end that restarts counts from the start
 of authority must not be taken for one that was told before.
 """
 
-_LOGGED_BYTES = 64
 _HEADER = 12
-_ACTIVATION = b"\x00\x01"  # set and id; it has the app id in it and is never encrypted
 _SILENT_S = 1.0  # without telemetry of 1 Hz, or any: it is not the one frame that was lost
 _LEVEL_S = 0.1  # between two looks at the level of the log
 
@@ -64,7 +64,7 @@ class Link(asyncio.Protocol):
         *("__dict__", "__weakref__", "_bytes_sent", "_connected", "_disconnected"),
         *("_dropped_writes", "_endpoint", "_failure", "_frames_sent", "_is_debug"),
         *("_is_failure_told", "_is_writable", "_level_at", "_loop", "_pending", "_round_trips"),
-        *("_timers", "_transport", "last_received_at", "name", "on_lost", "on_received"),
+        *("_timers", "_transport", "gate", "last_received_at", "name", "on_lost", "on_received"),
     )
     is_recorded = False  # a replay, whose aircraft cannot be asked for anything
 
@@ -82,6 +82,7 @@ class Link(asyncio.Protocol):
         self.on_received = on_received
         self.on_lost = on_lost
         self.name = "link"
+        self.gate: Gate | None = None  # asked before each write, where a guardian shares the line
         self._transport: asyncio.Transport | None = None  # until the line is open
         # Who waits for which ack, and the word for it in errors, by the session's token.
         self._pending: dict[int, tuple[asyncio.Future[bytes], str]] = {}
@@ -132,6 +133,11 @@ class Link(asyncio.Protocol):
     def is_open(self) -> bool:
         """Whether bytes can be sent."""
         return self._transport is not None and self._failure is None
+
+    @property
+    def descriptor(self) -> int | None:
+        """The open file of the line, None where it has none: in memory, or polled."""
+        return None if self._failure else descriptor_of(self._transport)
 
     @property
     def failure(self) -> LinkError | None:
@@ -218,13 +224,14 @@ class Link(asyncio.Protocol):
         if not self._is_writable:
             self._dropped_writes += 1
             return False
+        dropped = self._dropped_writes
         try:
             self._endpoint.push(data, encrypted=encrypted)
             self._flush()
         except BaseException:
             self._endpoint.drop_pushes()  # cut off by Ctrl-C: it would leave with the next one
             raise
-        return True
+        return self._dropped_writes == dropped
 
     def acknowledge(self, command: Frame, payload: bytes, *, encrypted: bool | None = None) -> None:
         """Answer a command frame that ``on_received`` got; nothing is sent on session 0."""
@@ -350,7 +357,7 @@ class Link(asyncio.Protocol):
                             "< session %d seq %d %s",
                             event.session,
                             event.sequence,
-                            _excerpt(event.data),
+                            excerpt(event.data),
                         )
                     self.on_received(event, now)
                 elif isinstance(event, (Acked, Expired)):
@@ -391,17 +398,22 @@ class Link(asyncio.Protocol):
 
     def _flush(self) -> None:
         """Write what is ready."""
-        transport = self._transport
+        transport, gate = self._transport, self.gate
         debug = _logger.isEnabledFor(logging.DEBUG)
         for wire in self._endpoint.output():
             if transport is None or self._failure is not None or not self._is_writable:
                 self._dropped_writes += 1
                 continue
+            if gate is not None and not gate.opens(len(wire)):
+                self._dropped_writes += 1
+                continue
             if debug:
-                _logger.debug("> %s", _excerpt(wire, data_at=_HEADER))
+                _logger.debug("> %s", excerpt(wire, data_at=_HEADER))
             self._bytes_sent += len(wire)
             self._frames_sent += 1
             transport.write(wire)
+            if gate is not None:
+                gate.wrote(transport.get_write_buffer_size())
 
     def _set_timer(self) -> None:
         """Keep the one timer right, after anything that may have sent a request."""
@@ -488,11 +500,3 @@ class Link(asyncio.Protocol):
         except KeyboardInterrupt:
             self._is_failure_told = False  # it may not have heard, and may hear twice
             raise
-
-
-def _excerpt(data: bytes, *, data_at: int = 0) -> str:
-    """What the log shows of a frame, or of its data."""
-    shown = data[:_LOGGED_BYTES]
-    if data.startswith(_ACTIVATION, data_at):
-        shown = data[: data_at + len(_ACTIVATION)]
-    return shown.hex() + ("…" if len(data) > len(shown) else "")

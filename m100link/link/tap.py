@@ -12,9 +12,12 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Any, cast
 
-__all__ = ["Direction", "Listener", "Tap", "TappedProtocol"]
+__all__ = ["Direction", "Listener", "Tap", "TappedProtocol", "excerpt"]
 
 _logger = logging.getLogger(__name__)
+
+_LOGGED_BYTES = 64
+_ACTIVATION = b"\x00\x01"  # set and id; it has the app id in it and is never encrypted
 
 
 class Direction(Enum):
@@ -139,3 +142,11 @@ class TappedProtocol(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """The line is gone."""
         self._protocol.connection_lost(exc)
+
+
+def excerpt(data: bytes, *, data_at: int = 0) -> str:
+    """What the log shows of a frame, or of its data."""
+    shown = data[:_LOGGED_BYTES]
+    if data.startswith(_ACTIVATION, data_at):
+        shown = data[: data_at + len(_ACTIVATION)]
+    return shown.hex() + ("…" if len(data) > len(shown) else "")

@@ -202,6 +202,7 @@ class Aircraft:
         on_pause: PauseAction = "raise",
         guards: Guards | None = None,
         handle_signals: bool = True,
+        guardian: bool | float = True,
     ) -> Control:
         """Control authority for a block: ``with aircraft.control() as control``.
 
@@ -211,8 +212,11 @@ class Aircraft:
                 see :meth:`Control.wait_resumable`.
             guards: Safety guards; all on by default.
             handle_signals: Let signals that end programs take the stop path first.
+            guardian: A process that ends the flight when this program cannot: it dies, or blocks
+                its event loop for 2 s, or so many (0.5 to 60). None in memory, nor outside Linux.
 
         Raises (on entering):
+            GuardianFailed: It cannot be started; nothing was sent.
             UsageError: Another control block of this program is running; the firmware is unknown.
             AuthorityRefused: With cause and remedy.
             NotActivated, KeyRejected, AckTimeout, OutOfResources, LinkError: See each class.
@@ -225,6 +229,7 @@ class Aircraft:
                 on_pause=on_pause,
                 guards=guards,
                 handle_signals=handle_signals,
+                guardian=guardian,
             ),
             handle_signals=handle_signals,
         )

@@ -124,6 +124,11 @@ class Control:
         return self._control.is_stopping
 
     @property
+    def has_guardian(self) -> bool:
+        """Whether a process of its own would end the flight if this program could not."""
+        return self._control.has_guardian
+
+    @property
     def has_authority(self) -> bool:
         """Whether setpoints are obeyed."""
         return self._control.has_authority

@@ -28,6 +28,7 @@ KNOWN = "it is known already"
 UNDER_WAY = "the stop path runs; it asks for authority itself before each step"
 FIRST_CAUSE = "the first cause has chosen the plan, and every plan ends with the aircraft at rest"
 NO_LINE = "without a line the rest of the stop path has nobody to talk to, and the program is told"
+GUARDED = "the guardian ends the flight; two who do would disturb each other"
 NEVER_AGAIN = "a block that is over never sends again; its authority was given back"
 
 EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]] = {
@@ -46,6 +47,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.NEW, C.SENDING_FAILED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.LINE_BLOCKED): (S.NEW, NOT_ENTERED),
     (S.NEW, C.LINK_LOST): (S.NEW, NOT_ENTERED),
+    (S.NEW, C.GUARDIAN): (S.NEW, NOT_ENTERED),
     (S.ENTERING, I.ENTER): (S.ENTERING, ONCE),
     (S.ENTERING, I.OBTAINED): (S.FLYING, "the ack says obtained"),
     (S.ENTERING, I.PAUSE): (S.PAUSED, PILOT),
@@ -61,6 +63,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.ENTERING, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.ENTERING, C.LINE_BLOCKED): (S.STOPPING, ENDS),
     (S.ENTERING, C.LINK_LOST): (S.STOPPING, ENDS),
+    (S.ENTERING, C.GUARDIAN): (S.STOPPING, GUARDED),
     (S.FLYING, I.ENTER): (S.FLYING, ONCE),
     (S.FLYING, I.OBTAINED): (S.FLYING, KNOWN),
     (S.FLYING, I.PAUSE): (S.PAUSED, PILOT),
@@ -76,6 +79,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.FLYING, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.FLYING, C.LINE_BLOCKED): (S.STOPPING, ENDS),
     (S.FLYING, C.LINK_LOST): (S.STOPPING, ENDS),
+    (S.FLYING, C.GUARDIAN): (S.STOPPING, GUARDED),
     (S.PAUSED, I.ENTER): (S.PAUSED, ONCE),
     (S.PAUSED, I.OBTAINED): (S.PAUSED, "the pilot took it after the ack: that is newer"),
     (S.PAUSED, I.PAUSE): (S.PAUSED, KNOWN),
@@ -91,6 +95,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.PAUSED, C.SENDING_FAILED): (S.STOPPING, ENDS),
     (S.PAUSED, C.LINE_BLOCKED): (S.STOPPING, ENDS),
     (S.PAUSED, C.LINK_LOST): (S.STOPPING, ENDS),
+    (S.PAUSED, C.GUARDIAN): (S.STOPPING, GUARDED),
     (S.STOPPING, I.ENTER): (S.STOPPING, ONCE),
     (S.STOPPING, I.OBTAINED): (S.STOPPING, "an ack that comes late: the release follows"),
     (S.STOPPING, I.PAUSE): (S.STOPPING, UNDER_WAY),
@@ -106,6 +111,7 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.STOPPING, C.SENDING_FAILED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.LINE_BLOCKED): (S.STOPPING, FIRST_CAUSE),
     (S.STOPPING, C.LINK_LOST): (S.STOPPING, NO_LINE),
+    (S.STOPPING, C.GUARDIAN): (S.STOPPING, GUARDED),
     (S.OVER, I.ENTER): (S.OVER, ONCE),
     (S.OVER, I.OBTAINED): (S.OVER, NEVER_AGAIN),
     (S.OVER, I.PAUSE): (S.OVER, NEVER_AGAIN),
@@ -121,7 +127,11 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
     (S.OVER, C.SENDING_FAILED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.LINE_BLOCKED): (S.OVER, NEVER_AGAIN),
     (S.OVER, C.LINK_LOST): (S.OVER, NEVER_AGAIN),
+    (S.OVER, C.GUARDIAN): (S.OVER, NEVER_AGAIN),
 }
+
+# They replace the cause of a stop path that runs.
+REPLACING = {(S.STOPPING, C.LINK_LOST), (S.STOPPING, C.GUARDIAN)}
 
 # How a block really comes to each state.
 WAY_TO: dict[BlockState, tuple[BlockInput | StopCause, ...]] = {
@@ -152,14 +162,14 @@ def test_each_input_and_cause_in_each_state_leads_where_the_reasons_say(
     before = life.cause
     is_taken = life.feed(what)
     assert life.state is after, why
-    assert is_taken is (after is not state or (state, what) == (S.STOPPING, C.LINK_LOST)), why
+    assert is_taken is (after is not state or (state, what) in REPLACING), why
     assert life.cause is (what if is_taken and isinstance(what, C) else before), why
 
 
 def test_every_transition_of_the_code_stands_in_the_expectation() -> None:
     in_code = {(s, what): after for s, row in TRANSITIONS.items() for what, after in row.items()}
     changing = {pair: row[0] for pair, row in EXPECTED.items() if row[0] is not pair[0]}
-    assert in_code == {**changing, (S.STOPPING, C.LINK_LOST): S.STOPPING}
+    assert in_code == {**changing, **dict.fromkeys(REPLACING, S.STOPPING)}
     assert set(TRANSITIONS) == set(S)
 
 
@@ -202,6 +212,7 @@ PLANS: dict[StopCause, tuple[tuple[bool, bool, bool, bool, bool], str]] = {
     C.SENDING_FAILED: ((True, False, True, True, True), "other commands may still be sent"),
     C.LINE_BLOCKED: ((True, False, True, True, True), "it may drain again at any moment"),
     C.LINK_LOST: ((False, False, False, False, False), "nobody is there"),
+    C.GUARDIAN: ((False, False, False, False, False), "the guardian has done it"),
 }
 
 
@@ -211,5 +222,6 @@ def test_each_cause_has_the_plan_that_it_leaves_possible(cause: StopCause) -> No
     assert STOP_PLANS[cause] == StopPlan(*plan), why
 
 
-def test_only_a_lost_line_keeps_authority() -> None:
-    assert [cause for cause, plan in STOP_PLANS.items() if not plan.release] == [C.LINK_LOST]
+def test_authority_is_kept_only_where_nobody_hears_or_another_gives_it_back() -> None:
+    kept = {cause for cause, plan in STOP_PLANS.items() if not plan.release}
+    assert kept == {C.LINK_LOST, C.GUARDIAN}

@@ -252,6 +252,20 @@ class MissionKeeper:
             return False
         return since >= self._stop_asked_at + _GOES_ON_S
 
+    @property
+    def to_stop(self) -> MissionKind | None:
+        """What a stop is owed if the program ends now; one that may be started any moment, too."""
+        run = self._run
+        if run is None:
+            return None
+        is_owed = run.state is RunState.READY or run.owes_a_stop or run.flies_all_the_same
+        return run.kind if is_owed else None
+
+    def ended_elsewhere(self, failure: M100Error | None) -> None:
+        """Somebody else has told our mission to stop: nobody waits for it here any more."""
+        if self._run is not None and self._run.is_in_the_air:
+            self._run.give_up(failure)
+
     async def settled(self) -> None:
         """Wait until pushes do not contradict each other any more, where they do."""
         clock, watch = self._commander.link.loop.time, self._watch

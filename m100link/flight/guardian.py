@@ -1,0 +1,329 @@
+"""A spare for the end of a flight: a process that flies it when this program cannot.
+
+The program keeps a plan of prepared frames in a page of memory that both share, and renews a token
+in it ten times a second by a timer of its event loop. What the guardian does with that stands in
+:mod:`m100link.flight.guardian_process`, which knows nothing of this package.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import mmap
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from m100link.errors import GuardianFailed, GuardianTookOver, UsageError
+from m100link.flight import guardian_process as page
+from m100link.flight.guardian_plan import GuardianPlan
+
+if TYPE_CHECKING:
+    from m100link.link import Link
+
+__all__ = ["PATIENCE_S", "Guardian", "patience_of"]
+
+_logger = logging.getLogger(__name__)
+
+PATIENCE_S = 2.0
+"""Seconds that the event loop may stand still before the guardian ends the flight."""
+
+_SHORTEST_S, _LONGEST_S = 0.5, 60.0
+_RENEWAL_S = 0.1
+_START_S = 15.0  # it takes 0.02 s, and 10 s on a machine that gives it a fiftieth of a core
+_ACTS_WITHIN_S = 1.0  # after a program came back too late, by when the guardian has to show itself
+_LEAVES_WITHIN_S = 2.0
+_ENDS_WITHIN_S = 120.0  # a landing, on a line that is full now and then
+
+_HAS_ALL_IT_NEEDS = sys.platform == "linux" and hasattr(os, "memfd_create")
+
+W = TypeVar("W")
+
+
+def patience_of(guardian: bool | float) -> float | None:
+    """What ``control(guardian=…)`` means in seconds; None: no guardian.
+
+    Raises:
+        UsageError: Not 0.5 to 60 s.
+    """
+    if guardian is True or guardian is False:
+        return PATIENCE_S if guardian else None
+    if not _SHORTEST_S <= guardian <= _LONGEST_S:
+        raise UsageError(
+            f"guardian={guardian!r} is not {_SHORTEST_S:g} to {_LONGEST_S:g} s",
+            remedy="True, False, or how long the event loop may stand still",
+        )
+    return float(guardian)
+
+
+class Guardian(Generic[W]):
+    """The program's side of one guardian: from before authority is asked for to the end of a block.
+
+    Nothing happens on a line without a descriptor (in memory, a replay), nor outside Linux.
+
+    Args:
+        link: The line.
+        wanted: What is to be done if the program ends now; asked ten times a second.
+        plan: Makes the frames for that, and is called when it changed.
+        on_taken_over: Called once when the guardian ended the flight, with the error that says so.
+        patience_s: How long the event loop may stand still; None: no guardian.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        wanted: Callable[[], W],
+        plan: Callable[[W], GuardianPlan],
+        on_taken_over: Callable[[GuardianTookOver], None],
+        patience_s: float | None,
+    ) -> None:
+        self._link = link
+        self._loop = link.loop
+        self._wanted = wanted
+        self._plan = plan
+        self._on_taken_over = on_taken_over
+        self._patience_s = patience_s or 0.0
+        self._is_asked_for = patience_s is not None
+        self._pid = os.getpid()  # the child of a fork has no part in it
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
+        self._map: mmap.mmap | None = None
+        self._words: memoryview | None = None  # None before it watches, and when it is gone
+        self._generation = 0
+        self._published: object = self  # what the plan in the page is for; at first nothing
+        self._renewed = 0
+        self._timers: tuple[asyncio.TimerHandle, ...] = ()
+        self._overdue_since: float | None = None
+        self._is_over = False  # it was told that it is not needed any more
+        self._has_taken_over = False
+        self._gone = asyncio.Event()
+
+    @property
+    def is_watching(self) -> bool:
+        """Whether it would end the flight if the program could not."""
+        return self._words is not None
+
+    # -- start -----------------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Start it and wait until it watches, with nothing to do yet.
+
+        Raises:
+            GuardianFailed: It cannot be started.
+        """
+        descriptor = self._link.descriptor
+        if not self._is_asked_for or descriptor is None:
+            return
+        if not _HAS_ALL_IT_NEEDS:
+            _logger.warning("no guardian watches this flight: it needs Linux")
+            return
+        try:
+            self._spawn(descriptor)
+            assert self._socket is not None
+            async with asyncio.timeout(_START_S):
+                said = await self._loop.sock_recv(self._socket, 1)
+            if said != page.READY:
+                raise OSError("it ended at once")
+        except (OSError, ValueError, subprocess.SubprocessError) as error:
+            self._tear_down()
+            raise GuardianFailed(
+                f"the guardian of this flight did not start: {error or 'not ready in time'}"
+            ) from error
+        except BaseException:
+            self._tear_down()
+            raise
+        assert self._map is not None
+        self._words = memoryview(self._map).cast("I")
+        self._loop.add_reader(self._socket, self._on_word)
+        self._link.gate = self
+        self.update()
+        self._renew()
+
+    def _spawn(self, descriptor: int) -> None:
+        if not sys.executable:
+            raise OSError("nobody knows where Python is (sys.executable)")
+        shared = os.memfd_create("m100link guardian")
+        try:
+            os.ftruncate(shared, page.PAGE_SIZE)
+            self._map = mmap.mmap(shared, page.PAGE_SIZE)
+            self._socket, other = socket.socketpair()
+            with other:
+                self._socket.setblocking(False)
+                passed = descriptor, other.fileno(), shared
+                self._process = subprocess.Popen(
+                    (sys.executable, "-I", "-S", page.__file__, *map(str, passed), str(self._pid)),
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    pass_fds=passed,
+                    start_new_session=True,
+                )
+        finally:
+            os.close(shared)
+
+    # -- while the program flies -----------------------------------------------------------------
+
+    def update(self) -> None:
+        """Something changed that may change the plan."""
+        if self._words is None or self._map is None or os.getpid() != self._pid:
+            return
+        wanted = self._wanted()
+        if wanted == self._published:
+            return
+        self._write(self._plan(wanted))
+        self._published = wanted
+
+    def _write(self, plan: GuardianPlan) -> None:
+        assert self._map is not None
+        steps = [
+            (end, step.gap_ms, step.times, step.frame)
+            for end, case in enumerate(plan)
+            for step in case
+            if step.times
+        ]
+        self._generation += 1
+        half = page.sealed(self._generation, int(self._patience_s * 1000), steps)
+        at = page.HALVES_AT + self._generation % 2 * page.HALF_SIZE
+        self._map[at : at + len(half)] = half
+        self._say(page.WAKE)
+
+    def _say(self, word: bytes) -> None:
+        if self._socket is not None:
+            with suppress(OSError):  # full of the same word, or gone: then on_word hears of it
+                self._socket.send(word)
+
+    def _renew(self) -> None:
+        """The event loop lives. A KeyboardInterrupt can take one of two timers."""
+        for timer in self._timers:
+            timer.cancel()
+        self._timers = tuple(self._loop.call_later(_RENEWAL_S, self._renew) for _ in range(2))
+        words = self._words
+        if words is None or os.getpid() != self._pid:
+            return
+        if words[page.HOLD] == page.TAKEN:
+            self._tell()
+            return
+        now = page.milliseconds()
+        if self._overdue_since is not None or self._is_late(now):
+            self._wait_for_it()
+            return
+        words[page.TOKEN] = self._renewed = now
+        self.update()
+
+    def _is_late(self, now: int) -> bool:
+        if not self._renewed:
+            return False
+        return (now - self._renewed) & 0xFFFFFFFF >= self._patience_s * 1000
+
+    def _wait_for_it(self) -> None:
+        """The program stood still for too long, and was faster than the guardian."""
+        now = self._loop.time()
+        if self._overdue_since is None:
+            self._overdue_since = now
+            self._say(page.WAKE)
+        elif now - self._overdue_since > _ACTS_WITHIN_S and self._process is not None:
+            _logger.warning("the guardian stands still: it is ended")
+            self._process.kill()
+
+    def _tell(self) -> None:
+        """It has taken over."""
+        if self._has_taken_over:
+            return
+        self._has_taken_over = True
+        self._on_taken_over(
+            GuardianTookOver(
+                f"the guardian ended this flight: the event loop stood still for more than "
+                f"{self._patience_s:g} s"
+            )
+        )
+
+    def _on_word(self) -> None:
+        """The guardian says nothing but that it is gone."""
+        assert self._socket is not None
+        try:
+            if self._socket.recv(64):
+                return
+        except BlockingIOError:
+            return
+        except OSError as error:
+            _logger.debug("the guardian's socket: %s", error)
+        words = self._words
+        if words is not None and words[page.HOLD] == page.TAKEN:
+            self._tell()
+        is_expected = self._is_over or self._has_taken_over
+        self._tear_down()
+        if not is_expected:
+            _logger.warning(
+                "the guardian of this flight is gone: the flight goes on without one, and nobody "
+                "ends it if this program cannot"
+            )
+
+    # -- the gate in front of the line -----------------------------------------------------------
+
+    def opens(self, size: int) -> bool:
+        """Whether the program may write so many bytes now; they count as missing until it has."""
+        words = self._words
+        if words is None:
+            return True
+        if words[page.HOLD] or self._is_late(page.milliseconds()):
+            return False
+        words[page.UNSENT] += size
+        return True
+
+    def wrote(self, waiting: int) -> None:
+        """So many bytes are not with the system."""
+        if self._words is not None:
+            self._words[page.UNSENT] = waiting
+
+    # -- end -------------------------------------------------------------------------------------
+
+    async def end(self) -> None:
+        """It is not needed any more; where it has taken over, wait until it has ended the flight.
+
+        May be called again, and when it never started.
+        """
+        if self._process is None or os.getpid() != self._pid:
+            return
+        if self._words is not None and self._words[page.HOLD] == page.TAKEN:
+            self._tell()
+        if not self._has_taken_over and self._words is not None:
+            self._is_over = True
+            self._write(GuardianPlan())
+            self._say(page.OVER)
+        try:
+            async with asyncio.timeout(
+                _ENDS_WITHIN_S if self._has_taken_over else _LEAVES_WITHIN_S
+            ):
+                await self._gone.wait()
+        except TimeoutError:
+            _logger.warning("the guardian did not end in time: it is killed")
+            self._tear_down()
+
+    def _tear_down(self) -> None:
+        """Let go of everything; what still runs is killed."""
+        for timer in self._timers:
+            timer.cancel()
+        self._timers = ()
+        if self._link.gate is self:
+            self._link.gate = None
+        words, self._words = self._words, None
+        if words is not None:
+            words.release()
+        if self._socket is not None:
+            if words is not None:
+                self._loop.remove_reader(self._socket)
+            self._socket.close()
+            self._socket = None
+        if self._map is not None:
+            self._map.close()
+            self._map = None
+        if self._process is not None:
+            self._process.kill()  # nothing happens where it has ended
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=1.0)
+            self._process = None
+        self._gone.set()

@@ -1,0 +1,31 @@
+"""What may hold back the writes of a line that another process shares."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from typing import Protocol
+
+__all__ = ["Gate", "descriptor_of"]
+
+
+class Gate(Protocol):
+    """Asked before each write, and told after it."""
+
+    def opens(self, size: int) -> bool:
+        """Whether so many bytes may be written now."""
+        ...
+
+    def wrote(self, waiting: int) -> None:
+        """They were; so many bytes wait in this process."""
+
+
+def descriptor_of(transport: asyncio.BaseTransport | None) -> int | None:
+    """The open file behind a transport, None where another process could not write to it."""
+    if transport is None or os.name != "posix":
+        return None
+    for name in ("serial", "socket"):
+        if (line := transport.get_extra_info(name)) is not None:
+            number = line.fileno()
+            return number if isinstance(number, int) and number >= 0 else None
+    return None
