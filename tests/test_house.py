@@ -19,7 +19,8 @@ CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     "importlinter"
 ]["contracts"]
 
-LINES_PER_FILE = 500
+# A longer one asks whether it is still one subject. At 500 the limit cut single subjects in two.
+LINES_PER_FILE = 700
 LINES_PER_FUNCTION = 60  # its docstring not counted
 # The bridge to MAVLink is a room of its own: a front with a protocol, a codec and six arrows, which
 # the command line begins. The node of ROS 2 is another one, with seven arrows to what lies below

@@ -385,7 +385,10 @@ class Link(asyncio.Protocol):
         elif self.last_received_at is None:
             cause = "nothing arrives from the aircraft at all"
         elif (silent_s := self._loop.time() - self.last_received_at) > _SILENT_S:
-            cause = f"nothing came for {silent_s:.1f} s: it stands still, or the line is broken"
+            cause = (
+                f"nothing has come from the aircraft for {silent_s:.1f} s: "
+                "it stands still, or the line is broken"
+            )
         return AckTimeout(
             f"no ack of {name} after {event.tries} tries; its outcome is unknown",
             command=name,

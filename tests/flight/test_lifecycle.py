@@ -169,7 +169,7 @@ def test_each_input_and_cause_in_each_state_leads_where_the_reasons_say(
 def test_every_transition_of_the_code_stands_in_the_expectation() -> None:
     in_code = {(s, what): after for s, row in TRANSITIONS.items() for what, after in row.items()}
     changing = {pair: row[0] for pair, row in EXPECTED.items() if row[0] is not pair[0]}
-    assert in_code == {**changing, **dict.fromkeys(REPLACING, S.STOPPING)}
+    assert in_code == changing | dict.fromkeys(REPLACING, S.STOPPING)
     assert set(TRANSITIONS) == set(S)
 
 
