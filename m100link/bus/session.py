@@ -432,8 +432,7 @@ async def _opened(config: zenoh.Config) -> zenoh.Session:
             opened.set_exception(error or RuntimeError("no session"))
 
     def work() -> None:
-        session: zenoh.Session | None = None
-        failed: Exception | None = None
+        session, failed = None, None
         try:
             session = zenoh.open(config)
         except Exception as error:  # noqa: BLE001 - raised again where it is waited for
