@@ -1,7 +1,8 @@
 """Names the test files that a change can touch, by what imports what: ``python -m tests.affected``.
 
-A test file is touched if it changed, or if it imports a module that did, at any distance. A string
-that is the name of a module, or of a verb's module as the command line has it, counts as an import.
+A test file is touched if it changed, or if it imports a module that did, at any distance. The
+conftest.py of its folders is imported by it; a string that is the name of a module, of a verb's
+module as the command line has it, or of the program counts as an import of that.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ def changed(since: str) -> set[str]:
 @cache
 def named(module: str) -> frozenset[str]:
     """Modules that a module imports, or names in a string, with the packages that hold them."""
-    found: set[str] = set()
+    folders = module.split(".")[:-1]
+    found = {".".join([*folders[:end], "conftest"]) for end in range(2, len(folders) + 1)}
     for node in ast.walk(tree(MODULES[module])):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
@@ -40,7 +42,10 @@ def named(module: str) -> frozenset[str]:
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             text, colon, _ = node.value.partition(":")
             is_verb = colon and module.startswith("m100link.cli.")
+            is_program = text == "m100link" or "from m100link.cli import" in text
             found.add(f"m100link.cli.{text}" if is_verb else text)
+            if is_program and module.startswith("tests."):
+                found.add("m100link.cli.app")
     return frozenset(found & MODULES.keys())
 
 

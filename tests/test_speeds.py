@@ -1,0 +1,138 @@
+"""What the two hooks of the suite make of tests, seen from outside: pytest runs pytest."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests import judged, speeds
+from tests.affected import affected
+from tests.judged import Machine, descendants
+
+ROOT = Path(__file__).parent.parent
+
+
+def outcome(folder: Path, text: str, *options: str, **environment: str) -> tuple[int, str]:
+    """Run pytest on a file with both hooks; its exit status, and what it printed."""
+    (folder / "test_it.py").write_text(f"import os, time, pytest\nfrom tests import judged\n{text}")
+    (folder / "pytest.ini").write_text("[pytest]\nmarkers =\n pty:\n slow:\n smoke:\n")
+    hooks = ("-p", "tests.speeds", "-p", "tests.judged", "-p", "no:cacheprovider")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *hooks, "-q", *options, str(folder)],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        cwd=folder,
+        check=False,
+    )
+    return done.returncode, done.stdout
+
+
+DEAR = """
+def test_it():
+    begun = time.process_time()
+    while time.process_time() < begun + 3.2:
+        pass
+"""
+
+
+@pytest.mark.slow
+def test_what_is_dear_and_not_called_slow_fails_the_run(tmp_path: Path) -> None:
+    status, told = outcome(tmp_path, DEAR)
+    assert (status, "1 passed" in told) == (1, True)
+    assert "SLOW test_it.py::test_it: 3." in told
+    assert outcome(tmp_path, "@pytest.mark.slow" + DEAR)[0] == 0
+
+
+def test_what_keeps_real_time_is_left_out_but_for_smoke_tests(tmp_path: Path) -> None:
+    both = "@pytest.mark.pty\ndef test_a(): pass\n@pytest.mark.pty\n@pytest.mark.smoke\n"
+    _, told = outcome(tmp_path, f"{both}def test_b(): pass\ndef test_c(): pass\n", "-m", "not slow")
+    assert "2 passed, 1 deselected" in told
+
+
+# A machine that stands still is stood in for: none does when it is asked to.
+STANDS = """
+class Stood(judged.Machine):
+    def __exit__(self, *how):
+        super().__exit__(*how)
+        self.stood_s = {0}
+
+judged.Machine = Stood
+"""
+FAILS = "@pytest.mark.pty\ndef test_it():\n    with open({0!r}, 'a') as log: log.write('x')\n    "
+
+
+@pytest.mark.parametrize(
+    ("stood", "ends", "times", "told"),
+    [
+        ("0.6", "assert False", 2, "1 not judged"),
+        ("0.6", "assert len(open(log.name).read()) == 2", 2, "1 passed"),
+        ("0.1", "assert False", 1, "1 failed"),
+        ("0.6", "pass", 1, "1 passed"),
+    ],
+    ids=["stands", "stands once", "does not stand", "stands and passes"],
+)
+def test_a_failure_while_the_machine_stands_is_repeated_and_then_not_judged(
+    tmp_path: Path, stood: str, ends: str, times: int, told: str
+) -> None:
+    log = tmp_path / "log"
+    _, shown = outcome(tmp_path, STANDS.format(stood) + FAILS.format(str(log)) + ends)
+    assert log.read_text() == "x" * times
+    assert told in shown
+    assert ("the loop stood 600 ms and 600 ms" in shown) is ("not judged" in told)
+
+
+@pytest.mark.parametrize("others", [0.0, 0.9])
+def test_too_many_that_are_not_judged_fail_on_a_quiet_machine_only(
+    tmp_path: Path, others: float
+) -> None:
+    text = STANDS.format(0.6) + f"judged.taken_by_others = lambda: {others}\n"
+    status, told = outcome(tmp_path, f"{text}@pytest.mark.pty\ndef test_it(): assert False")
+    assert status == (0 if others else 1)
+    assert ("too many for a machine so quiet" in told) is not bool(others)
+
+
+def test_a_test_that_computes_is_judged_whatever_the_machine_does(tmp_path: Path) -> None:
+    status, told = outcome(tmp_path, STANDS.format(0.6) + "def test_it(): assert False")
+    assert (status, "1 failed" in told) == (1, True)
+
+
+def test_a_process_that_was_begun_is_among_the_descendants() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
+        assert child.pid in set(descendants(os.getpid()))
+        child.communicate(b"\n")
+
+
+def test_a_machine_that_runs_freely_did_not_stand() -> None:
+    with Machine() as machine:
+        pass
+    assert machine.stood_s < judged.STOOD_S
+
+
+def test_the_list_has_functions_with_their_seconds() -> None:
+    assert speeds.slow()
+    assert all("[" not in function for function in speeds.slow())
+
+
+@pytest.mark.parametrize(
+    ("changed", "touched", "left"),
+    [
+        ("m100link/wire/frame.py", "tests/browser/test_flying.py", "tests/bus/test_memory.py"),
+        ("m100link/mavlink/manual.py", "tests/mavlink/test_commands.py", "tests/ros2/test_node.py"),
+        ("m100link/cli/demo.py", "tests/cli/test_demo.py", "tests/flight/test_path.py"),
+        ("tests/log/flight.py", "tests/log/test_reading.py", "tests/wire/test_crc.py"),
+    ],
+)
+def test_affected_are_those_that_import_what_changed(changed: str, touched: str, left: str) -> None:
+    found = affected({changed})
+    assert touched in found
+    assert left not in found
+
+
+def test_a_change_of_what_all_stand_on_affects_all() -> None:
+    assert len(affected({"pyproject.toml"})) > 400
+    assert affected({"docs/index.md"}) == []
