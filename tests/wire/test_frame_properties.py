@@ -273,7 +273,7 @@ def test_the_cost_of_hostile_input_is_linear(name: str, chunk: int) -> None:
     once, twice = Meter(HOSTILE[name], chunk), Meter(HOSTILE[name] * 2, chunk)
     # Per byte: some calls, at most one CRC32 of 1023 bytes per 12-byte header, and a buffer that
     # is looked through again only when something can come of it.
-    assert once.calls <= 20 * size
+    assert once.calls <= 25 * size  # the worst has 18 up to Python 3.13; 3.14 counts 21 of the same
     assert once.crc_bytes <= size * 1023 / 12
     assert once.scanned <= size * (1 + 1023 / 12)
     # Twice the input, twice the work, but for what a full buffer more or less makes.
