@@ -4,13 +4,16 @@ Web pages can open WebSockets to any address, this one included, and a name in s
 can point here. So a page opened elsewhere must not get through: the ``Host`` has to be a name of
 this station, and an ``Origin``, which browsers always send and programs do not, has to be a page
 that the station itself served or one that was allowed by name. Where
-a browser says whence and what for it asks (``Sec-Fetch-*``), nothing comes from elsewhere but a
-page that is opened for itself: not in a frame, not as an image or script. Beyond the own machine a
-token is needed as well.
+a browser says whence and what for it asks (``Sec-Fetch-*``), a page from elsewhere gets nothing:
+not in a frame, not as an image or script. Where it opens an address, a page without scripts asks
+the person in front of it first. Beyond the own machine a token is needed as well.
 """
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import html
 import ipaddress
 import logging
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
@@ -32,6 +35,27 @@ _MAX_FIELDS = 20
 _SECRETS = frozenset(("token", "code"))
 _FRAMES = ("iframe", "frame", "embed", "object", "fencedframe")
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+
+_LOOKS = (
+    ":root{color-scheme:dark light}body{font:1.1rem/1.5 system-ui,sans-serif;max-width:34rem;"
+    "margin:15vh auto;padding:0 1.5rem}a{display:inline-block;padding:.75rem 0}"
+)
+# Nothing here has an id, takes the focus or runs: only a press on the link goes on.
+_QUESTION = f"""<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>m100link: open the station?</title>
+<meta name="viewport" content="width=device-width, initial-scale=1"><style>{_LOOKS}</style></head>
+<body><h1>Open this ground station?</h1>
+<p>Another page opened this address. It belongs to a ground station, which can fly an aircraft.
+Go on only if you wanted to come here.</p>
+<p lang="de">Eine andere Seite hat diese Adresse geöffnet. Sie gehört zu einer Bodenstation, die ein
+Fluggerät fliegen kann. Nur weitergehen, wenn das gewollt war.</p>
+<p><a href="{{}}">Open the station · <span lang="de">Bodenstation öffnen</span></a></p></body>
+</html>
+"""
+_QUESTION_POLICY = (
+    "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+    f"style-src 'sha256-{base64.b64encode(hashlib.sha256(_LOOKS.encode()).digest()).decode()}'"
+)
 
 
 def is_loopback(host: str) -> bool:
@@ -92,6 +116,11 @@ class Gate:
             return
         headers = _headers(scope)
         why = self._objection(scope, headers)
+        if why is None and _comes_from_elsewhere(headers):
+            await _ask_first(scope, send)
+            return
+        if why is None and self.access is not None:
+            why = _objection_to_secret(self.access, scope, headers)
         if why is not None:
             self.refused += 1
             self._log.warning("refused %s: %s", scope.get("client"), why)
@@ -111,8 +140,6 @@ class Gate:
             return "pages from elsewhere may not connect (Origin); see --allow-origin"
         if not origins and _is_fetched_elsewhere(scope, headers):
             return "from other pages this one can only be opened for itself (Sec-Fetch)"
-        if self.access is not None:
-            return _objection_to_secret(self.access, scope, headers)
         return None
 
     def _is_welcome(self, origin: str, host: str, scope: Scope) -> bool:
@@ -130,18 +157,29 @@ def _headers(scope: Scope) -> dict[str, list[str]]:
     return headers
 
 
+def _told(headers: dict[str, list[str]], name: str) -> str:
+    return ",".join(headers.get(name, []))
+
+
+def _comes_from_elsewhere(headers: dict[str, list[str]]) -> bool:
+    """Whether a page of another origin asks, and not for itself; programs do not say it."""
+    site = _told(headers, "sec-fetch-site")
+    is_told = "sec-fetch-site" in headers and "origin" not in headers
+    return is_told and site not in ("same-origin", "none")
+
+
 def _is_fetched_elsewhere(scope: Scope, headers: dict[str, list[str]]) -> bool:
-    """Whether a page of another site asks, or any page asks for a frame; programs say neither."""
-    site, mode, dest, purpose = (
-        ",".join(headers.get(name, []))
-        for name in ("sec-fetch-site", "sec-fetch-mode", "sec-fetch-dest", "sec-purpose")
-    )
+    """Whether a page of another origin asks for more than to be opened, or any for a frame."""
+    dest = _told(headers, "sec-fetch-dest")
     if dest in _FRAMES:
         return True
-    if "sec-fetch-site" not in headers or site in ("same-origin", "none"):
-        return False
-    is_opened = (mode, dest, scope.get("method")) == ("navigate", "document", "GET")
-    return not is_opened or "prefetch" in purpose
+    # Of a page that is opened through the console's own worker a browser says "empty"; "navigate"
+    # is what no script can ask for.
+    mode = _told(headers, "sec-fetch-mode")
+    is_opened = mode == "navigate" and dest in ("document", "empty")
+    is_opened = is_opened and scope.get("method") == "GET"
+    is_ahead = "prefetch" in _told(headers, "sec-purpose")
+    return _comes_from_elsewhere(headers) and (not is_opened or is_ahead)
 
 
 def _is_secure(scope: Scope) -> bool:
@@ -185,10 +223,29 @@ def _objection_to_secret(access: Access, scope: Scope, headers: dict[str, list[s
     return "a token is needed: ?token=…, a Bearer header or the cookie"
 
 
+def _path(scope: Scope) -> str:
+    # Two slashes, or a slash and a backslash, would begin the name of another host.
+    return "/" + str(scope.get("raw_path", b"/").decode("latin-1")).lstrip("/\\")
+
+
+async def _ask_first(scope: Scope, send: Send) -> None:
+    """A page with a link to what was asked for: opened by it, the station's own page asks."""
+    query = scope.get("query_string", b"").decode("latin-1")
+    address = f"{_path(scope)}?{query}" if query else _path(scope)
+    headers = [
+        (b"content-type", b"text/html; charset=utf-8"),
+        (b"content-security-policy", _QUESTION_POLICY.encode("ascii")),
+        (b"cache-control", b"no-store"),
+        (b"vary", b"sec-fetch-site"),
+    ]
+    await send({"type": "http.response.start", "status": 200, "headers": headers})
+    body = _QUESTION.replace("{}", html.escape(address))
+    await send({"type": "http.response.body", "body": body.encode()})
+
+
 async def _send_on(scope: Scope, send: Send, access: Access) -> None:
     """To the same page by an address without secrets: the cookie stands for them from now on."""
-    # Two slashes, or a slash and a backslash, would begin the name of another host.
-    path = "/" + scope.get("raw_path", b"/").decode("latin-1").lstrip("/\\")
+    path = _path(scope)
     fields = scope["query_string"].decode("latin-1").split("&")
     rest = "&".join(one for one in fields if unquote_plus(one.partition("=")[0]) not in _SECRETS)
     location = f"{path}?{rest}" if rest else path

@@ -52,6 +52,10 @@ HEADERS = (
     # A page of another site that shows ours in an invisible frame would steer by clicks on itself.
     ("content-security-policy", "frame-ancestors 'none'"),
     ("x-frame-options", "DENY"),
+    # A page that opens ours in another window would hold on to it, and move its focus about.
+    ("cross-origin-opener-policy", "same-origin"),
+    # Browsers that do not say whence they ask would hand it to a page of another site.
+    ("cross-origin-resource-policy", "same-origin"),
     ("referrer-policy", "no-referrer"),
     ("x-content-type-options", "nosniff"),
 )

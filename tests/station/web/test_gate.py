@@ -269,24 +269,55 @@ async def test_what_the_stations_own_page_asks_for_gets_in(site: str) -> None:
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site", "elsewhere", ""])
 @pytest.mark.parametrize(
-    ("mode", "dest", "gets_in"),
+    ("mode", "dest", "status"),
     [
-        ("navigate", "document", True),
-        ("navigate", "iframe", False),
-        ("navigate", "embed", False),
-        ("no-cors", "image", False),
-        ("no-cors", "script", False),
-        ("cors", "empty", False),
-        ("websocket", "websocket", False),
-        ("", "", False),
+        ("navigate", "document", 200),
+        ("navigate", "empty", 200),  # through the console's own worker
+        ("navigate", "iframe", 403),
+        ("navigate", "embed", 403),
+        ("no-cors", "image", 403),
+        ("no-cors", "script", 403),
+        ("cors", "empty", 403),
+        ("websocket", "websocket", 403),
+        ("", "", 403),
     ],
 )
-async def test_from_elsewhere_only_a_page_of_its_own_may_be_opened(
-    site: str, mode: str, dest: str, gets_in: bool
+async def test_from_elsewhere_a_page_is_asked_about_and_nothing_else_answered(
+    site: str, mode: str, dest: str, status: int
 ) -> None:
     headers = [("sec-fetch-site", site), ("sec-fetch-mode", mode), ("sec-fetch-dest", dest)]
     headers = [(name, value) for name, value in headers if value or name == "sec-fetch-site"]
-    assert await Visit().ask(HERE, *headers, kind="http") is gets_in
+    visit = Visit()
+    assert not await visit.ask(HERE, *headers, kind="http")
+    assert visit.status == status
+
+
+@pytest.mark.parametrize(
+    ("path", "query", "link"),
+    [
+        ("/", "", "/"),
+        ("//evil.example/x", "", "/evil.example/x"),
+        ("/\\evil.example", "", "/evil.example"),
+        ("/x", "aircraft=a&b=%22", "/x?aircraft=a&amp;b=%22"),
+        ("/", '"><script>1</script>{}', "/?&quot;&gt;&lt;script&gt;1&lt;/script&gt;{}"),
+    ],
+)
+async def test_the_question_leads_to_what_was_asked_for_and_runs_nothing(
+    path: str, query: str, link: str
+) -> None:
+    visit = Visit(access=Access(TOKEN))  # whoever asks needs no token yet
+    there = ("sec-fetch-site", "cross-site")
+    assert not await visit.ask(HERE, there, *NAVIGATION, kind="http", path=path, query=query)
+    page = visit.sent[1]["body"].decode()
+    assert page.count("<a ") == 1
+    assert f'<a href="{link}">' in page
+    for banned in ("<script", " id=", "autofocus", "<button", "<form"):
+        assert banned not in page
+    rules = visit.headers["content-security-policy"].split("; ")
+    assert {"default-src 'none'", "frame-ancestors 'none'", "form-action 'none'"} < set(rules)
+    assert not any(rule.startswith("script-src") for rule in rules)
+    assert visit.headers["cache-control"] == "no-store"
+    assert visit.gate.refused == 0
 
 
 async def test_from_elsewhere_nothing_is_posted_or_fetched_ahead() -> None:

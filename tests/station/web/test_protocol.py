@@ -86,6 +86,8 @@ async def test_no_answer_may_stand_in_a_frame_of_another_page(
     for line in (
         "content-security-policy: frame-ancestors 'none'",
         "x-frame-options: deny",
+        "cross-origin-opener-policy: same-origin",
+        "cross-origin-resource-policy: same-origin",
         "referrer-policy: no-referrer",
         "x-content-type-options: nosniff",
     ):

@@ -16,6 +16,6 @@ self.addEventListener("activate", (event) => {
 });
 
 self.addEventListener("fetch", (event) => {
-  if (event.request.mode !== "navigate") return;
+  if (event.request.mode !== "navigate" || event.request.destination !== "document") return;
   event.respondWith(fetch(event.request).catch(() => caches.match(PAGE)));
 });
