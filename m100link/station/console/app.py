@@ -20,6 +20,7 @@ from m100link.station.console import installable
 from m100link.station.console.history import History
 from m100link.station.console.orders import Orders
 from m100link.station.console.page import Page
+from m100link.station.console.policy import Policy
 from m100link.station.console.tabs import Tabs
 from m100link.station.web.files import PublicFiles
 from m100link.station.web.gate import Gate
@@ -75,7 +76,7 @@ def console_app(
         history_of(name)
     app.router.routes.append(WebSocketRoute("/steer/{key}", tabs.serve))
     app.router.routes.extend(installable.routes())
-    app.mount("/console", StaticFiles(directory=STATIC))
+    app.mount("/console", Policy(StaticFiles(directory=STATIC)))
     if settings.tiles is not None:
         if not settings.tiles.is_dir():
             raise UsageError(f"{settings.tiles} is not a folder")
@@ -97,6 +98,7 @@ def console_app(
     # that has no name for who listens to it. The page says itself what it waits for.
     nicegui_app.config.quasar_config["loadingBar"]["skipHijack"] = True
     ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
+    nicegui_app.add_middleware(Policy)  # it reads a page: before what compresses it
     ui.run_with(
         app,
         title="m100link",

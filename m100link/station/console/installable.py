@@ -25,7 +25,7 @@ HEAD = (
     # What shell.js imports, asked for with it and not after it.
     + "".join(
         f'<link rel="modulepreload" href="/console/{name}.js">'
-        for name in ("shell", "orders", "said", "socket", "steer", "instruments", "map")
+        for name in ("shell", "press", "orders", "said", "socket", "steer", "instruments", "map")
     )
     + "<script>navigator.serviceWorker?.register('/sw.js').catch(() => {})</script>"
 )

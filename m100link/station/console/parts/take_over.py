@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from nicegui import ui
+from nicegui.events import GenericEventArguments
 
 from m100link.agent.lease import LeaseHeld
 from m100link.errors import M100Error
+from m100link.station.console.parts.buttons import ORDER, answer
 from m100link.station.console.parts.wording import Wording
 from m100link.station.console.tab import Tab
 from m100link.station.console.view.words import Text, say
@@ -50,15 +52,22 @@ class TakeOverDialog:
             ui.label(self._wording(say("page.take_over.effect")))
             with ui.row():
 
-                async def confirm() -> None:
+                async def confirm(event: GenericEventArguments) -> None:
+                    said = answer(event)
                     dialog.close()
-                    await self._tab.attempt(lambda: self._tab.confirm_take_over(wanted))
 
-                for name, work, kind in (
-                    ("confirm", confirm, "danger"),
-                    ("leave", dialog.close, "plain"),
-                ):
+                    async def order() -> None:
+                        self._tab.check_order(said.get("at"))
+                        await self._tab.confirm_take_over(wanted)
+
+                    await self._tab.attempt(order)
+
+                for name, kind in (("confirm", "danger"), ("leave", "plain")):
                     with ui.element("button").classes(f"act {kind}") as button:
                         ui.label(self._wording(Text(f"page.take_over.{name}")))
-                    button.props(f"type=button id={name}").on("click", work, args=[])
+                    button.props(f"type=button id={name}")
+                    if name == "confirm":
+                        button.on("click", confirm, js_handler=ORDER)
+                    else:
+                        button.on("click", dialog.close, args=[])
         dialog.open()

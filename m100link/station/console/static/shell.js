@@ -1,5 +1,6 @@
 // The shell of the page: the socket, the views, presses that are held, and STOP.
 
+import {tellRefused} from "./press.js";  // first of all: what it refuses reaches nothing else
 import {answered, order, say, start as startOrders} from "./orders.js";
 import {words} from "./said.js";
 import {Socket} from "./socket.js";
@@ -55,6 +56,7 @@ export function start(key) {
   m100.onLive(drawChannels);
   setInterval(() => m100.socket.isLost && draw(), 250);  // what is not told any more grows old
   startOrders();
+  tellRefused(() => say(words("too_soon")));
   stopAtOnce(find("[data-act=stop]"));
   holdToPress();
   for (const tab of document.querySelectorAll("[data-go]"))
@@ -64,7 +66,9 @@ export function start(key) {
     });
   const named = () => find(`[data-go="${CSS.escape(location.hash.slice(1))}"]`);
   show(named()?.dataset.go || "fly");  // the station learns of it by kept()
-  window.addEventListener("hashchange", () => named()?.click());
+  const comeBack = () => history.replaceState(null, "", `#${document.body.dataset.view}`);
+  window.addEventListener("hashchange", () => (named() ? named().click() : comeBack()));
+  if (!named()) comeBack();
   keepAboveKeyboard();
   keepBelowHeader(find("#header"));
   FlightMap.find(find("#map"), (map) => {

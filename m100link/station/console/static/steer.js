@@ -4,6 +4,7 @@
 //
 // Whatever ends it also asks for a new press: nothing that is still held flies on by itself.
 
+import {isSettled} from "./press.js";
 import {number, onChoose, speed, words} from "./said.js";
 
 const BEAT_MS = 50;
@@ -107,7 +108,8 @@ export class Steering {
   }
 
   get hasFocus() {
-    return document.hasFocus() && !document.hidden && this.pad.contains(document.activeElement);
+    return isSettled() && document.hasFocus() && !document.hidden
+      && this.pad.contains(document.activeElement);
   }
 
   keyDown(event) {

@@ -30,6 +30,10 @@ WORDS: dict[str, tuple[str, str]] = {
     "browser.old": ("old", "alt"),
     "browser.compass_east": ("E", "O"),
     "browser.hold": ("Hold the button for a second", "Taste eine Sekunde lang halten"),
+    "browser.too_soon": (
+        "Not taken: the focus had come here by itself. Press again.",
+        "Nicht ausgeführt: der Fokus kam von selbst hierher. Noch einmal drücken.",
+    ),
     "browser.unanswered": (
         "{orders}: no answer. Whether it was done is not known: have the pilot take over.",
         "{orders}: keine Antwort. Ob es geschah, ist nicht bekannt: den Piloten übernehmen lassen.",
