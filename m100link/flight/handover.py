@@ -18,7 +18,7 @@ from m100link.flight.authority import AuthorityInput
 from m100link.flight.known import known
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
-from m100link.protocol.records import ControlDevice, Device, RemoteControl
+from m100link.protocol.records import Battery, ControlDevice, Device, RemoteControl
 
 if TYPE_CHECKING:
     from m100link.flight.tasks import Commander
@@ -41,6 +41,7 @@ _RELEASE_DEADLINE_S = 2.0
 _RELEASE_TIMEOUT_S = 0.4  # two requests of two tries each fit into the deadline
 _EXPLANATION_S = 0.15  # seven RC items, or one or two control device items at 10 Hz
 _EXPLANATION_STEP_S = 0.01
+_EMPTY_PERCENT = 10  # DJI's level at which an aircraft lands by itself
 
 
 def _needed(commander: Commander) -> int:
@@ -125,6 +126,11 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
     if device is not None and device.device is Device.APP:
         return [app]
     found = []
+    battery = known(state, Battery)
+    if battery is not None and battery.percent <= _EMPTY_PERCENT:
+        found.append(
+            (f"the battery is at {battery.percent} %, and it may not fly any more", "change it")
+        )
     rc = known(state, RemoteControl)
     if rc is None:
         found.append(("the mode switch is not in F", "move the mode switch to F"))
@@ -139,9 +145,11 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
                 "move the mode switch out of F and back",
             )
         )
-    found.append(
+    found += [
         ("API control is not enabled", "tick 'enable API control' in the PC assistant"),
-    )
+        # Its item goes on as it was, in F: nothing in telemetry tells it.
+        ("the remote control is off or out of reach", "switch it on, or go nearer"),
+    ]
     if firmware.ioc_must_be_off and not firmware.authority_refusal_has_reason:
         found.append(("IOC is on", "turn IOC off in the DJI app"))
     if device is None:

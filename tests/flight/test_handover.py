@@ -278,6 +278,38 @@ async def test_a_refusal_outside_f_begins_with_the_switch_where_it_stands(firmwa
         assert "power-on" not in error.cause
 
 
+@each_firmware
+async def test_a_refusal_tells_a_charge_at_which_nothing_flies(firmware: str) -> None:
+    async with rig(firmware=firmware) as flown:
+        flown.virtual.enable_api(False)
+        for percent, is_told in ((11, False), (10, True), (9, True)):
+            flown.virtual.battery_percent = percent
+            await asyncio.sleep(1.5)
+            error = await refusal(flown)
+            assert error.cause.startswith(f"the battery is at {percent} %") is is_told
+            assert "API control" in error.cause  # no charge hides what else it can be
+
+
+@each_firmware
+async def test_a_remote_control_that_is_off_is_among_what_it_can_be(firmware: str) -> None:
+    async with rig(firmware=firmware) as flown:
+        flown.virtual.remote.is_switched_on = False
+        await asyncio.sleep(5.0)
+        error = await refusal(flown)
+        assert "mode switch F" in error.seen  # which is where it stood
+        assert "the remote control is off or out of reach" in error.cause
+
+
+@each_firmware
+@pytest.mark.parametrize("percent", [22, 9, 1])
+async def test_a_low_battery_is_no_reason_by_itself(firmware: str, percent: int) -> None:
+    async with rig(firmware=firmware) as flown:
+        flown.virtual.battery_percent = percent
+        await asyncio.sleep(1.5)
+        async with flown.aircraft.control() as control:
+            assert control is not None
+
+
 async def test_a_refusal_without_an_rc_item_lists_everything() -> None:
     async with rig(assistant=AssistantSettings(rates_hz={"rc": 0}, ioc_on=True)) as flown:
         error = await refusal(flown)
