@@ -22,7 +22,7 @@ from typing import Any
 from m100link.agent.carriers.unix import connect_unix
 from m100link.agent.fault import Fault
 from m100link.errors import M100Error
-from m100link.station.child import answer, end_with_parent, logging_as_told
+from m100link.station.child import answer, end_with_parent, leave_what_stays, logging_as_told
 from m100link.station.config import resolve
 from m100link.station.console.orders import orders_by_socket
 from m100link.station.fronts import Fronts, Sockets, serving_fronts
@@ -55,6 +55,7 @@ async def _serve(request: dict[str, Any]) -> None:
     parent_ended = asyncio.Event()
     end_with_parent(parent_ended)
     async with serving_fronts(settings, sockets, reach, orders) as fronts:
+        leave_what_stays()
         answer(console_path=fronts.console_path())
         await _until_ended(ended, fronts, parent_ended)
 

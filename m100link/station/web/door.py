@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict
+from collections import Counter
 from typing import Protocol
 
-from m100link.station.ros.allowance import Allowance
-
 __all__ = ["Door", "Visitor"]
-
-
-_UPGRADES_PER_S, _UPGRADES_AT_ONCE = 50.0, 50.0
-_PEERS = 1000
-"""Addresses whose WebSockets are counted; beyond it the one that asked longest ago is forgotten."""
 
 
 class Visitor(Protocol):
@@ -47,8 +40,6 @@ class Door:
         self._per_peer, self._total = per_peer, total
         self._open: dict[Visitor, None] = {}  # those that were answered last stand last
         self._count: Counter[str] = Counter()
-        # By address, the one that asked last stands last.
-        self._upgrades: OrderedDict[str, Allowance] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._open)
@@ -75,14 +66,6 @@ class Door:
             self._count[visitor.peer] -= 1
             if not self._count[visitor.peer]:
                 del self._count[visitor.peer]
-
-    def lets_through(self, peer: str, now: float) -> bool:
-        """Whether an address may have one more WebSocket now: a handshake costs milliseconds."""
-        allowance = self._upgrades.pop(peer, None) or Allowance(_UPGRADES_PER_S, _UPGRADES_AT_ONCE)
-        self._upgrades[peer] = allowance
-        if len(self._upgrades) > _PEERS:
-            self._upgrades.popitem(last=False)
-        return allowance.take(now)
 
     def _make_room(self, peer: str, newcomer: Visitor) -> None:
         idle = (one for one in self._open if one.peer == peer and one.is_answered)

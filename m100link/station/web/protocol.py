@@ -290,9 +290,6 @@ class HttpConnection(H11Protocol):
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """From now on it is a WebSocket."""
-        if not self.config.door.lets_through(self.peer, self.loop.time()):
-            self.turn_out()
-            return
         self._leave()
         super().handle_websocket_upgrade(event)
         cast(Metered, self.transport).put_back(len(self.conn.trailing_data[0]))

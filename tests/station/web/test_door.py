@@ -62,13 +62,3 @@ def test_who_left_does_not_count() -> None:
         door.leave(one)  # twice is once
         assert not one.is_out
     assert len(door) == 0
-
-
-def test_an_address_has_so_many_websockets_a_second() -> None:
-    door = Door()
-    assert sum(door.lets_through("a", 0.0) for _ in range(500)) == 50
-    assert door.lets_through("b", 0.0)
-    assert sum(door.lets_through("a", 1.0) for _ in range(500)) == 50
-    for number in range(2000):
-        door.lets_through(str(number), 1.0)
-    assert door.lets_through("a", 1.0)  # forgotten: the memory is bounded
