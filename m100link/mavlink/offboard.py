@@ -21,7 +21,7 @@ _PLACE, _HEIGHT = 0b11, 0b100
 _SPEED, _CLIMB = 0b11000, 0b100000
 _NO_FORCE, _YAW, _YAW_RATE = 0x1C0, 0x400, 0x800
 _NO_ATTITUDE, _NO_THRUST = 0x80, 0x40
-_NO_BODY_RATES = 0b11
+_BODY_RATES = ((1, "body_roll_rate"), (2, "body_pitch_rate"), (4, "body_yaw_rate"))
 
 _GAIN = 0.8
 """Metres per second for each metre that is missing."""
@@ -99,9 +99,13 @@ class Offboard:
         is_body = frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED, Frame.BODY_FRD)
         if not is_body and frame != Frame.LOCAL_NED:
             return f"frame {frame} of setpoints is not known"
-        has_place = not mask & _PLACE and not is_body
-        has_height = not mask & _HEIGHT and not is_body
+        # What is flown in part is another flight than the one that is asked for.
+        if mask & _PLACE not in (0, _PLACE) or mask & _SPEED not in (0, _SPEED):
+            return "one of two coordinates: say both, or ignore both"
+        has_place, has_height = not mask & _PLACE, not mask & _HEIGHT
         has_speed, has_climb = not mask & _SPEED, not mask & _CLIMB
+        if is_body and (has_place or has_height):
+            return f"a place in frame {frame}: places count from home, in LOCAL_NED"
         target = Target(
             now,
             place=(message["x"], message["y"]) if has_place else None,
@@ -118,6 +122,8 @@ class Offboard:
         mask, thrust = message["type_mask"], message["thrust"]
         if mask & (_NO_ATTITUDE | _NO_THRUST) or not 0.0 <= thrust <= 1.0:
             return "the M100 takes attitudes with a thrust of 0 to 1, no body rates"
+        if any(message[name] for bit, name in _BODY_RATES if not mask & bit):
+            return "the M100 takes no body rates beside an attitude"
         q0, q1, q2, q3 = message["q"]
         size = math.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
         if not 0.5 < size < 2.0:
