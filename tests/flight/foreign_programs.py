@@ -84,14 +84,18 @@ async def in_a_loop_that_stops(aircraft: m100link.Aircraft) -> None:
 
 
 async def in_blocks(aircraft: m100link.Aircraft) -> None:
+    has_flown = asyncio.Event()
+
     async def blocks() -> None:
         while True:
             async with aircraft.control() as control:
                 control.send(NORTH)
                 await asyncio.sleep(0.2)
+                has_flown.set()
 
     flying = asyncio.create_task(blocks())
-    await asyncio.sleep(0.4)  # its stop path runs: main leaves connect()
+    await has_flown.wait()
+    await asyncio.sleep(0.1)  # its stop path runs: main leaves connect()
     del flying
 
 

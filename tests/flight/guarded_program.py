@@ -16,12 +16,21 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Literal
 
 import m100link
 from tests.flight.foreign_aircraft import APP_ID, KEY
 from tests.flight.missions.foreign import plan
 from tests.rig import NORTH
+
+
+def guardian_of(process: int) -> int:
+    """The process of that name among its children."""
+    for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
+        if Path(f"/proc/{child}/comm").read_text().strip() == "m100link-guard":
+            return int(child)
+    raise AssertionError("it has no guardian")
 
 
 def kill() -> None:
@@ -125,7 +134,7 @@ async def main(url: str, mode: str, end: str) -> None:
         await aircraft.activate(m100link.Credentials(app_id=APP_ID, key=KEY))
         await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=30)
         stop: Literal["hover", "land"] = "land" if mode == "land" else "hover"
-        async with aircraft.control(stop=stop, guards=far) as control:
+        async with aircraft.control(stop=stop, guards=far, guardian=end != "unguarded") as control:
             if mode == "mission":
                 async with control.waypoint_mission(plan(speed=1.0)):
                     await asyncio.sleep(1.0)

@@ -1,7 +1,7 @@
 """The manual's table of endings, cell by cell: what the aircraft received last, and what it did.
 
-On virtual time where the ending leaves the process alive; ``kill -9`` and a hanging process are
-real ones, behind a pseudo-terminal.
+On virtual time where the ending leaves the program able to act. What a guardian ends is flown by
+``test_guardian.py``, each cell against an aircraft that shares no line with the library.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ from m100link import FlightPhase, LinkLost, Waypoint, WaypointPlan
 from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Device
-from tests.flight.test_processes import FLOWN, flight, mission_flight
+from tests.flight import foreign_aircraft as foreign
+from tests.flight import guarded_program, test_guardian
+from tests.flight.foreign_aircraft import foreign_aircraft
 from tests.flight.test_signals import acted, come  # noqa: F401 - a fixture
 from tests.rig import NORTH, Rig, rig
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, blocking_until
 
 if TYPE_CHECKING:
     import endings
@@ -40,7 +42,14 @@ else:  # of the manual, which is not a package
     _SPEC.loader.exec_module(endings)
 
 Ending = endings.Ending
-KEEPING_THE_PROCESS = [one for one in Ending if one not in (Ending.HANG, Ending.KILL)]
+# How test_guardian.py ends a program that cannot act any more.
+BY_GUARDIAN = {
+    Ending.HANG: {"sleep", "gil"},
+    Ending.STOPPED: {"stopped"},
+    Ending.KILL: {"kill", "fork", "descriptors", "disk", "SIGKILL"},
+    Ending.CRASH: {"segv", "memory", "exit", "execv"},
+}
+KEEPING_THE_PROCESS = [one for one in Ending if one not in {*BY_GUARDIAN, Ending.UNGUARDED}]
 SIGNALS = {
     Ending.CTRL_C: [signal.SIGINT],
     Ending.CTRL_C_TWICE: [signal.SIGINT] * 2,
@@ -191,34 +200,34 @@ async def test_what_becomes_of_the_aircraft(
 # -- the process is gone, or as good as gone ------------------------------------------------------
 
 
+def test_every_ending_that_a_guardian_answers_for_is_flown() -> None:
+    flown = {*guarded_program.ENDS, *test_guardian.FROM_OUTSIDE}
+    assert set().union(*BY_GUARDIAN.values()) | {"SIGQUIT"} == flown
+    assert test_guardian.MODES == endings.MODES
+    for ending in BY_GUARDIAN:
+        assert endings.ENDINGS[ending] is endings.BY_GUARDIAN
+
+
 @pytest.mark.pty
-@pytest.mark.parametrize("ending", [Ending.HANG, Ending.KILL], ids=lambda one: one.name.lower())
 @pytest.mark.parametrize("mode", ["hover", "land"])
-def test_a_process_that_cannot_act_any_more(ending: endings.Ending, mode: str) -> None:
-    async def fly() -> None:
-        async with flight(stop=mode) as flown:
-            number = signal.SIGKILL if ending is Ending.KILL else signal.SIGSTOP
-            flown.process.send_signal(number)
-            await asyncio.sleep(0.3)
-            assert expected(ending, mode) is endings.SILENCE
-            assert flown.values[-1] == FLOWN
-            assert flown.virtual.vehicle.authority.device is Device.ONBOARD
-            await flown.assert_hovers()
-
-    asyncio.run(fly())
-
-
-@pytest.mark.pty
-@pytest.mark.parametrize("ending", [Ending.HANG, Ending.KILL], ids=lambda one: one.name.lower())
-def test_a_mission_whose_process_cannot_act_any_more(ending: endings.Ending) -> None:
-    assert expected(ending, "mission") is endings.FLIES_ON
-    with mission_flight() as (there, process):
-        process.send_signal(signal.SIGKILL if ending is Ending.KILL else signal.SIGSTOP)
-        time.sleep(0.3)
-        flown = there.missions.flown_m
-        orders = len(there.missions.orders)
-        time.sleep(1.0)
-        assert there.missions.flown_m > flown + 0.5
-        assert len(there.missions.orders) == orders, "nobody told it anything"
+def test_a_process_that_nobody_guards(mode: str) -> None:
+    with foreign_aircraft("3.1") as there, test_guardian.flown(there, mode, "unguarded") as process:
         process.kill()
         process.wait(timeout=PATIENCE)
+        time.sleep(1.0)
+        assert expected(Ending.UNGUARDED, mode) is endings.SILENCE
+        assert there.movements[-1].values[0] == 2.0
+        assert there.device == foreign.ONBOARD
+        assert there.tasks == []
+
+
+@pytest.mark.pty
+def test_a_mission_whose_process_nobody_guards() -> None:
+    assert expected(Ending.UNGUARDED, "mission") is endings.FLIES_ON
+    with foreign_aircraft("3.1") as there:
+        with test_guardian.flown(there, "mission", "unguarded") as process:
+            process.kill()
+            process.wait(timeout=PATIENCE)
+            flown, orders = there.missions.flown_m, len(there.missions.orders)
+            blocking_until(lambda: there.missions.flown_m > flown + 0.5)
+            assert len(there.missions.orders) == orders, "nobody told it anything"

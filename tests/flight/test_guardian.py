@@ -29,7 +29,7 @@ from m100link.flight import guardian as guardian_module
 from m100link.flight.guardian import patience_of
 from tests.flight import foreign_aircraft as foreign
 from tests.flight.foreign_aircraft import ForeignAircraft, ForeignMatrice, foreign_aircraft
-from tests.flight.guarded_program import ENDS
+from tests.flight.guarded_program import ENDS, guardian_of
 from tests.rig import NORTH
 from tests.waiting import PATIENCE, blocking_until
 
@@ -116,14 +116,6 @@ def flown(there: Foreign, mode: str, end: str) -> Iterator[subprocess.Popen[str]
             yield process
         finally:
             process.kill()
-
-
-def guardian_of(process: int) -> int:
-    """The process of that name among its children."""
-    for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
-        if Path(f"/proc/{child}/comm").read_text().strip() == "m100link-guard":
-            return int(child)
-    raise AssertionError("it has no guardian")
 
 
 def descriptors() -> int:

@@ -131,7 +131,10 @@ EXPECTED: dict[tuple[BlockState, BlockInput | StopCause], tuple[BlockState, str]
 }
 
 # They replace the cause of a stop path that runs.
-REPLACING = {(S.STOPPING, C.LINK_LOST), (S.STOPPING, C.GUARDIAN)}
+REPLACING: set[tuple[BlockState, BlockInput | StopCause]] = {
+    (S.STOPPING, C.LINK_LOST),
+    (S.STOPPING, C.GUARDIAN),
+}
 
 # How a block really comes to each state.
 WAY_TO: dict[BlockState, tuple[BlockInput | StopCause, ...]] = {

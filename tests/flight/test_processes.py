@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from m100link.sim import Driver, PtyPort, VirtualAircraft
 from m100link.sim.vehicle.mobile import Grant
 from tests.flight import foreign_aircraft as foreign
 from tests.flight.foreign_aircraft import ForeignAircraft, foreign_aircraft
+from tests.flight.guarded_program import guardian_of
 from tests.rig import FIRMWARES, NORTH, TimedMoves
 from tests.waiting import PATIENCE, until
 
@@ -169,14 +171,21 @@ async def test_sigterm_lands_first_where_the_program_wants_it_even_if_sent_twice
 
 
 @pytest.mark.smoke
-async def test_after_sigkill_nothing_is_sent_and_the_aircraft_hovers() -> None:
+async def test_after_sigkill_the_guardian_stops_it_and_gives_authority_back() -> None:
     async with flight() as flown:
         status = await flown.end(signal.SIGKILL)
         assert status == -signal.SIGKILL
-        # Nobody could send a neutral: the last frame is the last setpoint, and then silence.
-        assert flown.values[-1] == FLOWN
-        assert flown.virtual.vehicle.authority.device is Device.ONBOARD
+        await until(lambda: flown.virtual.vehicle.authority.device is Device.RC)
+        flown.assert_neutral_was_the_last_word()
         await flown.assert_hovers()
+
+
+async def test_after_sigkill_the_guardian_lands_where_the_program_wants_it() -> None:
+    async with flight(stop="land", firmware="3.1") as flown:
+        await flown.end(signal.SIGKILL)
+        await until(lambda: flown.virtual.height == 0.0)
+        await until(lambda: not flown.virtual.vehicle.flight.dynamics.motors_on)
+        flown.assert_neutral_was_the_last_word()
 
 
 # -- against an aircraft that shares no line with the library --------------------------------------
@@ -321,7 +330,9 @@ def test_a_signal_stops_the_mission_and_gives_the_foreign_aircraft_back(
         assert b"went on" not in process.stdout.read()
 
 
-def test_after_sigkill_the_mission_flies_on_and_the_next_program_finds_and_stops_it() -> None:
+def test_a_mission_that_nobody_stopped_is_found_and_stopped_by_the_next_program() -> None:
+    """The program is killed, and its guardian before it."""
+
     async def look_and_stop(port: str) -> None:
         async with m100link.connect(port) as aircraft:
             aircraft.use_key(m100link.Credentials(app_id=foreign.APP_ID, key=foreign.KEY))
@@ -333,6 +344,7 @@ def test_after_sigkill_the_mission_flies_on_and_the_next_program_finds_and_stops
                 await control.stop_mission()
 
     with mission_flight() as (there, process):
+        os.kill(guardian_of(process.pid), signal.SIGKILL)
         process.kill()
         process.wait(timeout=PATIENCE)
         flown = there.missions.flown_m
