@@ -1,4 +1,4 @@
-"""Some endings beside losses, drawn by seed; ten thousand are ``python -m tests.attacks.endings``."""
+"""Some endings beside losses, by seed; ten thousand are ``python -m tests.attacks.endings``."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class _CountedBus:
     def __init__(self, bus: ZenohBus) -> None:
         self._bus = bus
         self.serve, self.ask, self.declare = bus.serve, bus.ask, bus.declare
-        self.watch, self.tokens = bus.watch, bus.tokens
+        self.watch, self.tokens, self.session = bus.watch, bus.tokens, bus.session
         self.sent: Counter[str] = Counter()
         self.heard: Counter[str] = Counter()
 
