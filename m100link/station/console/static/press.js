@@ -79,7 +79,6 @@ function click(event) {
 
 function pointerDown(event) {
   if (event.isTrusted) settle();
-  else if (order(event.target)) refuse(event);
 }
 
 // A fragment names a place to look at and moves the focus there, whatever it is that stands there.
