@@ -68,7 +68,7 @@ export function start(key) {
   show(named()?.dataset.go || "fly");  // the station learns of it by kept()
   const comeBack = () => history.replaceState(null, "", `#${document.body.dataset.view}`);
   window.addEventListener("hashchange", () => (named() ? named().click() : comeBack()));
-  if (!named()) comeBack();
+  if (location.hash && !named()) comeBack();
   keepAboveKeyboard();
   keepBelowHeader(find("#header"));
   FlightMap.find(find("#map"), (map) => {
