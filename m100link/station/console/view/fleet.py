@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from m100link.protocol.records import Battery, Position
+from m100link.protocol.records import Battery, FlightPhase, FlightStatus, Position
 from m100link.station.console.view.inputs import Ship
 from m100link.station.console.view.units import Kind, Quantity
 from m100link.station.console.view.words import Text, say
@@ -70,7 +70,11 @@ def _control(ship: Ship) -> tuple[str, Text]:
         return "mine", ours[not ship.state.has_authority]
     if ship.holder.number:
         return "theirs", say("fleet.theirs", name=ship.holder.name)
-    return "free", say("fleet.free")
+    status = None
+    if ship.telemetry is not None:
+        status = ship.telemetry.fresh(FlightStatus, within=_FRESH)
+    stands = status is not None and status.status == FlightPhase.STANDBY
+    return "free", say("fleet.stands" if stands else "fleet.free")
 
 
 def _flies(ship: Ship, position: Position | None) -> Text:

@@ -57,6 +57,11 @@ def test_who_has_it_is_said_in_words_and_by_a_kind(ship: Ship, kind: str, said: 
     assert (row.is_shown, other.is_shown) == (True, False)
 
 
+async def test_nobody_flies_what_stands_on_the_ground(telemetry: AircraftState) -> None:
+    row, _ = fleet_of([replace(BASE, telemetry=telemetry), OTHER])
+    assert (row.kind, Speaker()(row.control)) == ("free", "nobody has it")
+
+
 async def test_values_are_shown_while_they_are_new(telemetry: AircraftState) -> None:
     ship = replace(BASE, telemetry=telemetry)
     flying = replace(ship, state=replace(CONNECTED, mission="waypoint"))

@@ -10,6 +10,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "fleet.ours_pilot_has_it": ("obeys the pilot", "gehorcht dem Piloten"),
     "fleet.theirs": ("{name} has it", "bei {name}"),
     "fleet.free": ("the pilot flies", "der Pilot fliegt"),
+    "fleet.stands": ("nobody has it", "bei niemandem"),
     "fleet.unknown": ("–", "–"),
     "fleet.percent": ("{percent} %", "{percent} %"),
     "fleet.height": ("{height}", "{height}"),
