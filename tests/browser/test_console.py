@@ -127,6 +127,31 @@ async def test_buttons_stay_where_the_finger_is_or_say_that_they_moved(console: 
     await take_off(page, console)
 
 
+async def test_the_pad_shows_what_is_flown_and_not_what_is_sent(console: Console) -> None:
+    page = await console.open()
+    green = "() => document.querySelector('#pad').dataset.fate === 'flown'"
+    await page.click("#pad")
+    await page.keyboard.down("w")
+    await shows(page, "#did", "not flown: you have no control · W")
+    assert not await page.evaluate(green)
+    await page.keyboard.up("w")
+    await in_control(page)
+    await page.click("#pad")
+    await page.keyboard.down("w")
+    await shows(page, "#did", "not flown: it stands on the ground · W")
+    assert not await page.evaluate(green)
+    await page.keyboard.up("w")
+    await look_around(page)
+    await take_off(page, console)
+    await page.wait_for_selector("[data-act=land]:not([disabled])")
+    await page.click("#pad")
+    await hold_key(page, "w", lambda: not is_still(console))
+    await shows(page, "#did", "flown · W: forward")
+    assert await page.evaluate(green)
+    await page.keyboard.up("w")
+    await shows(page, "#did", "let go")
+
+
 async def test_closing_the_tab_in_flight_stops_and_frees_control(console: Console) -> None:
     page = await airborne(console)
     await page.click("#pad")

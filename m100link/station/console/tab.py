@@ -34,6 +34,7 @@ from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.station.config import ONLY_NAME
+from m100link.station.console.fate import Press
 from m100link.station.console.kept import KeptLeases
 
 __all__ = ["BEAT_LIFETIME", "Tab"]
@@ -91,6 +92,7 @@ class Tab:
         self.loss: LossReason | None = None
         self._last_number = -1
         self._way = WayTime()
+        self._press = Press()
         self._complained_at = -math.inf
         self._is_closed = False
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
@@ -293,11 +295,14 @@ class Tab:
                 self._steer(self.lease, message, late, held)
             else:
                 if message["op"] == "rest":
+                    self._press = Press()
                     self._has_to_let_go, self._late_since = "", None
                     self._agent.halt(lease=self.lease)
                 self._agent.keep(self.lease)
         elif message["op"] == "beat":
             self._beat_at = message["at"] / 1000.0
+        if message["op"] == "beat":
+            answer["fate"] = self._press.fate(self._agent, now, has_lease=self.has_lease)
         return answer | {"told": now}
 
     def _stop_now(self, press: object) -> None:
@@ -399,6 +404,7 @@ class Tab:
             self._steer_refused(lease.number, error)
         else:
             self.beats += 1
+            self._press.passed(self._agent.now)
             self._agent.steer(lease, setpoint, BEAT_LIFETIME)
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
@@ -407,6 +413,7 @@ class Tab:
         self.refused += 1
         self.refusal = error
         now = self._agent.now
+        self._press.refused(error, now)
         if now - self._complained_at >= _COMPLAINT_PAUSE:
             self._complained_at = now
             self._agent.note(f"{self.name}: {error.seen}", "warning")

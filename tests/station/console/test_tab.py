@@ -203,7 +203,8 @@ async def test_a_tab_without_the_lease_moves_nothing(rig: Rig) -> None:
     await airborne(rig)
     other = Browser(rig, "other")
     now = rig.agent.now
-    assert other.beat(x=-4) == {"op": "echo", "at": 1000 * now, "told": now}
+    told = {"op": "echo", "at": 1000 * now, "fate": "no_control", "told": now}
+    assert other.beat(x=-4) == told
     with pytest.raises(LeaseHeld):
         await other.tab.obtain()
     with pytest.raises(LeaseRefused):

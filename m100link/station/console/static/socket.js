@@ -23,6 +23,7 @@ export class Socket {
   forget() {
     this.told = null;  // the station's time that was heard last, and when
     this.live = null;
+    this.fate = null;  // what became of what is held: of the beat of when, and when that was heard
     this.clock = null;  // the station's, as it was told last by any message
     this.best = Infinity;  // of the differences between our clock and the station's, the smallest
   }
@@ -39,6 +40,7 @@ export class Socket {
         this.told = {told: message.told, at: performance.now()};
         this.roundTrip(performance.now() - message.at);
         if (message.press !== undefined) answered(message.press);
+        if (message.fate !== undefined) this.fate = {fate: message.fate, of: message.at, at: this.heardAt};
       } else if (message.op === "live") {  // of the others only the arrival counts
         // The clocks may drift by a ten-thousandth.
         this.best = Math.min(this.best + 5e-6, performance.now() / 1000 - message.t);

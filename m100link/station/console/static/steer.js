@@ -8,6 +8,7 @@ import {isSettled} from "./press.js";
 import {number, onChoose, speed, words} from "./said.js";
 
 const BEAT_MS = 50;
+const TOLD_MS = 500;  // what the station said of an earlier beat counts for so long
 const STOOD_STILL_MS = 1000;  // a page that slept so long does not know what is held
 
 const KEYS = {
@@ -185,10 +186,11 @@ export class Steering {
     this.tickedAt = now;
     if (gap > STOOD_STILL_MS) this.letGo();
     const axes = this.demand();
-    this.pad.classList.toggle("steering", axes !== null);
+    if (axes !== null && !this.wasActive) this.beganAt = now;
     if (axes === null) {
       if (this.wasActive) { this.socket.send({op: "rest"}); this.say(words("let_go")); }
       this.wasActive = false;
+      this.pad.dataset.fate = "";
       if (!this.hasFocus) this.letGo();
       return;
     }
@@ -226,7 +228,16 @@ export class Steering {
     if (turn) parts.push(words(turn > 0 ? "turn_right" : "turn_left", {rate: number(Math.abs(turn), 0)}));
     if (climb) parts.push(words(climb > 0 ? "climb" : "sink", {speed: speed(Math.abs(climb))}));
     const keys = [...this.held].map((code) => code.slice(3)).join(" ");
-    this.say(`${keys ? `${keys}: ` : ""}${parts.join(" ") || words("at_rest")}`);
+    const what = `${keys ? `${keys}: ` : ""}${parts.join(" ") || words("at_rest")}`;
+    const fate = this.pad.dataset.fate = this.fate();
+    this.say(words(`fate_${fate}`, {what}));
+  }
+
+  // What the station says of this press: until it does, and where it does no more, it was only sent.
+  fate() {
+    const told = this.socket.fate;
+    if (!told || told.of < this.beganAt || performance.now() - told.at > TOLD_MS) return "sent";
+    return told.fate;
   }
 
   say(text) {

@@ -4,6 +4,25 @@ __all__ = ["WORDS"]
 
 WORDS: dict[str, tuple[str, str]] = {
     "browser.let_go": ("let go: it hovers", "losgelassen: schwebt"),
+    "browser.fate_sent": ("sent · {what}", "gesendet · {what}"),
+    "browser.fate_flown": ("flown · {what}", "geflogen · {what}"),
+    "browser.fate_no_control": (
+        "not flown: you have no control · {what}",
+        "nicht geflogen: keine Steuerung · {what}",
+    ),
+    "browser.fate_on_ground": (
+        "not flown: it stands on the ground · {what}",
+        "nicht geflogen: es steht am Boden · {what}",
+    ),
+    "browser.fate_slow": (
+        "not flown: the way is too slow · {what}",
+        "nicht geflogen: der Weg ist zu langsam · {what}",
+    ),
+    "browser.fate_let_go_first": (
+        "not flown: let go, then press again · {what}",
+        "nicht geflogen: loslassen, dann neu drücken · {what}",
+    ),
+    "browser.fate_refused": ("not flown · {what}", "nicht geflogen · {what}"),
     "browser.at_rest": ("held, at rest", "gehalten, in Ruhe"),
     "browser.north": ("north", "nach Norden"),
     "browser.south": ("south", "nach Süden"),
