@@ -31,6 +31,9 @@ DROP_ABOVE = 256 * 1024
 CLOSE_ABOVE = 4 * 1024 * 1024
 """Bytes that wait to be written above which the other end counts as gone."""
 
+AT_ONCE = 64
+"""Messages that are taken before others have their turn of the loop."""
+
 _LENGTH = struct.Struct("<I")
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: process, user, group
 
@@ -47,6 +50,7 @@ class UnixChannel(asyncio.BufferedProtocol):
 
     def __init__(self, on_connected: Callable[[UnixChannel], None] | None = None) -> None:
         self._on_connected = on_connected
+        self._loop = asyncio.get_running_loop()
         self._transport: asyncio.Transport | None = None
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None
@@ -75,23 +79,41 @@ class UnixChannel(asyncio.BufferedProtocol):
         return self._space[self._filled :]
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Bytes came in: hand on the messages that are whole, keep the rest."""
+        """Bytes came in: hand on some of the messages that are whole, keep the rest."""
         self._filled += nbytes
+        self._hand_on()
+
+    def _hand_on(self) -> None:
         begin = 0
-        while self._filled - begin >= _LENGTH.size and self._transport is not None:
-            (size,) = _LENGTH.unpack_from(self._received, begin)
-            if size > MAX_SIZE:
-                self._refuse(f"a message of {size} bytes")
-                return
-            end = begin + _LENGTH.size + size
-            if self._filled < end:
+        for _ in range(AT_ONCE):
+            end = self._end_of_message(begin)
+            if end is None:
                 break
             body = bytes(self._space[begin + _LENGTH.size : end])
             begin = end
             self._take(body)
-        if begin:
-            self._space[: self._filled - begin] = self._space[begin : self._filled]
-            self._filled -= begin
+        self._space[: self._filled - begin] = self._space[begin : self._filled]
+        self._filled -= begin
+        if self._end_of_message(0) is not None and self._transport is not None:
+            # The other end may be attacked, or mad: what flies has its turn before the rest.
+            self._transport.pause_reading()
+            self._loop.call_soon(self._go_on)
+
+    def _go_on(self) -> None:
+        if self._transport is not None:
+            self._transport.resume_reading()
+            self._hand_on()
+
+    def _end_of_message(self, begin: int) -> int | None:
+        """Where the message that begins there ends; None while it is not whole, or never will."""
+        if self._filled - begin < _LENGTH.size or self._transport is None:
+            return None
+        (size,) = _LENGTH.unpack_from(self._received, begin)
+        if size > MAX_SIZE:
+            self._refuse(f"a message of {size} bytes")
+            return None
+        end = int(begin + _LENGTH.size + size)
+        return end if self._filled >= end else None
 
     def _take(self, body: bytes) -> None:
         try:

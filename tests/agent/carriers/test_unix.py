@@ -8,11 +8,13 @@ import stat
 import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from m100link.agent.carriers.unix import (
+    AT_ONCE,
     CLOSE_ABOVE,
     DROP_ABOVE,
     UnixChannel,
@@ -164,3 +166,29 @@ async def test_a_mistake_with_one_message_does_not_end_the_reader(
         await until(lambda: len(taken) == 2)
         assert "a Note was not taken" in caplog.text
         front.channel.close()
+
+
+async def test_a_flood_is_taken_by_turns_and_whole() -> None:
+    """An agent flies at 50 Hz beside a front that sends whatever fits its socket."""
+    count = 4000
+    lengths: list[int] = []
+    loop = asyncio.get_running_loop()
+
+    def turns() -> None:
+        lengths.append(len(end.inbox))
+        if len(end.inbox) < count:
+            loop.call_soon(turns)
+
+    async with served() as (path, end):
+        _, writer = await asyncio.open_unix_connection(path)
+        body = [encode(Note("info", str(number))) for number in range(count)]
+        writer.write(b"".join(struct.pack("<I", len(one)) + one for one in body))
+        loop.call_soon(turns)
+        await until(lambda: len(end.inbox) == count)
+        writer.close()
+    taken = [later - earlier for earlier, later in pairwise([*lengths, count])]
+    # A reader that goes on and one that was woken may come in one turn.
+    assert max(taken) <= 2 * AT_ONCE
+    assert [one.text for one in end.inbox if isinstance(one, Note)] == [
+        str(number) for number in range(count)
+    ]
