@@ -17,7 +17,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import WebSocketException
 
 from m100link.station.run import Running
-from tests.attacks import gaps
+from tests.attacks import gaps, stops
 from tests.attacks.gaps import measure, table
 from tests.attacks.losses import LOSSES, lose_at_random
 from tests.station.web.test_server import (
@@ -173,3 +173,21 @@ async def test_whoever_is_lost_costs_a_hover_and_the_next_flies_on() -> None:
     """One of each; ``python -m tests.attacks.losses`` has as many as are wanted."""
     found = await lose_at_random(LOSSES, times=1, seed=1)
     assert [name for name, _ in found] == [f"{which} {how.name}" for which, how in LOSSES]
+
+
+@pytest.mark.pty
+async def test_sixteen_who_send_whatever_is_dear_hold_up_neither_stop_nor_keys() -> None:
+    """A slice; ``python -m tests.attacks.stops --seconds 60`` has as much as is wanted.
+
+    Judged is what the station did: others' time on the processor does not count.
+    """
+    pytest.importorskip("nicegui")
+    attacked, alone = await stops.measure(seconds=6.0, seed=1)
+    print(stops.told("attacked", attacked))  # noqa: T201
+    print(stops.told("left alone", alone))  # noqa: T201
+    for seen in (attacked, alone):
+        assert seen.keys.is_in_control
+        assert seen.times
+        assert max(seen.own) < 0.3
+        assert max(seen.keys.own) < 0.1
+        assert max(seen.keys.unflown) < 0.1
