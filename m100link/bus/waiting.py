@@ -11,6 +11,7 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from time import perf_counter
 from typing import Any, TypeVar
 
 from m100link.bus.network import Held, Inbox, Outlet
@@ -23,6 +24,9 @@ T = TypeVar("T")
 
 AT_ONCE = 256
 """What is taken from one queue before others have their turn."""
+
+TURN = 0.005
+"""Seconds after which they have it in any case: a payload may be dear to read."""
 
 _SENT_AT_ONCE = 256
 """Of many more, zenoh's queue would be full while others use the processor, and drop the rest."""
@@ -52,6 +56,7 @@ class Queue:
 
     def _empty(self) -> None:
         self._is_due = False
+        until = perf_counter() + TURN
         for _ in range(AT_ONCE):
             if not self._waiting:
                 return
@@ -60,6 +65,8 @@ class Queue:
             except Exception:
                 # What one message leads to does not happen to the next one.
                 _logger.exception("a message was not taken")
+            if perf_counter() >= until:
+                break
         if not self._is_due:
             self._is_due = True
             self._loop.call_soon(self._empty)
@@ -174,20 +181,26 @@ class Looks(Held):
         self._declared, self._within = declared, within
         self._ring: Inbox[Any] = ring
         self._take: Callable[[Any], None] = take
+        self._found: deque[Any] = deque()  # taken from the ring, and not handed on yet
         self._is_open = True
         self._timer = self._loop.call_later(within, self._look)
 
     def _look(self) -> None:
-        found = self._ring.take()
-        for one in found:
+        until = perf_counter() + TURN
+        if not self._found:
+            self._found.extend(self._ring.take())
+        is_full = len(self._found) >= AT_ONCE
+        while self._found and self._is_open:
             try:
-                self._take(one)
+                self._take(self._found.popleft())
             except Exception:
                 # What one message leads to does not happen to the next one.
                 _logger.exception("a message was not taken")
+            if perf_counter() >= until:
+                break
         if self._is_open:
             # Of a ring that was full there is more: others have their turn, and then that.
-            pause = 0.0 if len(found) >= AT_ONCE else self._within
+            pause = 0.0 if is_full or self._found else self._within
             self._timer = self._loop.call_later(pause, self._look)
 
     def close(self) -> None:

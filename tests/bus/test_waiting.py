@@ -10,8 +10,9 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.bus.network import Outlet
-from m100link.bus.waiting import AT_ONCE, Bundle, Looks, Patient, Queue, Ring
+from m100link.bus import waiting
+from m100link.bus.network import Inbox, Outlet
+from m100link.bus.waiting import AT_ONCE, TURN, Bundle, Looks, Patient, Queue, Ring
 from m100link.sim.clock import virtual_clock_loop
 
 pytestmark = pytest.mark.anyio
@@ -146,3 +147,37 @@ async def test_of_too_much_in_a_queue_the_oldest_is_lost() -> None:
         queue.put(number)
     await anyio.sleep(0.1)
     assert found == [0, 1, 2, 5, 6, 7, 8, 9]
+
+
+@pytest.mark.parametrize("cost", [0.004, 0.006, 1.0])
+async def test_what_is_dear_to_read_leaves_turns_to_others(
+    monkeypatch: pytest.MonkeyPatch, cost: float
+) -> None:
+    """The clock is the processor's: on virtual time nothing takes any."""
+    clock = 0.0
+    taken: list[int] = []
+    loop = asyncio.get_running_loop()
+
+    def take(one: int) -> None:
+        nonlocal clock
+        clock += cost
+        taken.append(one)
+
+    class Full(Inbox[int]):
+        found: tuple[int, ...] = tuple(range(100))
+
+        def take(self) -> list[int]:
+            found, self.found = self.found, ()
+            return list(found)
+
+    monkeypatch.setattr(waiting, "perf_counter", lambda: clock)
+    queue = Queue(loop, take, 1000)
+    for number in range(100):
+        queue.put(number)
+    looks = Looks(Sink(), Full(), take, 0.0)
+    while len(taken) < 200:
+        began = clock
+        await asyncio.sleep(0)
+        assert clock - began <= 2 * (TURN + cost)  # one turn of each of the two
+    assert sorted(taken) == sorted([*range(100), *range(100)])
+    looks.close()
