@@ -90,6 +90,7 @@ class CtlServer:
             while line := await reader.readline():
                 writer.write(json.dumps(self.answer(line)).encode() + b"\n")
                 await writer.drain()
+                await asyncio.sleep(0)  # lines may wait in a row: what flies has its turn
         except (ValueError, ConnectionError):
             pass  # a line beyond the limit, or the other side is gone: nobody to tell
         finally:
