@@ -189,6 +189,8 @@ class Commands:
     def take_off(self, asked: Asked, now: float) -> Result:
         """NAV_TAKEOFF: to an altitude above sea level, or to the height of the parameter."""
         altitude = math.nan if asked.z == 0.0 else asked.z
+        if asked.frame not in (*_SEA_LEVEL, *_RELATIVE) and math.isfinite(altitude):
+            raise UsageError(f"take-off: an altitude in frame {asked.frame} cannot be flown to")
         if asked.frame in _RELATIVE and math.isfinite(altitude):
             altitude += self._ground()
         order = TakeOff(self._take_off_height(altitude))
@@ -341,6 +343,8 @@ class Commands:
     def _is_place(self, asked: Asked) -> bool:
         if math.isnan(asked.x) or math.isnan(asked.y):
             return False
+        if asked.frame not in (*_SEA_LEVEL, *_RELATIVE):  # elsewhere they are metres
+            raise UsageError(f"a place in frame {asked.frame} cannot be flown to")
         if not (abs(asked.x) <= 89.0 and abs(asked.y) <= 180.0) or (asked.x, asked.y) == (0, 0):
             raise UsageError(f"there is no place {asked.x:.6f} {asked.y:.6f}")
         return True

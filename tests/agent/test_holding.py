@@ -197,3 +197,29 @@ async def test_a_lost_link_ends_the_wish(rig: Rig) -> None:
     with pytest.raises(LinkError):
         await rig.agent.obtain(rig.token)
     assert rig.states.count(S.OBTAINING) == 1
+
+
+async def test_who_waits_for_control_no_more_takes_it_from_nobody(rig: Rig) -> None:
+    """Two clients wait for one request, and one of them is cancelled."""
+    done: list[str] = []
+
+    async def obtain(name: str) -> None:
+        await rig.agent.obtain(rig.token)
+        done.append(name)
+
+    gone = anyio.CancelScope()
+
+    async def cancelled() -> None:
+        with gone:
+            await obtain("the one that is gone")
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(obtain, "the one that stays")
+        group.start_soon(cancelled)
+        await rig.until(lambda: rig.holding.state is S.OBTAINING)
+        await anyio.lowlevel.checkpoint()
+        assert not done
+        gone.cancel()
+    assert done == ["the one that stays"]
+    assert rig.holding.has_authority
+    assert rig.states == [S.OBTAINING, S.HELD]

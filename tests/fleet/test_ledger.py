@@ -352,3 +352,36 @@ async def test_one_of_an_older_version_is_read_and_sealed(tmp_path: Path) -> Non
         assert ledger.leases_before >= 3000
         assert ledger.aloft == LeftAloft(17, 1.0)
         ledger.close()
+
+
+@pytest.fixture
+def synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """What the files held each time that the disk was waited for."""
+    found: list[bytes] = []
+    wait = os.fsync
+
+    def fsync(handle: int) -> None:
+        wait(handle)
+        for path in filter(Path.is_file, tmp_path.rglob("*")):
+            if os.path.samestat(path.stat(), os.fstat(handle)):
+                found.append(path.read_bytes())
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    return found
+
+
+async def test_a_word_is_on_the_disk_before_anything_is_done(
+    tmp_path: Path, synced: list[bytes]
+) -> None:
+    """Not only with the kernel: the computer on board loses its power in a crash."""
+    ledger = opened(tmp_path / "a1.jsonl", 1000.0, "boot", 50.0)
+    synced.clear()
+    await ledger.begin("an order")
+    assert [b"an order" in one for one in synced] == [True]
+    synced.clear()
+    await ledger.granted(ledger.leases_before + FENCES_AT_ONCE + 1)
+    assert synced, "numbers of leases are reserved on the disk as well"
+    ledger.close()
+    again = opened(tmp_path / "a1.jsonl", 1000.0, "boot", 51.0)
+    assert again.begun == {"an order": 50.0}
+    again.close()

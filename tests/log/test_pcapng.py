@@ -6,6 +6,8 @@ import io
 import random
 import struct
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -82,3 +84,34 @@ async def test_the_packets_are_the_bytes_of_the_line(tmp_path: Path) -> None:
     assert len(plain) > 100
     decoded = [FrameDecoder().feed(data)[0] for data in plain]
     assert {frame.data[:2] for frame in decoded} >= {b"\x01\x03", b"\x01\x01"}
+
+
+def test_the_unit_of_time_is_the_one_that_the_interface_says() -> None:
+    """By the format: option 9, one byte: of a number n without its high bit 10 to the minus n s.
+
+    Without it a reader takes microseconds, and a flight for one of a thousandth of its time.
+    """
+    stream, at = io.BytesIO(), 1_800_000_000.123456
+    flight = SimpleNamespace(
+        firmware=None,
+        chunks=lambda: iter([SimpleNamespace(utc=at, data=FRAMES[0], direction=Direction.SENT)]),
+    )
+    write_pcapng(cast(Any, flight), stream)
+    data, at_byte, units, found = stream.getvalue(), 0, [], []
+    while at_byte < len(data):
+        kind, size = struct.unpack_from("<II", data, at_byte)
+        if kind == 1:
+            options = at_byte + 16
+            while struct.unpack_from("<H", data, options)[0]:
+                code, length = struct.unpack_from("<HH", data, options)
+                if code == 9:
+                    assert length == 1
+                    units.append(data[options + 4])
+                options += 4 + length + -length % 4
+        if kind == 6:
+            _, high, low = struct.unpack_from("<3I", data, at_byte + 8)
+            found.append((high << 32) + low)
+        at_byte += size
+    [unit], [time] = units, found
+    assert unit < 0x80
+    assert time / 10**unit == pytest.approx(at, abs=1e-6)

@@ -7,6 +7,7 @@ import errno
 import itertools
 import json
 import logging
+import os
 import subprocess
 import sys
 import threading
@@ -373,3 +374,20 @@ def test_a_log_is_ours_also_when_somebody_looks_at_it_as_it_begins(
     monkeypatch.undo()
     assert recorder.is_being_written(one.path)
     one._end()
+
+
+async def test_a_log_is_on_the_disk_as_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not only with the kernel: whoever cuts the power after a flight has all of it."""
+    path, found, wait = tmp_path / "flight.mcap", [], os.fsync
+
+    def fsync(handle: int) -> None:
+        wait(handle)
+        if os.path.samestat(path.stat(), os.fstat(handle)):
+            found.append(path.read_bytes())
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    await fly(path)
+    assert found
+    assert found[-1] == path.read_bytes()
