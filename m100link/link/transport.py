@@ -14,6 +14,7 @@ import functools
 import logging
 import os
 import socket
+import time
 from collections.abc import Awaitable, Callable
 from weakref import WeakValueDictionary
 
@@ -47,6 +48,9 @@ hour, which it would take all at once when it goes on."""
 
 _HOST_GONE_MS = 10_000
 """Without a sign of a host that was sent something, or that takes nothing: the line is lost."""
+
+_LOOK_S = 1.0
+"""Seconds in which the owners of a port are looked for: others are left unnamed."""
 
 _CAN_WATCH_PORTS = os.name == "posix"
 
@@ -135,7 +139,8 @@ async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) ->
         # Opening can take a second on some adapters: not on the event loop.
         port = await _kept_or_closed(loop.run_in_executor(None, open_port))
     except (serial.SerialException, OSError, ValueError) as error:
-        raise _translate(device, address, error) from error
+        # It looks at every process of the machine, while another task of this program may fly.
+        raise await asyncio.to_thread(_translate, device, address, error) from error
     if not _CAN_WATCH_PORTS:
         polled = _PolledTransport(loop, protocol, port)
         polled.set_write_buffer_limits(high=HIGH_WATER)
@@ -255,12 +260,18 @@ def _errno_of(error: BaseException) -> int | None:
 
 
 def port_owners(device: str) -> tuple[tuple[int, str], ...]:
-    """Processes that hold a device open, as ``(pid, name)``, where the system tells."""
+    """Processes that hold a device open, as ``(pid, name)``, where the system tells.
+
+    Looks for a second at the most, and so never from an event loop.
+    """
     from pathlib import Path
 
     wanted = os.path.realpath(device)
     owners = []
+    until = time.monotonic() + _LOOK_S
     for process in sorted(Path("/proc").glob("[0-9]*")):
+        if time.monotonic() > until:
+            break
         try:
             held = any(os.path.realpath(fd) == wanted for fd in (process / "fd").iterdir())
             if held:

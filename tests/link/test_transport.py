@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import errno
 import importlib.metadata
+import os
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from m100link.errors import (
     PortPermissionDenied,
 )
 from m100link.link import Link, connect_in_memory, open_link, opening, transport
+from m100link.link.transport import port_owners
 from m100link.link.url import ConnectionString, parse_url
 from tests.link.peer import Peer, settle
 from tests.waiting import PATIENCE
@@ -105,6 +108,34 @@ async def test_a_port_in_use_names_its_owner_where_the_system_tells(
     with pytest.raises(PortBusy, match=words) as caught:
         await open_link("/dev/ttyUSB0")
     assert caught.value.owners == owners
+
+
+async def test_the_owners_of_a_port_are_looked_for_beside_the_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In it they took up to 3.7 s, and ended the flight of another task as TelemetryStalled."""
+    looked: list[int] = []
+
+    def owners(_: str) -> tuple[tuple[int, str], ...]:
+        looked.append(threading.get_ident())
+        return ()
+
+    _refusing(monkeypatch, serial.SerialException(errno.EBUSY, "locked"))
+    monkeypatch.setattr(transport, "port_owners", owners)
+    with pytest.raises(PortBusy):
+        await open_link("/dev/ttyUSB0")
+    assert looked
+    assert threading.get_ident() not in looked
+
+
+def test_the_owners_of_a_port_are_looked_for_no_longer_than_a_second(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    held = tmp_path / "held"
+    with held.open("w"):
+        assert (os.getpid(), Path("/proc/self/comm").read_text().strip()) in port_owners(str(held))
+        monkeypatch.setattr(transport, "_LOOK_S", -1.0)
+        assert port_owners(str(held)) == ()
 
 
 async def test_a_tilde_is_the_home_of_the_user(
