@@ -24,7 +24,7 @@ from m100link.flight.missions.deck import Deck
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.missions.missions import Missions
 from m100link.flight.motors import Motors
-from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
+from m100link.flight.pacing import MAX_RATE_HZ, Pace, Tick, Ticker, period_of
 from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold
 from m100link.flight.steering import Steering
 from m100link.flight.stop_path import StopAction
@@ -238,6 +238,11 @@ class Control:
     def setpoints_expired(self) -> int:
         """Setpoints that the program did not renew in time."""
         return self._setpoints.expired
+
+    @property
+    def pace(self) -> Pace:
+        """Whether setpoints go out at the rate that is asked for: ``missed``, ``rate_hz``."""
+        return self._setpoints.pace
 
     def send(
         self,

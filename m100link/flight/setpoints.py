@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from m100link.errors import UsageError
 from m100link.flight.cancellation import new_task
-from m100link.flight.pacing import INSTANT, MAX_RATE_HZ, Alarm
+from m100link.flight.pacing import INSTANT, KEPT, MAX_RATE_HZ, Alarm, Pace
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = ["NEUTRAL_TIME", "SETPOINT_LIFETIME", "Hold", "SetpointLoop", "check_lifetime"]
@@ -81,8 +81,10 @@ class SetpointLoop:
             checked by whoever set it.
         on_failure: Called with what ended the task; the next setpoint begins another.
         loop: Where the task runs.
+        on_missed: Called with how many frames did not go out in their time.
 
     Attributes:
+        pace: Whether the rate is kept.
         sent: Frames sent, neutrals included.
         expired: Setpoints that were not renewed in time.
     """
@@ -93,8 +95,10 @@ class SetpointLoop:
         admits: Callable[[Setpoint], bool],
         on_failure: Callable[[Exception], None],
         loop: asyncio.AbstractEventLoop,
+        on_missed: Callable[[int], None] = lambda _: None,
     ) -> None:
         self._send = send
+        self.pace = Pace(on_missed, self._on_slow)
         self._admits = admits
         self._on_failure = on_failure
         self._loop = loop
@@ -162,6 +166,7 @@ class SetpointLoop:
     def silence(self) -> None:
         """Send nothing more until the next setpoint."""
         self._setpoint = self._frame = self._owed = None
+        self.pace.silence()
 
     def pay(self) -> None:
         """Send the neutral that was asked for, if it never went out."""
@@ -208,7 +213,22 @@ class SetpointLoop:
         finally:
             if not is_sent:
                 self._frame, self._owed = before
-        self.sent += is_sent
+        if is_sent:
+            self.sent += 1
+            self.pace.sent(now, self._period)
+
+    def _on_slow(self) -> None:
+        # The frame is out; told behind whatever else is due, which must not be late for that.
+        if not self._loop.is_closed():
+            self._loop.call_soon(self._tell_slow)
+
+    def _tell_slow(self) -> None:
+        _logger.warning(
+            "setpoints go out at %.0f Hz, less than %.0f %% of what is asked for: this computer or "
+            "its program does not keep up",
+            self.pace.rate_hz,
+            100 * KEPT,
+        )
 
     async def _run(self) -> None:
         """Repeat, and never end in silence: whoever flies by this has to hear of it."""
@@ -267,3 +287,4 @@ class SetpointLoop:
                 self._silent_at = now + NEUTRAL_TIME
         elif now >= self._silent_at:
             self._setpoint = self._frame = None  # what is owed stays so
+            self.pace.silence()

@@ -56,7 +56,11 @@ class Steering:
         self._blocked: tuple[float, float] | None = None
         self._mode: object = None  # of the newest frame
         self.setpoints = SetpointLoop(
-            self._transmit, self._admits, self._on_send_failed, commander.link.loop
+            self._transmit,
+            self._admits,
+            self._on_send_failed,
+            commander.link.loop,
+            on_missed=commander.link.missed,
         )
 
     def steer(

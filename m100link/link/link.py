@@ -66,6 +66,7 @@ class Link(asyncio.Protocol):
         *("_is_failure_told", "_is_writable", "_level_at", "_loop", "_pending", "_round_trips"),
         *("_timers", "_transport", "gate", "last_received_at", "name", "on_lost", "on_received"),
     )
+    _missed_setpoints = 0
     is_recorded = False  # a replay, whose aircraft cannot be asked for anything
 
     def __init__(
@@ -147,7 +148,12 @@ class Link(asyncio.Protocol):
     def statistics(self) -> LinkStatistics:
         """The counters as they are now."""
         written = self._bytes_sent, self._frames_sent, self._dropped_writes
-        return counted(self._endpoint, *written, self._round_trips.counted())
+        trips = self._round_trips.counted()
+        return counted(self._endpoint, *written, trips, self._missed_setpoints)
+
+    def missed(self, setpoints: int) -> None:
+        """Count setpoints that did not go out in their time."""
+        self._missed_setpoints += setpoints
 
     @property
     def is_asking(self) -> bool:

@@ -86,6 +86,7 @@ class LinkStatistics:
         repeats: Transmissions beyond the first of a request.
         expired: Requests that ran out of tries.
         round_trips: How long answered requests took.
+        missed_setpoints: Setpoints that did not go out in their time: the program did not keep up.
     """
 
     bytes_received: int
@@ -102,10 +103,16 @@ class LinkStatistics:
     repeats: int
     expired: int
     round_trips: RoundTrips
+    missed_setpoints: int = 0
 
 
 def counted(
-    endpoint: Endpoint, bytes_sent: int, frames_sent: int, dropped: int, round_trips: RoundTrips
+    endpoint: Endpoint,
+    bytes_sent: int,
+    frames_sent: int,
+    dropped: int,
+    round_trips: RoundTrips,
+    missed_setpoints: int = 0,
 ) -> LinkStatistics:
     """The counters of a link as they are now."""
     decoder, sessions = endpoint.decoder, endpoint.statistics
@@ -124,4 +131,5 @@ def counted(
         repeats=sessions.transmissions - sessions.requests,
         expired=sessions.expired,
         round_trips=round_trips,
+        missed_setpoints=missed_setpoints,
     )

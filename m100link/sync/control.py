@@ -17,7 +17,7 @@ from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.follow import Target
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart
 from m100link.flight.missions.waypoint import UploadListener
-from m100link.flight.pacing import MAX_RATE_HZ, Tick
+from m100link.flight.pacing import MAX_RATE_HZ, Pace, Tick
 from m100link.flight.setpoints import SETPOINT_LIFETIME
 from m100link.flight.tasks import TaskListener
 from m100link.geodesy import LocalFrame
@@ -162,6 +162,11 @@ class Control:
     def setpoints_expired(self) -> int:
         """Setpoints that the program did not renew in time."""
         return self._control.setpoints_expired
+
+    @property
+    def pace(self) -> Pace:
+        """Whether setpoints go out at the rate that is asked for: ``missed``, ``rate_hz``."""
+        return self._control.pace
 
     def send(
         self,

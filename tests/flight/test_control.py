@@ -70,6 +70,24 @@ async def test_one_send_is_repeated_for_its_lifetime_then_neutral_then_silence(
     await flown.assert_hovers()
 
 
+async def test_setpoints_that_a_slow_computer_misses_are_counted(
+    flying: tuple[Rig, Control], caplog: pytest.LogCaptureFixture
+) -> None:
+    """By whatever sends them: here a hold, which has no ticks of its own."""
+    flown, control = flying
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualClockEventLoop)
+    async with control.hold(NORTH, lifetime=5.0, allow_long_lifetime=True):
+        for _ in range(50):
+            await asyncio.sleep(1e-4)
+            loop._jumping.now += 0.045
+        assert control.pace.missed >= 40
+        assert control.pace.rate_hz == pytest.approx(22.0, abs=2.0)
+        assert flown.aircraft.statistics().missed_setpoints == control.pace.missed
+    told = [record.message for record in caplog.records if "setpoints go out at" in record.message]
+    assert len(told) == 1
+
+
 async def test_a_hung_program_does_not_keep_the_aircraft_flying(
     flying: tuple[Rig, Control],
 ) -> None:

@@ -603,3 +603,71 @@ async def test_a_send_that_blocks_for_longer_than_a_period_does_not_starve_the_o
         await asyncio.sleep(0)
         turns += 1
     assert 15 <= turns < 100
+
+
+# -- the rate -------------------------------------------------------------------------------------
+
+
+async def renewed_each(rig: Rig, period: float, seconds: float) -> None:
+    """A computer that lets nothing of the loop run but so often."""
+    begin = rig.loop.time()
+    for turn in range(round(seconds / period)):
+        rig.set(NORTH)
+        await stand_still(rig, begin + turn * period + 1e-4, begin + (turn + 1) * period)
+
+
+async def test_a_rate_that_is_not_kept_is_told_once_and_counted(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    """At 2 % of a core it flew at half rate, and nothing said so."""
+    missed: list[int] = []
+    rig.setpoints.pace._on_missed = missed.append
+    with caplog.at_level(logging.WARNING):
+        await renewed_each(rig, 0.04, 5.0)
+        told = [record.message for record in caplog.records]
+    assert [one.partition(",")[0] for one in told] == ["setpoints go out at 25 Hz"]
+    pace = rig.setpoints.pace
+    assert pace.rate_hz == pytest.approx(25.0, abs=0.5)
+    assert pace.missed == sum(missed) == pytest.approx(125, abs=2)
+    assert [pace.is_kept] == [False]
+    caplog.clear()
+    await renewed_each(rig, PERIOD, 3.0)
+    assert pace.is_kept
+    with caplog.at_level(logging.WARNING):
+        await renewed_each(rig, 0.04, 3.0)
+    assert len(caplog.records) == 1, "of another episode"
+    await rig.setpoints.stop()
+
+
+@pytest.mark.parametrize("period", [0.02, 0.1, 0.5])
+async def test_a_rate_that_is_kept_is_no_news(
+    rig: Rig, period: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whatever it is, however it is renewed, and with silence between."""
+    chance = Random(period)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(4):
+            for _ in range(30):
+                rig.setpoints.set(chance.choice((NORTH, EAST)), lifetime=2.0, period=period)
+                await asyncio.sleep(chance.uniform(0.0, 0.15))
+            await rig.setpoints.halt()
+            await asyncio.sleep(chance.uniform(0.0, 3.0))
+    pace = rig.setpoints.pace
+    assert [record.message for record in caplog.records] == []
+    assert pace.is_kept
+    assert pace.missed == 0
+
+
+async def test_a_log_that_raises_costs_no_frame(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[int] = []
+
+    def fail() -> None:
+        told.append(len(rig.frames))
+        raise RuntimeError("a handler of the program")
+
+    monkeypatch.setattr(rig.setpoints, "_tell_slow", fail)
+    rig.loop.set_exception_handler(lambda *_: None)
+    await renewed_each(rig, 0.04, 3.0)
+    assert len(told) == 1
+    assert rig.failures == []
+    assert len(rig.frames) == pytest.approx(75, abs=1)

@@ -75,6 +75,10 @@ _COUNTED: tuple[tuple[str, str, str, Mapping[str, str]], ...] = (
         *("m100_link_dropped_writes", "Frames not written because the line did not drain", ""),
         {"": "dropped_writes"},
     ),
+    (
+        *("m100_missed_setpoints", "Setpoints that did not go out in their time", ""),
+        {"": "missed_setpoints"},
+    ),
     ("m100_link_repeats", "Transmissions beyond the first of a request", "", {"": "repeats"}),
     ("m100_link_expired", "Requests that ran out of tries", "", {"": "expired"}),
 )
