@@ -1,19 +1,31 @@
-"""Files with a secret: one reader and one policy for keys and tokens.
+"""Files that people write: one reader and one policy for keys and tokens, one look at all of them.
 
 A secret that others can read is not used: the error names the file and the command that closes it.
 A file is read only as far as a secret can be long, so that a wrong path costs nothing.
+
+No checksum stands in such a file. So whoever reads one keeps its checksum beside it, with the time
+at which it was written: when it says something else and nobody wrote it, the disk did.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import stat
 from pathlib import Path
+from typing import IO
+from zlib import crc32
 
 from m100link.errors import UsageError
 from m100link.wire.cipher import Key
 
-__all__ = ["MAX_SECRET_SIZE", "read_key", "read_token"]
+__all__ = ["MAX_SECRET_SIZE", "read_key", "read_token", "read_watched"]
+
+_logger = logging.getLogger(__name__)
+
+_SEEN = "user.m100link.seen"
+"""An extended attribute: it goes with the file, and who cannot read the one cannot read the other.
+Where a file system has none, nothing is noticed."""
 
 MAX_SECRET_SIZE = 4096
 """Longest file with a secret, bytes."""
@@ -43,13 +55,49 @@ def read_token(path: Path) -> str:
     return _text(_read(path, "token"), path, "token").strip()
 
 
+def read_watched(file: IO[bytes], path: Path, size: int = -1) -> bytes:
+    """Read a file; a warning tells when its content changed though nobody wrote it.
+
+    Args:
+        file: The open file.
+        path: Its name, for the warning.
+        size: Bytes at most.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    # Before it is read: what is written meanwhile has another time, and is looked at anew.
+    written = os.fstat(file.fileno()).st_mtime_ns
+    data = file.read(size)
+    if not hasattr(os, "getxattr"):
+        return data
+    seen = f"{written} {crc32(data):08x}".encode()
+    try:
+        before = os.getxattr(file.fileno(), _SEEN)
+    except OSError:  # never seen, or such a file system
+        before = b""
+    if before != seen and before.startswith(b"%d " % written):
+        _logger.warning(
+            "%s says something else than before, and nobody has written it: look at it, the disk "
+            "may be failing; to keep it as it is: touch %s",
+            path,
+            path,
+        )
+    elif before != seen:
+        try:
+            os.setxattr(file.fileno(), _SEEN, seen)
+        except OSError as error:
+            _logger.debug("%s is not watched: %s", path, error)
+    return data
+
+
 def _read(path: Path, what: str) -> bytes:
     place = path.expanduser()
     try:
         with place.open("rb") as file:
             # The open file is looked at, not the path: that may lead elsewhere by now.
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-            data = file.read(MAX_SECRET_SIZE + 1)
+            data = read_watched(file, place, MAX_SECRET_SIZE + 1)
     except OSError as error:
         raise UsageError(
             f"the {what} file {path} cannot be read: {error.strerror}",

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link.errors import BadURL, UsageError
+from m100link.keyfile import read_watched
 from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
 from m100link.station.config import Settings
@@ -144,7 +145,7 @@ def read_configuration(path: Path | None = None) -> Configuration:
     try:
         with path.open("rb") as file:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-            tables = tomllib.load(file)
+            tables = tomllib.loads(read_watched(file, path).decode())
     except FileNotFoundError:
         return Configuration(path=path)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -24,6 +24,7 @@ from typing import Any, Self
 
 from m100link.errors import UsageError
 from m100link.fleet.keys import NAME
+from m100link.keyfile import read_watched
 
 __all__ = ["BadRights", "Identity", "Right", "Rights"]
 
@@ -122,7 +123,7 @@ class Rights:
         """
         try:
             with Path(path).open("rb") as file:
-                data = file.read(_LARGEST + 1)
+                data = read_watched(file, Path(path), _LARGEST + 1)
         except OSError as error:
             raise BadRights(
                 f"{path} cannot be read: {error.strerror}", remedy="check its name"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link.errors import UsageError
-from m100link.keyfile import read_key, read_token
+from m100link.keyfile import read_key, read_token, read_watched
 from m100link.protocol.commands.activation import Credentials
 from m100link.station.launch import read_launch
 from m100link.station.web.access import Access
@@ -349,7 +349,8 @@ def _is_shadowed(name: str, values: Mapping[str, Any]) -> bool:
 
 def _read_toml(path: Path) -> Mapping[str, Any]:
     try:
-        table = tomllib.loads(path.expanduser().read_text(encoding="utf-8"))
+        with path.expanduser().open("rb") as file:
+            table = tomllib.loads(read_watched(file, path).decode())
     except OSError as error:
         raise UsageError(
             f"{path} cannot be read: {error.strerror}", remedy="check the path, and who may read it"

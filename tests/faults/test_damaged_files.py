@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -9,11 +10,21 @@ import pytest
 from tests.faults.damaged_files import SEED, run
 from tests.faults.damaged_kinds import KINDS
 
-FILES = {"log": 240}
+FILES = {"log": 100, "ledger": 60, "mark": 60}
+
+
+def has_attributes(folder: Path) -> bool:
+    try:
+        os.setxattr(folder, "user.m100link.test", b"1")
+    except (OSError, AttributeError):
+        return False
+    return True
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_loss_is_untold(kind: str, tmp_path: Path) -> None:
+    if kind == "configuration" and not has_attributes(tmp_path):
+        pytest.skip("this file system has no attributes, by which a change is noticed")
     wholes, judge = KINDS[kind](tmp_path)
     found = run(kind, wholes, judge, FILES.get(kind, 300), SEED)
     assert found["untold"] == 0
