@@ -16,6 +16,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from m100link.mavlink.codec import LAST_SIGNATURE, NEW_WITHIN, Sender, Signer
 
@@ -118,12 +119,16 @@ class SignatureMemory:
         handle, name = tempfile.mkstemp(dir=self.path.parent, prefix=self.path.name)
         try:
             with os.fdopen(handle, "w", encoding="ascii") as file:
-                json.dump({"sent": sent, "newest": told}, file)
+                json.dump({"sent": sent, "newest": told, "crc32": _checksum(sent, told)}, file)
             Path(name).replace(self.path)
         except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
         self._written = newest
+
+
+def _checksum(sent: object, newest: dict[str, Any]) -> int:
+    return crc32(json.dumps([sent, newest]).encode())
 
 
 def _read(path: Path) -> Snapshot:
@@ -139,6 +144,12 @@ def _read(path: Path) -> Snapshot:
     told: Any = json.loads(data)
     if not (isinstance(told, dict) and isinstance(told.get("newest"), dict)):
         raise ValueError("it is not a memory of signatures")
+    # A version before this one wrote no checksum; under any other name it is damaged.
+    checksum = _checksum(told.get("sent"), told["newest"])
+    if told.keys() - {"sent", "newest"} and told != told | {"crc32": checksum}:
+        raise ValueError("its checksum is wrong")
+    if told.keys() - {"sent", "newest", "crc32"}:
+        raise ValueError("it holds what is not known")
     newest: dict[Sender, int] = {}
     for name, when in told["newest"].items():
         parts = [int(part) for part in str(name).split(".")]

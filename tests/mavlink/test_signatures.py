@@ -121,6 +121,29 @@ def test_a_memory_that_cannot_be_read_hides_nothing(tmp_path: Path, spoilt: str)
     assert not is_taken(started(tmp_path)[0], ping(NOW + SECOND), NOW)
 
 
+def test_no_bit_of_it_turns_over_unnoticed(tmp_path: Path) -> None:
+    """A time that became less would let in again what was recorded."""
+    signer, memory = started(tmp_path)
+    assert is_taken(signer, ping(NOW + SECOND), NOW)
+    work(memory)
+    whole = memory.path.read_bytes()
+    assert SignatureMemory(tmp_path, Signer(KEY)).recall(NOW) == ""
+    for at in range(len(whole)):
+        for bit in range(8):
+            memory.path.write_bytes(whole[:at] + bytes((whole[at] ^ 1 << bit,)) + whole[at + 1 :])
+            told = SignatureMemory(tmp_path, Signer(KEY)).recall(NOW)
+            if not told:  # what stands between values may be any white space
+                assert json.loads(memory.path.read_bytes()) == json.loads(whole), (at, bit)
+
+
+def test_one_of_an_older_version_is_read(tmp_path: Path) -> None:
+    signer = Signer(KEY)
+    memory = SignatureMemory(tmp_path, signer)
+    memory.path.write_text(f'{{"sent": {NOW + SECOND}, "newest": {{}}}}')
+    assert memory.recall(NOW) == ""
+    assert signer.sent == NOW + SECOND
+
+
 def test_the_file_is_ours_alone_and_small_and_tells_no_key(tmp_path: Path) -> None:
     folder = tmp_path / "made" / "for it"
     signer, memory = started(folder)
