@@ -45,7 +45,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── NoAuthority            movement was asked for without authority
     │   │   └── MissionRunning     or while a mission flies: the aircraft would ignore it
     │   ├── AuthorityLost          the pilot, the app or the link took it away
-    │   ├── GuardianFailed         the guardian of the flight did not start; nothing was asked for
+    │   ├── GuardianFailed         the guardian of the flight did not start; nothing flies
     │   └── GuardianTookOver       the program stood still, and the guardian ended its flight
     ├── GuardRefused               a safety guard said no; it names itself and the measured value
     ├── FleetError                 an order to an aircraft of a fleet

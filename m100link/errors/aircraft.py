@@ -392,7 +392,7 @@ class GuardianFailed(
 ):
     """The process that ends the flight when the program cannot did not start.
 
-    Nothing was asked of the aircraft.
+    Authority was not asked for.
     """
 
 

@@ -284,7 +284,7 @@ def main(line: int, socket: int, page: int, parent: int) -> None:
     os.chdir("/")
     try:
         with open("/proc/self/comm", "w", encoding="ascii") as name:  # noqa: PTH123 (no pathlib)
-            name.write("m100link-guard")  # what PortBusy says of who has the port
+            name.write("m100link-guard")  # GUARDIAN_NAME, by which others know who has the port
     except OSError:
         pass  # it has another name
     watch = Watch(line, socket, page, parent)

@@ -6,7 +6,10 @@ import asyncio
 import os
 from typing import Protocol
 
-__all__ = ["Gate", "descriptor_of"]
+__all__ = ["GUARDIAN_NAME", "Gate", "descriptor_of"]
+
+GUARDIAN_NAME = "m100link-guard"
+"""What the system calls the process that ends the flight of a program that cannot."""
 
 
 class Gate(Protocol):

@@ -30,6 +30,7 @@ from m100link.errors import (
     PortNotFound,
     PortPermissionDenied,
 )
+from m100link.link.gate import GUARDIAN_NAME
 from m100link.link.serial_transport import HIGH_WATER, PORT_GONE, SerialTransport
 from m100link.link.url import EXAMPLES, ConnectionString
 
@@ -222,6 +223,13 @@ def _translate(device: str, address: ConnectionString, error: Exception) -> Link
                 cause="a connection was dropped without aclose(): it stays open until its event "
                 "loop ends",
                 remedy="`async with connect(...)`, or keep the aircraft and await its aclose()",
+            )
+        if any(name == GUARDIAN_NAME for _, name in owners):
+            return PortBusy(
+                f"{device} is in use by {names}",
+                owners=owners,
+                cause="the guardian of a program that is gone ends its flight there",
+                remedy="leave it alone: a release takes it a second, a landing a minute",
             )
         return PortBusy(
             f"{device} is in use" + (f" by {names}" if names else ""),

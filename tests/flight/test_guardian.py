@@ -24,7 +24,7 @@ from pathlib import Path
 import pytest
 
 import m100link
-from m100link.errors import GuardianFailed, GuardianTookOver, UsageError
+from m100link.errors import GuardianFailed, GuardianTookOver, PortBusy, UsageError
 from m100link.flight import guardian as guardian_module
 from m100link.flight.guardian import patience_of
 from tests.flight import foreign_aircraft as foreign
@@ -214,6 +214,19 @@ def test_a_landing_that_was_begun_by_the_stop_path_goes_on_when_the_program_is_k
         blocking_until(lambda: 6 in there.tasks)
         process.kill()
         assert_ended_in_order(there, "land")
+
+
+def test_the_next_program_is_told_who_has_the_port_and_to_leave_it_alone() -> None:
+    async def come(name: str) -> None:
+        with pytest.raises(PortBusy, match="m100link-guard") as caught:
+            async with m100link.connect(name):
+                pass
+        assert "leave it alone" in caught.value.remedy
+
+    with foreign_aircraft("3.1") as there, flown(there, "land", "kill") as process:
+        process.wait(timeout=PATIENCE)
+        blocking_until(lambda: 6 in there.tasks)
+        asyncio.run(come(there.name))
 
 
 def test_the_pilot_who_took_the_aircraft_keeps_it() -> None:
