@@ -61,12 +61,19 @@ class Ending(Enum):
     CTRL_C_THRICE = "Ctrl-C three times"
     SIGTERM = "SIGTERM"
     SIGHUP = "SIGHUP: its terminal is closed"
+    SIGQUIT = "SIGQUIT: Ctrl and the backslash"
+    SIGXCPU = "SIGXCPU: its processor time is used up"
     EXIT = "`sys.exit()`: the interpreter ends"
     COLLECTED = "an abandoned generator is collected (GC)"
-    FORK = "the child of a fork ends"
+    FALLS_OFF = "its last line, with an open block and an event loop that runs no more"
+    OUT_OF_RESOURCES = (
+        "any of these without a file descriptor, disk, thread or task to be had, or beside a log "
+        "whose handler raises or blocks"
+    )
+    FORK = "the child of a fork ends: `sys.exit()`, `os._exit()`, an exception, `return`, SIGTERM"
     HANG = "the event loop is blocked for 2 s: `time.sleep()`, a debugger"
     STOPPED = "the process stands still for 2 s (SIGSTOP), or the computer slept"
-    KILL = "`kill -9`, the system is out of memory"
+    KILL = "`kill -9`, a signal that nobody handles (SIGUSR1, SIGALRM), the system is out of memory"
     CRASH = "a crash (SIGSEGV, SIGABRT), `os._exit()`, `os.execv()`"
     UNPLUGGED = "the cable is pulled, the computer loses power"
     UNGUARDED = "what the four rows above say, with `control(guardian=False)`"
@@ -80,8 +87,12 @@ ENDINGS: dict[Ending, tuple[Outcome, Outcome, Outcome]] = {
     Ending.CTRL_C_THRICE: IN_ORDER,
     Ending.SIGTERM: IN_ORDER,
     Ending.SIGHUP: IN_ORDER,
+    Ending.SIGQUIT: IN_ORDER,
+    Ending.SIGXCPU: IN_ORDER,
     Ending.EXIT: IN_ORDER,
     Ending.COLLECTED: IN_ORDER,
+    Ending.FALLS_OFF: IN_ORDER,
+    Ending.OUT_OF_RESOURCES: IN_ORDER,
     Ending.FORK: (GOES_ON, GOES_ON, GOES_ON),
     Ending.HANG: BY_GUARDIAN,
     Ending.STOPPED: BY_GUARDIAN,

@@ -216,26 +216,24 @@ def main_without_await(port: str, ending: str, loss: str) -> None:
             _sealed.clear()
 
 
-def fall_off_the_end(port: str, loss: str) -> None:
+def fall_off_the_end(port: str, flight: str, loss: str) -> None:
     """The event loop runs no more, nobody closes it, and the program ends."""
     loop = asyncio.new_event_loop()
+    flying = loop.create_task(main(port, flight, "nothing", loss))
 
-    async def begin() -> None:
-        aircraft = await m100link.connect(port)
-        await aircraft.activate(CREDENTIALS)
-        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=30)
-        control = aircraft.control(guards=GUARDS)
-        await control.__aenter__()
-        await asyncio.wait([asyncio.ensure_future(fly(control, "nothing", loss))], timeout=1.0)
+    async def see_it_fly() -> None:
+        while not _flies.is_set():  # noqa: ASYNC110 (an event of threads)
+            await asyncio.sleep(0.01)
 
-    loop.run_until_complete(begin())
+    loop.run_until_complete(see_it_fly())
+    assert not flying.done()
 
 
 if __name__ == "__main__":
     sys.addaudithook(_refuse)
     own_port, own_flight, own_ending, own_loss = sys.argv[1:]
     if own_ending == "fall":
-        fall_off_the_end(own_port, own_loss)
+        fall_off_the_end(own_port, own_flight, own_loss)
     elif own_flight == "sync":
         main_without_await(own_port, own_ending, own_loss)
     else:

@@ -25,6 +25,7 @@ from m100link import FlightPhase, LinkLost, Waypoint, WaypointPlan
 from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Device
+from tests.attacks.endings import Draw, end_a_process
 from tests.flight import foreign_aircraft as foreign
 from tests.flight import guarded_program, test_guardian
 from tests.flight.foreign_aircraft import foreign_aircraft
@@ -49,13 +50,20 @@ BY_GUARDIAN = {
     Ending.KILL: {"kill", "fork", "descriptors", "disk", "SIGKILL"},
     Ending.CRASH: {"segv", "memory", "exit", "execv"},
 }
-KEEPING_THE_PROCESS = [one for one in Ending if one not in {*BY_GUARDIAN, Ending.UNGUARDED}]
+# In processes of their own.
+LOST = {
+    Ending.FALLS_OFF: [("fall", "nothing")],
+    Ending.OUT_OF_RESOURCES: [("raise", "table"), ("SIGTERM", "sealed"), ("SIGHUP", "log")],
+}
+KEEPING_THE_PROCESS = [one for one in Ending if one not in {*BY_GUARDIAN, Ending.UNGUARDED, *LOST}]
 SIGNALS = {
     Ending.CTRL_C: [signal.SIGINT],
     Ending.CTRL_C_TWICE: [signal.SIGINT] * 2,
     Ending.CTRL_C_THRICE: [signal.SIGINT] * 3,
     Ending.SIGTERM: [signal.SIGTERM],
     Ending.SIGHUP: [signal.SIGHUP],
+    Ending.SIGQUIT: [signal.SIGQUIT],
+    Ending.SIGXCPU: [signal.SIGXCPU],
 }
 
 
@@ -195,6 +203,23 @@ async def test_what_becomes_of_the_aircraft(
         if task is not None:
             task.cancel()
             await asyncio.wait([task])
+
+
+# -- it is alone with what it had before ----------------------------------------------------------
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize("mode", endings.MODES)
+@pytest.mark.parametrize(
+    ("ending", "way", "loss"),
+    [(ending, *one) for ending, ways in LOST.items() for one in ways],
+    ids=lambda one: one.name.lower() if isinstance(one, Ending) else one,
+)
+def test_a_process_that_gets_nothing_more_of_the_system(
+    ending: endings.Ending, way: str, loss: str, mode: str
+) -> None:
+    assert expected(ending, mode) in endings.IN_ORDER
+    assert end_a_process(Draw(mode, way, loss)) == []
 
 
 # -- the process is gone, or as good as gone ------------------------------------------------------
