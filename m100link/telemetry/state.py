@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 
 from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
 from m100link.protocol.packet import remember
+from m100link.protocol.records import Time
+from m100link.telemetry.integrity import Integrity, IntegrityMonitor
 from m100link.telemetry.sample import Sample
 
 __all__ = ["AircraftState", "ItemStatistics"]
@@ -90,7 +92,10 @@ class AircraftState(RecordViews):
         newest_at: When any telemetry arrived last, on the event loop's clock; None: never.
     """
 
-    __slots__ = ("__dict__", "__weakref__", "_cells", "_cells_of", "_clock", "newest_at")
+    __slots__ = (
+        *("__dict__", "__weakref__", "_cells", "_cells_of", "_clock", "_first", "_monitor"),
+        "newest_at",
+    )
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -98,6 +103,8 @@ class AircraftState(RecordViews):
         self._cells: dict[type[Any], _Cell] = dict.fromkeys(BY_RECORD, whole)
         self._cells_of: dict[int, tuple[_Cell, ...]] = {}  # by flag word; few ever occur
         self.newest_at: float | None = None
+        self._first: Sample | None = None  # that has a time
+        self._monitor: IntegrityMonitor | None = None  # few ever ask
 
     def __repr__(self) -> str:
         known = {name: value for name, value in self.situation().items() if value is not None}
@@ -124,7 +131,7 @@ class AircraftState(RecordViews):
         self.newest_at = now
         cells = self._cells_of.get(flags)
         if cells is None:
-            cells = self._split(flags)
+            cells = self._split(sample)
         for cell in cells:
             if now - cell.received_at > cell.longest_gap_s:
                 cell.longest_gap_s = now - cell.received_at
@@ -137,11 +144,14 @@ class AircraftState(RecordViews):
                 arrivals.popleft()
             arrivals.append(now)
 
-    def _split(self, flags: int) -> tuple[_Cell, ...]:
+    def _split(self, sample: Sample) -> tuple[_Cell, ...]:
         """The cells of packages with these flags, made so that each is of them whole or not at all.
 
         That happens at most as often as there are items, besides once for each flag word.
         """
+        if self._first is None and sample.get(Time) is not None:
+            self._first = sample
+        flags = sample.flags
         for cell in set(self._cells.values()):
             apart = cell.items & ~flags
             if apart and cell.items & flags:
@@ -155,6 +165,21 @@ class AircraftState(RecordViews):
         """The newest record of that class, None when it never arrived."""
         sample = self._cells[record].sample
         return None if sample is None else sample.get(record)
+
+    def sample(self, record: type[Any]) -> Sample | None:
+        """The newest package with that record, None when it never arrived."""
+        return self._cells[record].sample
+
+    @property
+    def integrity(self) -> Integrity:
+        """Whether telemetry can be true: time advances, and the position agrees with velocity.
+
+        It is judged when it is asked for, from what came since it was asked for last: ask at least
+        once a second.
+        """
+        if self._monitor is None:
+            self._monitor = IntegrityMonitor(self.sample, self._first)
+        return self._monitor.look(self.newest_at)
 
     def received_at(self, record: type[Any]) -> float | None:
         """When the newest record arrived, on the event loop's clock."""

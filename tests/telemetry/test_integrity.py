@@ -1,0 +1,397 @@
+"""What telemetry may say of a place, and what it may not, by hand and by seeded flights."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass, field
+
+import pytest
+
+from m100link.protocol import encode_telemetry, profile
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.telemetry.integrity import Integrity, IntegrityState
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
+
+EARTH_M = 6_378_137.0
+FLYING, STANDING, TAKING_OFF = 3, 1, 2
+S = IntegrityState
+
+
+@dataclass
+class Flight:
+    """An aircraft as a source of packages; whatever is set is told from the next one on.
+
+    Attributes:
+        north, height: Where it is, m; moved by the velocities.
+        speed, climb: To the north and up, m/s.
+        offset: Of the place that it tells, m north.
+        told_speed, told_climb: What it tells, where that is not so.
+        rates: Packages between two of an item.
+    """
+
+    firmware: str = "1.0"
+    step_s: float = 0.02
+    has_time: bool = True
+    has_velocity: bool = True
+    vouches: bool = True
+    health: int = 5
+    status: int | None = FLYING
+    north: float = 0.0
+    height: float = 20.0
+    speed: float = 0.0
+    climb: float = 0.0
+    offset: float = 0.0
+    told_speed: float | None = None
+    told_climb: float | None = None
+    tick_rate: float = 1.0
+    delay: float = 0.0
+    every: dict[str, int] = field(default_factory=dict)
+    now: float = 100.0
+    device: float = 7.0
+    state: AircraftState = field(init=False)
+    count: int = 0
+
+    def __post_init__(self) -> None:
+        self.state = AircraftState(lambda: self.now)
+
+    @property
+    def profile(self) -> FirmwareProfile:
+        return profile(self.firmware)
+
+    def package(self) -> Sample:
+        items: dict[str, tuple[float, ...]] = {}
+        tick = int(self.device * self.profile.tick_hz) & 0xFFFFFFFF
+        if self.has_time:
+            items["time"] = (tick, 0, 0) if self.firmware == "3.1" else (tick,)
+        if self.has_velocity:
+            told = self.speed if self.told_speed is None else self.told_speed
+            climb = self.climb if self.told_climb is None else self.told_climb
+            velocity = told, 0.0, climb
+            items["velocity"] = velocity if self.firmware == "1.0" else (*velocity, self.vouches)
+        place = 0.4 + (self.north + self.offset) / EARTH_M, 2.0, 400.0, self.height, self.health
+        items["position"] = place
+        if self.status is not None:
+            items["flight_status"] = (self.status,)
+        self.count += 1
+        kept = {
+            name: value
+            for name, value in items.items()
+            if self.count % self.every.get(name, 1) == 0
+        }
+        return Sample(encode_telemetry(kept, self.profile), self.profile, self.now + self.delay)
+
+    def move(self) -> None:
+        self.now += self.step_s
+        self.device += self.step_s * self.tick_rate
+        self.north += self.speed * self.step_s
+        self.height += self.climb * self.step_s
+
+    def fly(self, seconds: float) -> Integrity:
+        """Fly and tell; what is said of it at the end."""
+        for _ in range(round(seconds / self.step_s)):
+            self.move()
+            self.state.update(self.package())
+            found = self.state.integrity
+        return found
+
+    def until(self, wanted: IntegrityState, within: float = 10.0) -> float:
+        """Seconds until that is said, and nothing else before."""
+        begun = self.now
+        while self.now - begun < within:
+            found = self.fly(self.step_s)
+            if found.state is wanted:
+                assert found.seen
+                return self.now - begun
+            assert found.state is S.GOOD, found
+        raise AssertionError(f"{wanted} was not said within {within} s")
+
+
+# -- what is legal --------------------------------------------------------------------------------
+
+
+def accelerate(flight: Flight) -> None:
+    """Back and forth with 7 m/s², which is more than a Matrice does."""
+    for _ in range(6):
+        for change in (+7.0, -7.0, -7.0, +7.0):
+            for _ in range(round(1.4 / flight.step_s)):
+                flight.speed += change * flight.step_s
+                assert flight.fly(flight.step_s).state is S.GOOD
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+@pytest.mark.parametrize("step_s", [0.01, 0.02, 0.1, 1.0])
+def test_a_flight_agrees_with_itself_at_each_rate(firmware: str, step_s: float) -> None:
+    flight = Flight(firmware=firmware, step_s=step_s)
+    assert flight.fly(5.0).state is S.GOOD
+    accelerate(flight)
+    flight.climb = 3.0
+    found = flight.fly(5.0)
+    assert found.state is S.GOOD
+    assert found.test_ratio < 1.0
+    assert found.height_test_ratio < 1.0
+
+
+@pytest.mark.parametrize(
+    "every",
+    [
+        {"velocity": 50},
+        {"position": 50},
+        {"time": 50},
+        {"velocity": 50, "position": 50},
+        {"velocity": 50, "position": 50, "time": 50},
+        {"position": 5, "velocity": 7},
+        {"flight_status": 50},
+    ],
+    ids=str,
+)
+def test_items_at_1_hz_and_at_rates_that_never_meet_agree(every: dict[str, int]) -> None:
+    flight = Flight(every=every)
+    flight.fly(3.0)
+    accelerate(flight)
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "3.1"])
+def test_at_rest_a_place_may_stay_to_the_bit(firmware: str) -> None:
+    assert Flight(firmware=firmware).fly(600.0).state is S.GOOD
+
+
+def test_the_sources_do_not_settle_the_sign_of_a_climb() -> None:
+    flight = Flight()
+    flight.climb, flight.told_climb = 3.0, -3.0
+    assert flight.fly(20.0).state is S.GOOD
+
+
+def test_without_velocity_or_time_a_flight_agrees() -> None:
+    for flight in (Flight(has_velocity=False), Flight(has_time=False)):
+        flight.fly(3.0)
+        accelerate(flight)
+
+
+def test_a_velocity_that_the_aircraft_does_not_vouch_for_says_nothing() -> None:
+    flight = Flight(firmware="3.1", vouches=False)
+    flight.told_speed = 9.0
+    assert flight.fly(10.0).state is S.GOOD
+
+
+@pytest.mark.parametrize("status", [STANDING, TAKING_OFF])
+def test_before_it_flies_a_place_may_jump(status: int) -> None:
+    flight = Flight(status=status)
+    flight.fly(3.0)
+    flight.offset = 500.0
+    assert flight.fly(0.1).state is S.UNKNOWN
+    flight.status = FLYING
+    assert flight.fly(5.0).state is S.GOOD
+
+
+def test_when_reception_becomes_good_a_place_may_jump() -> None:
+    flight = Flight(health=2)
+    assert flight.fly(3.0).state is S.UNKNOWN
+    flight.offset, flight.health = 60.0, 3
+    assert flight.fly(5.0).state is S.GOOD
+
+
+def test_an_aircraft_that_restarts_in_flight_begins_anew() -> None:
+    flight = Flight()
+    flight.fly(10.0)
+    flight.device = 0.0
+    assert flight.fly(5.0).state is S.GOOD
+
+
+def test_the_tick_may_wrap() -> None:
+    flight = Flight()
+    flight.device = (1 << 32) / 600 - 5.0
+    flight.speed = 5.0
+    assert flight.fly(10.0).state is S.GOOD
+
+
+def test_a_gap_and_what_waited_in_it_are_legal() -> None:
+    flight = Flight(speed=8.0)
+    flight.fly(5.0)
+    for gap in (0.3, 0.9, 1.5, 4.0):
+        waited = []
+        for _ in range(round(gap / flight.step_s)):
+            flight.move()
+            waited.append(flight.package())
+        for sample in waited:
+            flight.state.update(Sample(sample.value, sample.profile, flight.now))
+            assert flight.state.integrity.state is S.GOOD, gap
+        assert flight.fly(5.0).state is S.GOOD
+
+
+@pytest.mark.parametrize("tick_rate", [0.5, 0.667, 1.5, 10.0])
+def test_a_clock_that_runs_otherwise_than_its_profile_says_is_not_believed(
+    tick_rate: float,
+) -> None:
+    """Simulators at another speed, and a firmware that nobody has measured."""
+    flight = Flight(tick_rate=tick_rate, speed=8.0)
+    assert flight.fly(30.0).state is S.GOOD
+
+
+def test_it_is_judged_for_those_who_ask_once_a_second() -> None:
+    flight = Flight(speed=8.0)
+    for _ in range(30):
+        flight.move()
+        flight.state.update(flight.package())
+    for _ in range(60):
+        for _ in range(50):
+            flight.move()
+            flight.state.update(flight.package())
+        assert flight.state.integrity.state is S.GOOD
+
+
+def test_seeded_flights_with_noise_loss_repeats_and_overtaking_agree() -> None:
+    """Noise as GPS and its filter make it; 200 flights of a minute."""
+    for seed in range(200):
+        chance = random.Random(seed)
+        flight = Flight(
+            firmware=chance.choice(["1.0", "2.3", "3.1"]),
+            step_s=chance.choice([0.01, 0.02, 0.1]),
+            has_time=chance.random() < 0.8,
+            every={"velocity": chance.choice([1, 2, 10]), "position": chance.choice([1, 5])},
+        )
+        loss, repeats = chance.choice([0.0, 0.1, 0.4]), chance.choice([0.0, 0.1])
+        held: Sample | None = None
+        lag = 0.0
+        for _ in range(round(20.0 / flight.step_s)):
+            pull = chance.gauss(0.0, 3.0) - 0.3 * flight.speed
+            flight.speed += max(-7.0, min(7.0, pull)) * flight.step_s
+            lag += (-lag / 60.0) * flight.step_s + chance.gauss(0, 0.2) * math.sqrt(
+                2 * flight.step_s / 60.0
+            )
+            flight.offset, flight.told_speed = lag, flight.speed + chance.gauss(0.0, 0.05)
+            flight.move()
+            sample = flight.package()
+            if chance.random() < loss:
+                continue
+            for one in (sample, held) if held is not None else (sample,):
+                flight.state.update(Sample(one.value, one.profile, flight.now))
+                found = flight.state.integrity
+                assert found.state in (S.GOOD, S.UNKNOWN), (seed, found)
+            held = sample if chance.random() < repeats else None
+
+
+# -- what is not ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [2.0, 3.0, 5.0, 10.0])
+def test_a_velocity_without_a_way_is_noticed(speed: float) -> None:
+    flight = Flight(speed=speed)
+    flight.fly(5.0)
+    flight.speed, flight.told_speed = 0.0, speed
+    flight.offset += 0.0
+    seconds = 0.0
+    while (found := flight.fly(flight.step_s)).state is S.GOOD:
+        seconds += flight.step_s
+    assert found.state in (S.FROZEN, S.INCONSISTENT)
+    assert seconds <= 1.1
+
+
+@pytest.mark.parametrize(("speed", "within"), [(2.0, 2.4), (3.0, 1.2), (5.0, 0.7), (10.0, 0.4)])
+def test_a_way_without_a_velocity_is_noticed(speed: float, within: float) -> None:
+    flight = Flight(speed=speed)
+    flight.fly(5.0)
+    flight.told_speed = 0.0
+    assert flight.until(S.INCONSISTENT) <= within
+
+
+def test_a_height_that_stands_while_it_climbs_is_noticed() -> None:
+    flight = Flight(climb=2.0)
+    flight.fly(5.0)
+    flight.climb, flight.told_climb = 0.0, 2.0
+    assert flight.until(S.FROZEN) <= 1.1
+
+
+@pytest.mark.parametrize("jump", [4.0, -30.0, 1000.0, -2.5e6])
+@pytest.mark.parametrize("has_velocity", [True, False])
+def test_a_jump_is_noticed_at_once(jump: float, has_velocity: bool) -> None:
+    flight = Flight(has_velocity=has_velocity)
+    flight.fly(5.0)
+    flight.offset = jump
+    assert flight.until(S.JUMPED) <= 2 * flight.step_s
+
+
+def test_a_jump_with_packages_at_1_hz_is_noticed_with_the_next() -> None:
+    flight = Flight(step_s=1.0)
+    flight.fly(10.0)
+    flight.offset = 100.0
+    assert flight.until(S.JUMPED) <= 1.0
+
+
+def test_the_same_package_for_ever_is_a_clock_that_stands() -> None:
+    flight = Flight(speed=5.0)
+    flight.fly(5.0)
+    last = flight.package()
+    for _ in range(60):
+        flight.now += flight.step_s
+        flight.state.update(Sample(last.value, last.profile, flight.now))
+        found = flight.state.integrity
+    assert found.state is S.CLOCK_STOPPED
+    assert "has not advanced for 1." in found.seen
+    flight.device += 1.2
+    flight.north += 6.0
+    assert flight.fly(0.1).state is S.GOOD, "it was the line, and that is over"
+
+
+@pytest.mark.parametrize("steps", [(-10.0,), (10.0, -10.0), (-0.02,)], ids=str)
+def test_a_clock_that_goes_back_and_forth_does_not_advance(steps: tuple[float, ...]) -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    found = S.GOOD
+    for number in range(60):
+        flight.device += steps[number % len(steps)] - flight.step_s
+        found = flight.fly(flight.step_s).state
+    assert found is S.CLOCK_STOPPED
+
+
+@pytest.mark.parametrize(("growth", "within"), [(0.48, 1.4), (0.13, 4.6), (0.02, 27.0)])
+def test_packages_that_come_ever_later_are_noticed(growth: float, within: float) -> None:
+    flight = Flight()
+    flight.fly(10.0)
+    begun = flight.now
+    while flight.state.integrity.state is S.GOOD:
+        flight.delay += growth * flight.step_s
+        flight.fly(flight.step_s)
+        assert flight.now - begun <= within
+    found = flight.state.integrity
+    assert found.state is S.LATE
+    assert found.delay_s > 0.5
+
+
+def test_a_delay_that_was_always_there_is_not_seen() -> None:
+    assert Flight(delay=0.9).fly(20.0).state is S.GOOD
+
+
+def test_what_was_wrong_is_believed_again_after_three_good_seconds() -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    flight.offset = 50.0
+    assert flight.until(S.JUMPED) <= 0.1
+    assert flight.fly(2.5).state is S.JUMPED
+    flight.offset = 0.0
+    assert flight.fly(2.5).state is S.JUMPED
+    assert flight.fly(1.0).state is S.GOOD
+
+
+def test_what_stays_wrong_is_not() -> None:
+    flight = Flight(speed=5.0)
+    flight.fly(5.0)
+    flight.told_speed = 0.0
+    flight.until(S.INCONSISTENT)
+    assert flight.fly(20.0).state is S.INCONSISTENT
+
+
+@pytest.mark.parametrize("place", [math.nan, math.inf, 2.0])
+def test_what_is_no_place_is_no_fault_of_this_kind(place: float) -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    flight.north = place * EARTH_M
+    assert flight.fly(0.1).state is S.UNKNOWN
+
+
+def test_what_is_true_of_each_state_is_said_of_it() -> None:
+    timely = {state for state in S if Integrity(state).is_timely}
+    assert timely == set(S) - {S.CLOCK_STOPPED, S.LATE}
+    plausible = {state for state in S if Integrity(state).is_plausible}
+    assert plausible == {S.UNKNOWN, S.GOOD, S.CLOCK_STOPPED, S.LATE}
