@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         BadValue,
         CommandNotSupported,
         CommandRefused,
+        ComputerSuspended,
         FleetError,
         GuardianFailed,
         GuardianTookOver,
@@ -90,6 +91,7 @@ if TYPE_CHECKING:
         MissionAborted,
         MissionRefused,
         MissionRunning,
+        NavigationLost,
         NoAircraft,
         NoAnswer,
         NoAuthority,
@@ -106,6 +108,7 @@ if TYPE_CHECKING:
         PortNotFound,
         PortPermissionDenied,
         ReplayEnded,
+        SetpointsIgnored,
         SilentLine,
         StaleLease,
         TaskError,
@@ -193,6 +196,7 @@ if TYPE_CHECKING:
     from m100link.session import SessionMode
     from m100link.telemetry.columns import Columns, Table
     from m100link.telemetry.device_clock import DeviceClock, HostTime
+    from m100link.telemetry.integrity import Integrity, IntegrityState
     from m100link.telemetry.sample import Sample
     from m100link.telemetry.state import AircraftState, ItemStatistics
     from m100link.telemetry.subscription import Latest, Lossless, Newest, Policy, Subscription
@@ -238,6 +242,7 @@ __all__ = [
     "Columns",
     "CommandNotSupported",
     "CommandRefused",
+    "ComputerSuspended",
     "ConnectionEvent",
     "Control",
     "ControlDevice",
@@ -265,6 +270,8 @@ __all__ = [
     "Hold",
     "HostTime",
     "HotpointFlight",
+    "Integrity",
+    "IntegrityState",
     "ItemStatistics",
     "Key",
     "KeyRejected",
@@ -288,6 +295,7 @@ __all__ = [
     "MissionRefused",
     "MissionRunning",
     "MissionState",
+    "NavigationLost",
     "Newest",
     "NoAircraft",
     "NoAnswer",
@@ -319,6 +327,7 @@ __all__ = [
     "Sample",
     "SessionMode",
     "Setpoint",
+    "SetpointsIgnored",
     "SilentLine",
     "StaleLease",
     "StartVideo",

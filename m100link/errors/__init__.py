@@ -48,6 +48,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── GuardianFailed         the guardian of the flight did not start; nothing flies
     │   └── GuardianTookOver       the program stood still, and the guardian ended its flight
     ├── GuardRefused               a safety guard said no; it names itself and the measured value
+    ├── ComputerSuspended          the computer slept in flight
     ├── FleetError                 an order to an aircraft of a fleet
     │   ├── Unreachable            no agent of that name is there; nothing was sent
     │   ├── OutcomeUnknown         sent, and nobody knows what became of it
@@ -55,7 +56,9 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   └── NotAllowed             the agent refused who asked
     └── TelemetryError
         ├── TelemetryOverflow      a lossless consumer fell behind
-        ├── TelemetryStalled       the stream went silent
+        ├── TelemetryStalled       the stream went silent, stands still, or comes ever later
+        ├── NavigationLost         the position cannot be true
+        ├── SetpointsIgnored       nothing begins to follow what is sent
         └── LayoutMismatch         a packet does not fit the firmware profile
 """
 
@@ -70,6 +73,7 @@ from m100link.errors.aircraft import (
     BadAck,
     CommandNotSupported,
     CommandRefused,
+    ComputerSuspended,
     GuardianFailed,
     GuardianTookOver,
     GuardRefused,
@@ -80,9 +84,11 @@ from m100link.errors.aircraft import (
     MissionAborted,
     MissionRefused,
     MissionRunning,
+    NavigationLost,
     NoAuthority,
     NotActivated,
     NotObserved,
+    SetpointsIgnored,
     TaskError,
     TaskFailed,
     TaskRefused,
@@ -140,6 +146,7 @@ __all__ = [
     "BadValue",
     "CommandNotSupported",
     "CommandRefused",
+    "ComputerSuspended",
     "FleetError",
     "GuardRefused",
     "GuardianFailed",
@@ -156,6 +163,7 @@ __all__ = [
     "MissionAborted",
     "MissionRefused",
     "MissionRunning",
+    "NavigationLost",
     "NoAircraft",
     "NoAnswer",
     "NoAuthority",
@@ -172,6 +180,7 @@ __all__ = [
     "PortNotFound",
     "PortPermissionDenied",
     "ReplayEnded",
+    "SetpointsIgnored",
     "SilentLine",
     "StaleLease",
     "TaskError",

@@ -15,6 +15,7 @@ __all__ = [
     "BadAck",
     "CommandNotSupported",
     "CommandRefused",
+    "ComputerSuspended",
     "GuardRefused",
     "GuardianFailed",
     "GuardianTookOver",
@@ -25,9 +26,11 @@ __all__ = [
     "MissionAborted",
     "MissionRefused",
     "MissionRunning",
+    "NavigationLost",
     "NoAuthority",
     "NotActivated",
     "NotObserved",
+    "SetpointsIgnored",
     "TaskError",
     "TaskFailed",
     "TaskRefused",
@@ -467,6 +470,35 @@ class TelemetryStalled(
     remedy="`m100link hz` shows what arrives; set rates in the assistant",
 ):
     """An item that was arriving, or is needed, stopped arriving."""
+
+
+class NavigationLost(
+    TelemetryError,
+    code="M100-NAVIGATION-LOST",
+    cause="GPS that jumps or is disturbed, a sensor that stands still, or a relay that mixes old "
+    "packages with new ones",
+    remedy="let the pilot take the aircraft; look at position and velocity in the log",
+):
+    """What the aircraft tells of its place cannot be true: nobody can steer by it."""
+
+
+class SetpointsIgnored(
+    TelemetryError,
+    code="M100-SETPOINTS-IGNORED",
+    cause="the wire to the aircraft is broken, or the autopilot does not allow it: a no-fly zone, "
+    "its limit of height or distance, an obstacle",
+    remedy="check TX of the cable; otherwise see what the pilot's app says",
+):
+    """Setpoints go out, and nothing in telemetry begins to follow them."""
+
+
+class ComputerSuspended(
+    M100Error,
+    code="M100-COMPUTER-SUSPENDED",
+    cause="suspend-to-RAM or hibernation: by a lid, a power key, or an idle desktop",
+    remedy="forbid it while flying: systemd-inhibit --what=sleep:handle-lid-switch …",
+):
+    """The computer slept in flight. What it knew is old, whatever its clock says."""
 
 
 class LayoutMismatch(

@@ -21,6 +21,7 @@ from m100link.errors import (
 )
 from m100link.flight.authority import AuthorityInput, AuthorityState
 from m100link.flight.cancellation import Errand, ProgramTask
+from m100link.flight.following import FollowCheck
 from m100link.flight.guardian import Guardian
 from m100link.flight.guardian_plan import control_plan
 from m100link.flight.guards import GuardKeeper
@@ -99,11 +100,13 @@ class ControlBlock:
         )
         self._stopping = Errand(self._stop, self._on_stopped)
         self._on_signal = partial(self.end, StopCause.SIGNALLED)
+        loop = commander.link.loop
         self._watchdog = TelemetryWatchdog(
             commander.state,
-            guards.guards.stale_telemetry_s,
-            on_stall=partial(self.end, StopCause.TELEMETRY_STALLED),
-            loop=commander.link.loop,
+            guards.guards,
+            self.end,
+            loop,
+            FollowCheck(commander.state, lambda: setpoints.current, loop.time),
         )
 
     @property
@@ -348,7 +351,7 @@ class ControlBlock:
     # -- what may be sent ------------------------------------------------------------------------
 
     def admits(self) -> bool:
-        """Whether the program's setpoints may go out: it is flying, and telemetry arrives."""
+        """Whether the program's setpoints may go out: it is flying, and telemetry is true."""
         return self._life.state is BlockState.FLYING and self._watchdog.is_quiet()
 
     def require_flying(self, what: str) -> None:

@@ -120,14 +120,17 @@ class Guards:
             a Guidance unit).
         envelope: Limits of height, radius and speed; None switches them off.
         battery_floor_percent: Below it no take-off and no setpoints; None switches it off.
-        stale_telemetry_s: Control ends when no telemetry came for so many seconds; None switches
-            it off.
+        stale_telemetry_s: Control ends when no new telemetry came for so many seconds, or when it
+            comes ever later; None switches it off.
+        integrity: Control ends when the position cannot be true, or nothing begins to follow the
+            setpoints (switch it off for a simulator whose position and velocity disagree).
     """
 
     gps: bool = True
     envelope: Envelope | None = Envelope()
     battery_floor_percent: int | None = 20
     stale_telemetry_s: float | None = 1.0
+    integrity: bool = True
 
 
 class GuardKeeper:

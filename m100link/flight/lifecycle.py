@@ -54,7 +54,10 @@ class StopCause(Enum):
     SIGNALLED = "a signal that ends programs: Ctrl-C, SIGTERM, SIGHUP, SIGQUIT, SIGXCPU"
     CLOSED = "the connection is being closed, by whatever task"
     AUTHORITY_LOST = "the pilot or the app took the aircraft"
-    TELEMETRY_STALLED = "no telemetry came for too long"
+    TELEMETRY_STALLED = "no new telemetry came for too long"
+    NAVIGATION_LOST = "the position cannot be true"
+    SETPOINTS_IGNORED = "nothing begins to follow what is sent"
+    SUSPENDED = "the computer slept: whatever it knows is old"
     GUARD_REFUSED = "a guard refused the mission that flies, or nobody could watch it"
     SENDING_FAILED = "a setpoint could not be sent, and not because of the line"
     LINE_BLOCKED = "the line takes no more: setpoints do not reach the aircraft"
@@ -101,6 +104,12 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
     ),
     # The aircraft may hear us although we do not hear it.
     _C.TELEMETRY_STALLED: _OURS,
+    # The neutral asks for no place, and a landing needs none.
+    _C.NAVIGATION_LOST: _OURS,
+    # A landing is another command: it may be obeyed, or arrive, where setpoints are not.
+    _C.SETPOINTS_IGNORED: _OURS,
+    # Authority may be lost meanwhile; each step asks for it, and the aircraft hovers in any case.
+    _C.SUSPENDED: _OURS,
     _C.GUARD_REFUSED: _OURS,
     # The neutral and the release are other commands: they may still be sent.
     _C.SENDING_FAILED: _OURS,

@@ -123,10 +123,7 @@ class VirtualRc:
         self._on_signal = partial(self._end, StopCause.SIGNALLED)
         self._guards = GuardKeeper(guards or Guards(), commander.state)
         self._watchdog = TelemetryWatchdog(
-            commander.state,
-            self._guards.guards.stale_telemetry_s,
-            on_stall=partial(self._end, StopCause.TELEMETRY_STALLED),
-            loop=self._loop,
+            commander.state, self._guards.guards, self._end, self._loop
         )
         self._sticks = CENTRED
         self._renewed_at = 0.0

@@ -8,9 +8,13 @@ from typing import cast
 
 import pytest
 
-from m100link.errors import TelemetryStalled
+from m100link.errors import ComputerSuspended, M100Error, NavigationLost, TelemetryStalled
+from m100link.flight import suspension
+from m100link.flight.guards import Guards
+from m100link.flight.lifecycle import StopCause
 from m100link.flight.watchdog import TelemetryWatchdog
 from m100link.sim import VirtualClockEventLoop
+from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.state import AircraftState
 
 pytestmark = pytest.mark.anyio
@@ -29,6 +33,7 @@ class State:
     def __init__(self) -> None:
         self._clock = asyncio.get_running_loop().time
         self.newest_at = self._clock()
+        self.integrity = Integrity(IntegrityState.GOOD)
 
     @property
     def newest_age(self) -> float:
@@ -38,13 +43,20 @@ class State:
         self.newest_at = self._clock()
 
 
-def watch(state: State) -> tuple[TelemetryWatchdog, list[TelemetryStalled]]:
-    stalls: list[TelemetryStalled] = []
+def watch(
+    state: State, guards: Guards | None = None
+) -> tuple[TelemetryWatchdog, list[tuple[StopCause, M100Error]]]:
+    found: list[tuple[StopCause, M100Error]] = []
+
+    def end(cause: StopCause, error: M100Error) -> None:
+        found.append((cause, error))
+
+    guards = guards or Guards(stale_telemetry_s=LIMIT)
     watchdog = TelemetryWatchdog(
-        cast(AircraftState, state), LIMIT, stalls.append, asyncio.get_running_loop()
+        cast(AircraftState, state), guards, end, asyncio.get_running_loop()
     )
     watchdog.start()
-    return watchdog, stalls
+    return watchdog, found
 
 
 def block() -> None:
@@ -107,3 +119,55 @@ def test_it_looks_again_when_the_newest_telemetry_would_be_too_old() -> None:
 
 def test_once_stopped_it_looks_no_more() -> None:
     assert stalls_of_a_moment(is_stopped=True) == 0
+
+
+NO_STALE, NO_INTEGRITY = Guards(stale_telemetry_s=None), Guards(integrity=False)
+STALLED, LOST = StopCause.TELEMETRY_STALLED, StopCause.NAVIGATION_LOST
+
+
+@pytest.mark.parametrize(
+    ("found", "guards", "expected"),
+    [
+        (IntegrityState.UNKNOWN, Guards(), None),
+        (IntegrityState.GOOD, Guards(), None),
+        (IntegrityState.CLOCK_STOPPED, Guards(), STALLED),
+        (IntegrityState.LATE, Guards(), STALLED),
+        (IntegrityState.JUMPED, Guards(), LOST),
+        (IntegrityState.FROZEN, Guards(), LOST),
+        (IntegrityState.INCONSISTENT, Guards(), LOST),
+        (IntegrityState.CLOCK_STOPPED, NO_STALE, None),
+        (IntegrityState.LATE, NO_STALE, None),
+        (IntegrityState.JUMPED, NO_STALE, LOST),
+        (IntegrityState.LATE, NO_INTEGRITY, STALLED),
+        (IntegrityState.JUMPED, NO_INTEGRITY, None),
+        (IntegrityState.FROZEN, NO_INTEGRITY, None),
+    ],
+)
+async def test_what_cannot_be_true_ends_it_by_the_guard_of_that_name(
+    found: IntegrityState, guards: Guards, expected: StopCause | None
+) -> None:
+    state = State()
+    watchdog, ends = watch(state, guards)
+    assert ends == []
+    state.integrity = Integrity(found, "seen")
+    assert watchdog.is_quiet() is (expected is None)
+    assert [cause for cause, _ in ends] == ([] if expected is None else [expected])
+    if expected is not None:
+        kind = TelemetryStalled if expected is STALLED else NavigationLost
+        assert isinstance(ends[0][1], kind)
+    watchdog.stop()
+
+
+async def test_a_suspend_ends_it_whatever_the_clock_of_the_loop_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asleep = suspension.asleep_s
+    watchdog, ends = watch(State(), Guards(stale_telemetry_s=None, integrity=False))
+    assert watchdog.is_quiet()
+    monkeypatch.setattr(suspension, "asleep_s", lambda: asleep() + 6.0)
+    assert not watchdog.is_quiet()
+    ((cause, error),) = ends
+    assert cause is StopCause.SUSPENDED
+    assert isinstance(error, ComputerSuspended)
+    assert "suspended for 6.0 s" in error.seen
+    watchdog.stop()

@@ -1,0 +1,250 @@
+"""Whether the aircraft does what it is told: a wire to it may be broken while all else works."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from m100link.flight.known import known
+from m100link.geodesy import normalize_degrees
+from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
+from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical, Yaw
+
+if TYPE_CHECKING:
+    from m100link.telemetry.state import AircraftState
+
+__all__ = ["FOLLOW_S", "FollowCheck"]
+
+FOLLOW_S = 1.2
+"""Seconds in which something has to follow. The recorded flights of a Matrice 100 in
+caomuqing/mav_system_identification-DJI_M100_sysID show a tilt 0.24 s after it was asked for; the
+failsafes of ArduPilot act after one second (ekf_check: ten in a row at 10 Hz)."""
+
+_LOOK_S = 0.05
+_FRESH_S = 0.5
+_LEAST_M_S = 1.0  # slower setpoints drown in gusts
+_LEAST_CLIMB_M_S = 0.5
+_LEAST_TURN_DEG = 20.0
+_LEAST_TURN_DEG_S = 10.0
+_LEAST_TILT_DEG = 5.0
+_LEAST_OFFSET_M = 3.0
+_OFFSET_M_S = 1.5  # an autopilot flies a larger offset at least as fast
+_FAST_OFFSET_M_S = 5.0  # and at most as fast as that
+_FOLLOWS = 0.5  # which part of a velocity counts as followed: the rest is wind
+_BEGINS = 0.25  # and which part of what is missing shows that it is on its way
+_TURNED_DEG = 3.0
+_TILTED_DEG = 3.0
+_LEANS_DEG = 8.0  # a tilt towards it that says that wind, and not a wire, is in the way
+_LANDS_BELOW_M = 3.0  # near the ground an autopilot descends as it likes
+_STILL_M = 0.5
+_UNSEEN_M = 10.0  # without a velocity, how far it may fly and not be seen to move
+
+
+class _Deadline:
+    """Something is asked for, and has to grow by so much within :data:`FOLLOW_S`."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._from = 0.0
+
+    def is_over(self, now: float, seen: float | None, needed: float) -> bool:
+        """Whether it did not; ``seen`` is how much there is, None while it need not grow."""
+        if seen is None:
+            self._since = None
+            return False
+        if self._since is None or seen - self._from >= needed:
+            self._since, self._from = now, seen
+        self._from = min(self._from, seen)
+        return now - self._since >= FOLLOW_S
+
+
+class FollowCheck:
+    """Compares setpoints with what telemetry shows of them.
+
+    Only what is asked for and does not even begin is a contradiction: one that is slow, leans into
+    the wind, or is kept from it by the wind follows all the same.
+
+    Args:
+        state: Telemetry.
+        setpoint: What is being sent; None: nothing.
+        clock: Seconds.
+    """
+
+    def __init__(
+        self,
+        state: AircraftState,
+        setpoint: Callable[[], Setpoint | None],
+        clock: Callable[[], float],
+    ) -> None:
+        self._state = state
+        self._setpoint = setpoint
+        self._clock = clock
+        self._looked_at = -math.inf
+        self._asked: Setpoint | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self._way, self._climb, self._turn, self._tilt = (_Deadline() for _ in range(4))
+        self._lean: tuple[float, float] | None = None  # north and east, °, when the way began
+        self._heading: float | None = None  # when the turn began
+        self._place: Position | None = None
+        self._unseen_m = 0.0
+
+    def look(self) -> str:
+        """What does not follow, with its figures; empty while nothing speaks against it."""
+        now = self._clock()
+        if now - self._looked_at < _LOOK_S:
+            return ""
+        passed, self._looked_at = now - self._looked_at, now
+        setpoint = self._setpoint()
+        status = known(self._state, FlightStatus)
+        if setpoint is None or status is None or status.status != FlightPhase.IN_AIR:
+            if self._asked is not None:
+                self._asked = None
+                self._begin()
+            return ""
+        self._asked = setpoint
+        attitude = known(self._state, Attitude, within=_FRESH_S)
+        velocity = known(self._state, Velocity, within=_FRESH_S)
+        return (
+            self._look_at_way(now, passed, setpoint, velocity, attitude)
+            or self._look_at_climb(now, setpoint, velocity)
+            or self._look_at_turn(now, setpoint, attitude)
+        )
+
+    # -- horizontally ----------------------------------------------------------------------------
+
+    def _look_at_way(
+        self,
+        now: float,
+        passed: float,
+        setpoint: Setpoint,
+        velocity: Velocity | None,
+        attitude: Attitude | None,
+    ) -> str:
+        if setpoint.mode.horizontal is Horizontal.TILT:
+            self._way.is_over(now, None, 0.0)
+            return self._look_at_tilt(now, setpoint, attitude)
+        self._tilt.is_over(now, None, 0.0)
+        north, east, fast = _wanted(setpoint, attitude)
+        wanted = math.hypot(north, east)
+        if wanted < _LEAST_M_S:
+            self._unseen_m = 0.0
+            self._way.is_over(now, None, 0.0)
+            return ""
+        if velocity is None:
+            return self._look_at_place(passed, fast)
+        self._unseen_m = 0.0
+        north, east = north / wanted, east / wanted
+        along = velocity.north_m_s * north + velocity.east_m_s * east
+        seen: float | None = along
+        if along >= _FOLLOWS * wanted or self._leans(now, attitude, north, east):
+            seen = None
+        if not self._way.is_over(now, seen, _BEGINS * (wanted - along)):
+            return ""
+        return f"{wanted:.1f} m/s are asked for, and {along:.1f} m/s flown, without a begin"
+
+    def _leans(self, now: float, attitude: Attitude | None, north: float, east: float) -> bool:
+        """Whether it tilts towards that direction, or has begun to."""
+        if attitude is None:
+            return False
+        yaw, pitch, roll = (
+            math.radians(attitude.yaw_deg),
+            -attitude.pitch_deg,
+            attitude.roll_deg,
+        )
+        lean = (
+            pitch * math.cos(yaw) - roll * math.sin(yaw),
+            pitch * math.sin(yaw) + roll * math.cos(yaw),
+        )
+        before, self._lean = self._lean or lean, lean if self._lean is None else self._lean
+        more = (lean[0] - before[0]) * north + (lean[1] - before[1]) * east
+        if more >= _TILTED_DEG:
+            self._lean = lean
+        return more >= _TILTED_DEG or lean[0] * north + lean[1] * east >= _LEANS_DEG
+
+    def _look_at_place(self, passed: float, fast: float) -> str:
+        """Without a velocity, the place has to change while it is flown to another one."""
+        place = known(self._state, Position)
+        if place is None:
+            self._unseen_m, self._place = 0.0, None
+            return ""
+        if self._place is None or _apart_m(self._place, place) > _STILL_M:
+            self._place, self._unseen_m = place, 0.0
+            return ""
+        self._unseen_m += fast * min(passed, _FRESH_S)
+        if self._unseen_m < _UNSEEN_M:
+            return ""
+        return f"setpoints of {self._unseen_m:.0f} m were flown, and the position did not change"
+
+    def _look_at_tilt(self, now: float, setpoint: Setpoint, attitude: Attitude | None) -> str:
+        wanted = math.hypot(setpoint.x, setpoint.y)
+        if attitude is None or wanted < _LEAST_TILT_DEG or setpoint.frame is ReferenceFrame.GROUND:
+            self._tilt.is_over(now, None, 0.0)
+            return ""
+        along = (attitude.roll_deg * setpoint.x + attitude.pitch_deg * setpoint.y) / wanted
+        seen = along if along < _FOLLOWS * wanted else None
+        if not self._tilt.is_over(now, seen, _BEGINS * (wanted - along)):
+            return ""
+        return f"a tilt of {wanted:.0f}° is asked for, and {along:.0f}° flown, without a begin"
+
+    # -- climbing and turning --------------------------------------------------------------------
+
+    def _look_at_climb(self, now: float, setpoint: Setpoint, velocity: Velocity | None) -> str:
+        wanted, climb, seen = setpoint.z, 0.0, None
+        if (
+            velocity is not None
+            and setpoint.mode.vertical is Vertical.VELOCITY
+            and abs(wanted) >= _LEAST_CLIMB_M_S
+            and (wanted > 0.0 or self._is_high())
+        ):
+            climb = abs(velocity.up_m_s)  # the sources do not settle its sign
+            seen = climb if climb < _FOLLOWS * abs(wanted) else None
+        if not self._climb.is_over(now, seen, _BEGINS * (abs(wanted) - climb)):
+            return ""
+        return f"a climb of {wanted:.1f} m/s is asked for, and {climb:.1f} m/s flown"
+
+    def _is_high(self) -> bool:
+        position = known(self._state, Position)
+        return position is not None and position.height_m > _LANDS_BELOW_M
+
+    def _look_at_turn(self, now: float, setpoint: Setpoint, attitude: Attitude | None) -> str:
+        seen = None
+        if attitude is not None:
+            heading = attitude.yaw_deg
+            if setpoint.mode.yaw is Yaw.RATE:
+                is_asked = abs(setpoint.yaw) >= _LEAST_TURN_DEG_S
+            else:
+                is_asked = abs(normalize_degrees(setpoint.yaw - heading)) >= _LEAST_TURN_DEG
+            if self._heading is None or not is_asked:
+                self._heading = heading
+            turned = abs(normalize_degrees(heading - self._heading))
+            seen = turned if is_asked and turned < _TURNED_DEG else None
+            if seen is None:
+                self._heading = heading
+        if not self._turn.is_over(now, seen, _TURNED_DEG):
+            return ""
+        return "a turn is asked for, and the heading stays"
+
+
+def _wanted(setpoint: Setpoint, attitude: Attitude | None) -> tuple[float, float, float]:
+    """What is asked for at least, north and east, m/s, and how fast it may be flown."""
+    x, y = setpoint.x, setpoint.y
+    if setpoint.frame is ReferenceFrame.BODY:
+        if attitude is None:
+            return 0.0, 0.0, 0.0
+        yaw = math.radians(attitude.yaw_deg)
+        x, y = x * math.cos(yaw) - y * math.sin(yaw), x * math.sin(yaw) + y * math.cos(yaw)
+    fast = math.hypot(x, y)
+    if setpoint.mode.horizontal is Horizontal.VELOCITY:
+        return x, y, fast
+    if fast < _LEAST_OFFSET_M:
+        return 0.0, 0.0, 0.0
+    return x / fast * _OFFSET_M_S, y / fast * _OFFSET_M_S, min(fast / 2, _FAST_OFFSET_M_S)
+
+
+def _apart_m(one: Position, other: Position) -> float:
+    north = one.latitude_rad - other.latitude_rad
+    east = math.remainder(one.longitude_rad - other.longitude_rad, 2 * math.pi)
+    return math.hypot(north, east * math.cos(one.latitude_rad)) * 6_378_137.0

@@ -1,0 +1,238 @@
+"""What is asked for and does not begin, and what is only slow, tired or blown about."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import pytest
+
+from m100link.errors import SetpointsIgnored
+from m100link.flight.following import FOLLOW_S, FollowCheck
+from m100link.protocol.records import (
+    Attitude,
+    FlightPhase,
+    FlightStatus,
+    Position,
+    Velocity,
+)
+from m100link.protocol.setpoint import ReferenceFrame, Setpoint
+from m100link.sim import AircraftSettings, LineFaults
+from m100link.telemetry.state import AircraftState
+from tests.rig import rig
+
+STEP_S = 0.05
+
+
+class Stand:
+    """A check, and an aircraft that shows what it is set to.
+
+    Attributes:
+        north, east, up: Velocity, m/s; None: the item is not sent.
+        roll, pitch, yaw: Attitude, °; None: the item is not sent.
+        moved: Metres to the north.
+    """
+
+    def __init__(self) -> None:
+        self.now = 50.0
+        self.setpoint: Setpoint | None = None
+        self.velocity: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+        self.attitude: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+        self.phase: FlightPhase | None = FlightPhase.IN_AIR
+        self.height = 10.0
+        self.moved = 0.0
+        self.check = FollowCheck(cast(AircraftState, self), lambda: self.setpoint, lambda: self.now)
+
+    def fresh(self, record: type[Any], *, within: float) -> Any:
+        del within
+        if record is FlightStatus:
+            return None if self.phase is None else FlightStatus(self.phase)
+        if record is Velocity:
+            return None if self.velocity is None else Velocity(*self.velocity, None)
+        if record is Attitude:
+            return None if self.attitude is None else attitude(*self.attitude)
+        assert record is Position
+        return Position(0.4 + self.moved / 6_378_137.0, 2.0, 400.0, self.height, 5)
+
+    def fly(self, seconds: float) -> str:
+        """What does not follow within that time; empty: nothing."""
+        for _ in range(round(seconds / STEP_S)):
+            self.now += STEP_S
+            found = self.check.look()
+            if found:
+                return found
+        return ""
+
+
+def attitude(roll: float, pitch: float, yaw: float) -> Attitude:
+    r, p, y = (math.radians(angle) / 2 for angle in (roll, pitch, yaw))
+    cr, sr, cp, sp, cy, sy = *cis(r), *cis(p), *cis(y)
+    return Attitude(
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def cis(angle: float) -> tuple[float, float]:
+    return math.cos(angle), math.sin(angle)
+
+
+def velocity(**values: float) -> Setpoint:
+    given: dict[str, Any] = {"up": 0.0, "yaw_rate_deg_s": 0.0, **values}
+    return Setpoint.velocity(**given)
+
+
+NORTH = velocity(north=3.0, east=0.0)
+IGNORED = {
+    "velocity": NORTH,
+    "backwards": velocity(north=-3.0, east=0.0),
+    "body frame": velocity(forward=0.0, right=2.0),
+    "offset": Setpoint.position_offset(north=0, east=8, up=0, yaw_rate_deg_s=0),
+    "climb": velocity(north=0.0, east=0.0, up=1.0),
+    "descent": velocity(north=0.0, east=0.0, up=-1.0),
+    "turn": velocity(north=0.0, east=0.0, yaw_rate_deg_s=30.0),
+    "heading": Setpoint.velocity(north=0, east=0, up=0, yaw_deg=90),
+    "tilt": Setpoint.tilt(roll_deg=0, pitch_deg=-10, up=0, yaw_rate_deg_s=0),
+}
+
+
+@pytest.mark.parametrize("asked", IGNORED)
+def test_what_does_not_begin_in_time_is_ignored(asked: str) -> None:
+    stand = Stand()
+    stand.setpoint = IGNORED[asked]
+    assert stand.fly(FOLLOW_S - 0.1) == ""
+    assert stand.fly(0.3) != ""
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "change"),
+    [
+        (NORTH, {"velocity": (1.6, 0.0, 0.0)}),
+        (NORTH, {"attitude": (0.0, -9.0, 0.0)}),  # leans against the wind
+        (velocity(north=0.0, east=3.0), {"attitude": (9.0, 0.0, 0.0)}),
+        (velocity(north=0.0, east=3.0), {"attitude": (0.0, -9.0, 90.0)}),
+        (velocity(north=0.9, east=0.0), {}),  # too slow to be told from gusts
+        (velocity(north=0.0, east=0.0), {"velocity": (-3.0, 2.0, 0.0)}),
+        (IGNORED["offset"], {"velocity": (0.0, 0.9, 0.0)}),
+        (Setpoint.position_offset(north=2, east=0, up=0, yaw_rate_deg_s=0), {}),
+        (IGNORED["climb"], {"velocity": (0.0, 0.0, 0.6)}),
+        (IGNORED["climb"], {"velocity": (0.0, 0.0, -0.6)}),  # the sign is not settled
+        (IGNORED["climb"], {"velocity": None}),
+        (IGNORED["descent"], {"height": 2.0}),  # it lands as it likes
+        (IGNORED["heading"], {"attitude": (0.0, 0.0, 80.0)}),
+        (IGNORED["heading"], {"attitude": None}),
+        (IGNORED["tilt"], {"attitude": (0.0, -6.0, 0.0)}),
+        (NORTH, {"phase": FlightPhase.STANDBY}),
+        (NORTH, {"phase": FlightPhase.LANDING}),
+        (NORTH, {"phase": None}),
+        (None, {}),
+    ],
+    ids=str,
+)
+def test_what_follows_or_need_not_is_no_fault(
+    setpoint: Setpoint | None, change: dict[str, Any]
+) -> None:
+    stand = Stand()
+    stand.setpoint = setpoint
+    for name, value in change.items():
+        setattr(stand, name, value)
+    assert stand.fly(10.0) == ""
+
+
+def test_one_that_is_slow_begins() -> None:
+    stand = Stand()
+    stand.setpoint, stand.attitude = velocity(north=10.0, east=0.0), None
+    north = -10.0
+    while north < 10.0:
+        stand.velocity = north, 0.0, 0.0
+        assert stand.fly(STEP_S) == ""
+        north += 4.5 * STEP_S
+
+
+@pytest.mark.parametrize("rate", [3.0, 100.0])
+def test_one_that_turns_begins(rate: float) -> None:
+    stand = Stand()
+    stand.setpoint = velocity(north=0.0, east=0.0, yaw_rate_deg_s=max(10.0, rate))
+    for step in range(400):
+        stand.attitude = 0.0, 0.0, (step * rate * STEP_S + 180.0) % 360.0 - 180.0
+        assert stand.fly(STEP_S) == ""
+
+
+def test_gusts_that_shake_one_that_hears_nothing_are_no_begin() -> None:
+    stand = Stand()
+    stand.setpoint = NORTH
+    found = ""
+    for step in range(100):
+        gust = 0.3 * math.sin(step)
+        stand.velocity, stand.attitude = (gust, -gust, 0.0), (2 * gust, 3 * gust, 0.0)
+        found = found or stand.fly(STEP_S)
+    assert found
+
+
+def test_one_that_stops_hearing_in_flight_is_noticed_when_it_has_braked() -> None:
+    stand = Stand()
+    stand.setpoint = velocity(north=5.0, east=0.0)
+    stand.velocity = 5.0, 0.0, 0.0
+    assert stand.fly(5.0) == ""
+    north, seconds, found = 5.0, 0.0, ""
+    while not found:
+        north, seconds = max(0.0, north - 4.0 * STEP_S), seconds + STEP_S
+        stand.velocity = north, 0.0, 0.0
+        stand.attitude = 0.0, 20.0 if north else 0.0, 0.0
+        found = stand.fly(STEP_S)
+    assert seconds < 3.5
+
+
+def test_without_a_velocity_the_place_has_to_change_within_10_m() -> None:
+    stand = Stand()
+    stand.setpoint, stand.velocity = NORTH, None
+    assert stand.fly(3.0) == ""
+    assert "did not change" in stand.fly(1.0)
+    moving = Stand()
+    moving.setpoint, moving.velocity = NORTH, None
+    for _ in range(400):
+        moving.moved += 0.5 * STEP_S  # a sixth of what is asked for
+        assert moving.fly(STEP_S) == ""
+
+
+def test_ground_frame_tilt_is_not_judged() -> None:
+    stand = Stand()
+    stand.setpoint = Setpoint.tilt(
+        roll_deg=0, pitch_deg=-10, up=0, yaw_rate_deg_s=0, frame=ReferenceFrame.GROUND
+    )
+    assert stand.fly(10.0) == ""
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("setpoint", IGNORED.values(), ids=list(IGNORED))
+@pytest.mark.parametrize("firmware", ["1.0", "3.1"])
+async def test_the_virtual_aircraft_follows_each_of_them(setpoint: Setpoint, firmware: str) -> None:
+    """Through noise, gusts, and changes of direction each second."""
+    opposite = Setpoint(
+        setpoint.mode, -setpoint.x, -setpoint.y, -setpoint.z, -setpoint.yaw, setpoint.frame
+    )
+    settings = AircraftSettings(wind_north=4.0, gusts=1.0, noise=1.0)
+    async with rig(firmware=firmware, settings=settings) as flown:
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+            await control.climb_to(12.0)
+            async for tick in control.ticks():
+                if tick.elapsed > 12.0:
+                    break
+                control.send(setpoint if int(tick.elapsed / 2) % 2 == 0 else opposite)
+
+
+@pytest.mark.anyio
+async def test_the_error_says_what_is_asked_for_and_what_is_flown() -> None:
+    async with rig() as flown:
+        with pytest.raises(
+            SetpointsIgnored, match=r"3\.0 m/s are asked for, and 0\.0 m/s"
+        ) as found:
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                flown.virtual.set_faults(LineFaults(deaf=True))
+                async for _ in control.ticks():
+                    control.send(NORTH)
+        assert "no-fly zone" in str(found.value)
