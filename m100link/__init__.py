@@ -385,6 +385,7 @@ _ROOMS = (
     "link",
     "telemetry.device_clock",
     "telemetry.sample",
+    "telemetry.integrity",
     "telemetry.state",
     "telemetry.subscription",
     "telemetry.columns",
