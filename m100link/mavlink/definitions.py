@@ -88,6 +88,9 @@ DEFINITIONS = """
     middleware_sw_version, u32 os_sw_version, u32 board_version, u16 vendor_id, u16 product_id,
     u8[8] flight_custom_version, u8[8] middleware_custom_version, u8[8] os_custom_version |
     u8[18] uid2
+230 ESTIMATOR_STATUS: u64 time_usec, f32 vel_ratio, f32 pos_horiz_ratio, f32 pos_vert_ratio, f32
+    mag_ratio, f32 hagl_ratio, f32 tas_ratio, f32 pos_horiz_accuracy, f32 pos_vert_accuracy, u16
+    flags
 242 HOME_POSITION: i32 latitude, i32 longitude, i32 altitude, f32 x, f32 y, f32 z, f32[4] q, f32
     approach_x, f32 approach_y, f32 approach_z | u64 time_usec
 244 MESSAGE_INTERVAL: i32 interval_us, u16 message_id

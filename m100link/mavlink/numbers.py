@@ -10,6 +10,7 @@ __all__ = [
     "BaseMode",
     "Capability",
     "Command",
+    "Estimator",
     "Frame",
     "LandedState",
     "MissionResult",
@@ -82,6 +83,17 @@ class Sensor(IntFlag):
     GPS = 0x20
     RC = 0x10000
     PREARM = 0x10000000
+
+
+class Estimator(IntFlag):
+    """ESTIMATOR_STATUS_FLAGS: those that are ever set here."""
+
+    ATTITUDE = 0x1
+    VELOCITY_HORIZ = 0x2
+    VELOCITY_VERT = 0x4
+    POS_HORIZ_ABS = 0x10
+    POS_VERT_ABS = 0x20
+    GPS_GLITCH = 0x400
 
 
 class Capability(IntFlag):

@@ -13,7 +13,7 @@ from typing import Any
 
 from m100link.mavlink.codec import LAYOUTS
 from m100link.mavlink.modes import MODES, Mode
-from m100link.mavlink.numbers import BaseMode, LandedState, Sensor, SystemStatus
+from m100link.mavlink.numbers import BaseMode, Estimator, LandedState, Sensor, SystemStatus
 from m100link.mavlink.world import GPS_NEEDED, World
 from m100link.protocol.records import (
     Acceleration,
@@ -80,7 +80,8 @@ def _sys_status(world: World, now: float) -> Fields:
         telemetry = world.known.telemetry
         if telemetry is not None and telemetry.get(record) is not None:
             present |= bit
-        if world.fresh(record) is not None and (bit is not Sensor.GPS or world.position):
+        is_true = bit is not Sensor.GPS or (world.position and world.integrity.is_plausible)
+        if world.fresh(record) is not None and is_true:
             health |= bit
     battery = world.fresh(Battery)
     percent = -1 if battery is None or battery.percent > 100 else battery.percent
@@ -253,6 +254,26 @@ def _altitude(world: World, now: float) -> Fields | None:
     }
 
 
+def _estimator(world: World, now: float) -> Fields | None:
+    integrity, velocity = world.integrity, world.velocity
+    flags = Estimator.ATTITUDE if world.fresh(Attitude) is not None else Estimator(0)
+    if not integrity.is_plausible:
+        flags |= Estimator.GPS_GLITCH
+    elif integrity.is_timely:
+        if world.position is not None:
+            flags |= Estimator.POS_HORIZ_ABS | Estimator.POS_VERT_ABS
+        if velocity is not None:
+            flags |= Estimator.VELOCITY_HORIZ | Estimator.VELOCITY_VERT
+    unknown = ("vel_ratio", "mag_ratio", "hagl_ratio", "tas_ratio")
+    return {
+        "time_usec": int(now * 1e6),
+        **dict.fromkeys((*unknown, "pos_horiz_accuracy", "pos_vert_accuracy"), math.nan),
+        "pos_horiz_ratio": integrity.test_ratio,
+        "pos_vert_ratio": integrity.height_test_ratio,
+        "flags": int(flags),
+    }
+
+
 def _imu(world: World, now: float) -> Fields | None:
     rates, attitude = world.fresh(AngularVelocity), world.fresh(Attitude)
     acceleration = world.fresh(Acceleration)
@@ -315,6 +336,7 @@ STREAMS: Mapping[str, Stream] = {
     "HOME_POSITION": Stream(1, _PLACE, _home, "where it stood last with GPS health 3"),
     "GPS_RAW_INT": Stream(5, _SENSORS, _gps, "GPS health; no satellites, no accuracy"),
     "BATTERY_STATUS": Stream(1, _STATUS, _battery, "percent; no voltage, no current"),
+    "ESTIMATOR_STATUS": Stream(1, _STATUS, _estimator, "whether the position can be true"),
     "RC_CHANNELS": Stream(5, _STICKS, _rc, "sticks, mode switch, gear"),
     "VFR_HUD": Stream(0, _EXTRA2, _vfr, "velocity, altitude; no airspeed"),
     "ALTITUDE": Stream(0, _EXTRA3, _altitude, "barometric altitude, height"),

@@ -24,6 +24,7 @@ from m100link.protocol.records import (
     RemoteControl,
     Velocity,
 )
+from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.state import AircraftState
 
 __all__ = ["GPS_NEEDED", "Home", "Known", "World"]
@@ -125,6 +126,12 @@ class World:
         if found is None or not found.is_possible or (found.gps_health or 0) < GPS_NEEDED:
             return None
         return found
+
+    @property
+    def integrity(self) -> Integrity:
+        """Whether that can be true."""
+        telemetry = self.known.telemetry
+        return Integrity(IntegrityState.UNKNOWN) if telemetry is None else telemetry.integrity
 
     @property
     def is_on_ground(self) -> bool | None:

@@ -1,4 +1,4 @@
-"""What is wrong, for /diagnostics: line, clock, control, battery, and the node itself."""
+"""What is wrong, for /diagnostics: line, clock, place, control, battery, and the node itself."""
 
 from __future__ import annotations
 
@@ -65,7 +65,14 @@ def diagnostics(
         clock: Its clock; None before its first tick.
         counted: What the node did not do, by the reason.
     """
-    return [_line(agent), _clock(clock), _control(agent), _battery(agent), _node(counted)]
+    return [
+        _line(agent),
+        _clock(clock),
+        _navigation(agent),
+        _control(agent),
+        _battery(agent),
+        _node(counted),
+    ]
 
 
 def _line(agent: AgentClient) -> Status:
@@ -99,6 +106,21 @@ def _clock(clock: DeviceClock | None) -> Status:
     if not bound <= _BOUND_S:
         return Status("clock", Level.WARN, "stamps are uncertain", values)
     return Status("clock", Level.OK, "stamps are by the clock of the aircraft", values)
+
+
+def _navigation(agent: AgentClient) -> Status:
+    """Whether what comes can be true; on the ground there is nothing to judge."""
+    if agent.telemetry is None:
+        return Status("navigation", Level.STALE, "unknown")
+    found = agent.telemetry.integrity
+    values = {
+        "position test ratio": round(found.test_ratio, 2),
+        "height test ratio": round(found.height_test_ratio, 2),
+        "delay ms": round(1000 * found.delay_s, 1),
+    }
+    if found.is_plausible and found.is_timely:
+        return Status("navigation", Level.OK, found.state.name.lower(), values)
+    return Status("navigation", Level.ERROR, found.seen, values)
 
 
 def _control(agent: AgentClient) -> Status:

@@ -13,7 +13,7 @@ from m100link.mavlink.modes import MODES, Mode
 from m100link.mavlink.numbers import Command, Result
 from m100link.mavlink.parameters import PARAMETERS
 from m100link.mavlink.telemetry import STREAMS
-from m100link.protocol.records import RcMode
+from m100link.protocol.records import FlightPhase, RcMode
 from tests.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
@@ -102,6 +102,26 @@ async def test_without_gps_there_is_no_place(rig: Rig, ground: Ground) -> None:
     assert ground.all("GLOBAL_POSITION_INT") == ground.all("LOCAL_POSITION_NED") == []
     assert ground.last("GPS_RAW_INT")["fix_type"] == 2
     assert not ground.last("SYS_STATUS")["onboard_control_sensors_health"] & 0x20
+
+
+async def test_a_position_that_jumps_is_a_glitch(rig: Rig, ground: Ground) -> None:
+    """ESTIMATOR_STATUS_FLAGS: 0x400 GPS glitch, 0x10 and 0x20 absolute position."""
+    flight = rig.aircraft.vehicle.flight
+    flight.start_motors()
+    flight.phase = FlightPhase.IN_AIR
+    flight.dynamics.place(0.0, 0.0, 10.0)
+    await anyio.sleep(5.0)
+    before = ground.last("ESTIMATOR_STATUS")
+    assert before["flags"] == 0x37
+    assert before["pos_horiz_ratio"] < 1.0
+    assert math.isnan(before["vel_ratio"])
+    flight.dynamics.place(500.0, 0.0, 10.0)
+    await anyio.sleep(1.5)
+    assert ground.last("ESTIMATOR_STATUS")["flags"] == 0x401
+    assert not ground.last("SYS_STATUS")["onboard_control_sensors_health"] & 0x20
+    await anyio.sleep(6.0)
+    assert ground.last("ESTIMATOR_STATUS")["flags"] == 0x37
+    assert ground.last("SYS_STATUS")["onboard_control_sensors_health"] & 0x20
 
 
 async def test_an_aircraft_that_is_not_heard_is_silent(rig: Rig, ground: Ground) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import anyio
 import pytest
 
+from m100link.protocol.records import FlightPhase
 from m100link.ros2.diagnostics import Level
 from tests.ros2.conftest import Program, Rig
 
@@ -40,3 +41,17 @@ async def test_what_was_not_done_is_counted(rig: Rig, program: Program) -> None:
     await anyio.sleep(2.0)
     node = next(one for one in rig.said("/diagnostics")[-1]["status"] if "node" in one["name"])
     assert {"key": "setpoints closed", "value": "1"} in node["values"]
+
+
+async def test_a_position_that_cannot_be_true(rig: Rig) -> None:
+    flight = rig.aircraft.vehicle.flight
+    flight.start_motors()
+    flight.phase = FlightPhase.IN_AIR
+    flight.dynamics.place(0.0, 0.0, 10.0)
+    await anyio.sleep(6.0)
+    assert levels(rig)["navigation"] is Level.OK
+    flight.dynamics.place(500.0, 0.0, 10.0)
+    await anyio.sleep(1.5)
+    assert levels(rig)["navigation"] is Level.ERROR
+    await anyio.sleep(6.0)
+    assert levels(rig)["navigation"] is Level.OK

@@ -77,6 +77,7 @@ class AlarmName(Enum):
     BATTERY_CRITICAL = "battery_critical"
     LEASE_TAKEN = "lease_taken"
     LINK_OLD = "link_old"
+    NAVIGATION = "navigation"
     BATTERY_FLOOR = "battery_floor"
     GPS = "gps"
     AUTHORITY_LOST = "authority_lost"
@@ -149,6 +150,10 @@ def _gps(now: Situation) -> bool | None:
     if now.is_on_ground:
         return False  # before take-off the checklist tells it
     return None if now.gps is None else now.gps < GOOD_GPS
+
+
+def _navigation(now: Situation) -> bool | None:
+    return bool(now.contradiction) if now.is_connected else None
 
 
 def _authority_lost(now: Situation) -> bool | None:
@@ -247,6 +252,14 @@ ALARMS: tuple[Definition, ...] = (
         _L.DANGER,
         _always("alarms.link_old"),
         _link_old,
+        ends_after=1.0,
+        within=_N.LINK_LOST,
+    ),
+    Definition(
+        _N.NAVIGATION,
+        _L.DANGER,
+        lambda now: say("alarms.navigation", what=now.contradiction),
+        _navigation,
         ends_after=1.0,
         within=_N.LINK_LOST,
     ),

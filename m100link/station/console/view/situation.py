@@ -100,6 +100,8 @@ class Situation:
         height: Above the take-off point, m.
         place: Latitude and longitude, °; None without good GPS.
         distance: From where control was obtained, m.
+        contradiction: What cannot be true in telemetry, in English; empty while nothing is known
+            to speak against it.
         limits: What the agent's guards allow.
         aborted: Number of the newest event that tells of a mission broken off; 0 for none.
         aborted_why: Its text, in English.
@@ -134,6 +136,7 @@ class Situation:
     height: float | None = None
     place: tuple[float, float] | None = None
     distance: float | None = None
+    contradiction: str = ""
     limits: Limits = field(default_factory=Limits)
     aborted: int = 0
     aborted_why: str = ""
@@ -235,6 +238,7 @@ def _measured(telemetry: AircraftState | None, limits: Limits) -> dict[str, Any]
         "height": position.height_m if position is not None else None,
         "place": place,
         "distance": _distance(place, limits),
+        "contradiction": telemetry.integrity.seen,
     }
 
 

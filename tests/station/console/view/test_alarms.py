@@ -124,6 +124,11 @@ CASES: dict[AlarmName, tuple[dict[str, Any], dict[str, Any], str]] = {
         "Anna took control from you",
     ),
     N.LINK_OLD: (silent(1.5), {"telemetry_at": 2.75, "seconds": 1.25}, "silent"),
+    N.NAVIGATION: (
+        {"contradiction": "the position jumped by 50 m"},
+        {"contradiction": "", "seconds": 1.25},
+        "cannot be true (the position jumped by 50 m): have the pilot take over",
+    ),
     N.BATTERY_FLOOR: ({"battery": 19}, {"battery": 30}, "below 20 % the station does not steer"),
     N.GPS: ({"gps": 2, "seconds": 1.25}, {"gps": 3, "seconds": 2.5}, "GPS is weak"),
     N.AUTHORITY_LOST: (

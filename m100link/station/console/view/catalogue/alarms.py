@@ -40,6 +40,10 @@ WORDS: dict[str, tuple[str, str]] = {
         "GPS is weak: the aircraft may drift",
         "GPS ist schwach: das Fluggerät kann abtreiben",
     ),
+    "alarms.navigation": (
+        "The telemetry cannot be true ({what}): have the pilot take over",
+        "Die Telemetrie kann nicht stimmen ({what}): den Piloten übernehmen lassen",
+    ),
     "alarms.authority_lost": (
         "Control is lost, nobody knows to whom",
         "Die Steuerung ist weg, niemand weiß an wen",
