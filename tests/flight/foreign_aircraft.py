@@ -110,6 +110,9 @@ class ForeignMatrice:
         self._buffer = b""
         self._lands_at = self._took_off_at = math.inf
         self._next_at = -math.inf
+        self._flown_north = self._flown_east = 0.0  # by movements, m
+        self._moves_until = -math.inf
+        self._moves = 0.0, 0.0
 
     def now(self) -> float:
         """Seconds by the clock that it lives by."""
@@ -140,6 +143,9 @@ class ForeignMatrice:
             self.status, self._lands_at, self.missions.height = STANDBY, math.inf, 0.0
         if now >= self._took_off_at:
             self.status, self._took_off_at, self.missions.height = IN_AIR, math.inf, 1.2
+        if now < self._moves_until and self.status == IN_AIR:
+            self._flown_north += self._moves[0] * PERIOD_S
+            self._flown_east += self._moves[1] * PERIOD_S
         if self.missions.advance(PERIOD_S) == "land":
             self.status, self._lands_at = LANDING, now + 0.5
         self._write(frame(b"\x02\x00" + self._telemetry(now)))
@@ -197,6 +203,8 @@ class ForeignMatrice:
             now = self.now()
             is_obeyed = self.device == ONBOARD and not self.missions.flying
             self.movements.append(Movement(now, flag_and_values[1:], is_obeyed))
+            if is_obeyed and flag_and_values[0] & 0xC2 == 0x40:  # by velocity, ground frame
+                self._moves, self._moves_until = flag_and_values[1:3], now + 0.5
             return None
         if (group, number) == (1, 0):
             return struct.pack("<H", self._authority(is_wanted=value == b"\1"))
@@ -243,8 +251,9 @@ class ForeignMatrice:
         rate = 400 if self.firmware == "3.1" else 600
         tick = struct.pack("<I", int(now * rate) & 0xFFFFFFFF)
         missions = self.missions
-        latitude = self.latitude_deg + math.degrees(missions.north / EARTH_M)
-        longitude = LONGITUDE_DEG + math.degrees(missions.east / EARTH_M) / COS_LATITUDE
+        north, east = missions.north + self._flown_north, missions.east + self._flown_east
+        latitude = self.latitude_deg + math.degrees(north / EARTH_M)
+        longitude = LONGITUDE_DEG + math.degrees(east / EARTH_M) / COS_LATITUDE
         place = math.radians(latitude), math.radians(longitude), 400.0, missions.height, 5
         device = self.device | (self.device == ONBOARD) << 3
         values = {

@@ -10,6 +10,7 @@ import pytest
 
 from m100link.protocol import encode_telemetry, profile
 from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.packet import telemetry_size
 from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
@@ -395,3 +396,24 @@ def test_what_is_true_of_each_state_is_said_of_it() -> None:
     assert timely == set(S) - {S.CLOCK_STOPPED, S.LATE}
     plausible = {state for state in S if Integrity(state).is_plausible}
     assert plausible == {S.UNKNOWN, S.GOOD, S.CLOCK_STOPPED, S.LATE}
+
+
+def test_whatever_comes_nothing_raises() -> None:
+    """The watchdog asks before each frame: an exception there would end the watch, not the lie."""
+    for seed in range(300):
+        chance = random.Random(seed)
+        firmware = profile(chance.choice(["1.0", "2.3", "3.1", "1.0-document"]))
+        state, now = AircraftState(lambda: 0.0), 0.0
+        for _ in range(40):
+            now += chance.choice([0.0, 0.02, 0.02, 1.5, 1e6, -1.0])
+            flags = chance.getrandbits(16) & firmware.item_flags
+            size = telemetry_size(flags, firmware) - 2
+            kind = chance.randrange(3)
+            body = chance.randbytes(size) if kind else bytes(size)
+            if kind == 2:
+                body = bytes(chance.choice([0x00, 0x7F, 0x80, 0xFF]) for _ in range(size))
+            state.update(Sample(flags.to_bytes(2, "little") + body, firmware, now))
+            found = state.integrity
+            assert not math.isnan(found.test_ratio), seed
+            assert not math.isnan(found.height_test_ratio), seed
+            assert math.isfinite(found.delay_s), seed
