@@ -29,7 +29,7 @@ from m100link.agent.way_time import (
     MAX_UNHEARD,
     WayTime,
 )
-from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error
+from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NotObserved
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
@@ -93,6 +93,7 @@ class Tab:
         self._last_number = -1
         self._way = WayTime()
         self._press = Press()
+        self._stopped_at = -math.inf
         self._complained_at = -math.inf
         self._is_closed = False
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
@@ -130,14 +131,22 @@ class Tab:
     # -- what the buttons do ---------------------------------------------------------------------
 
     async def attempt(self, work: Callable[[], Awaitable[Any]]) -> bool:
-        """Do something for the operator; what goes wrong is kept as the problem."""
-        self.refusal = None
+        """Do something for the operator; what goes wrong is kept as the problem.
+
+        What this tab ended by its own STOP went as it was wished.
+        """
+        self.refusal, began = None, self._agent.now
         try:
             await work()
         except M100Error as error:
-            self.refusal = error
+            if not self.has_ended(error, began):
+                self.refusal = error
             return False
         return True
+
+    def has_ended(self, error: M100Error, began: float) -> bool:
+        """Whether an order of ``began``, on the agent's clock, ended by this tab's own STOP."""
+        return isinstance(error, NotObserved) and self._stopped_at > began
 
     async def activate(self) -> None:
         """Activate the aircraft."""
@@ -307,7 +316,7 @@ class Tab:
 
     def _stop_now(self, press: object) -> None:
         """STOP by either way: that of the socket, or of the page's other events."""
-        self._stop_press = press
+        self._stop_press, self._stopped_at = press, self._agent.now
         if self._stopping is None or self._stopping.done():
             self._stopping = self._agent.background.spawn(
                 self.attempt(self._agent.stop), f"stop of {self.name}"

@@ -553,3 +553,23 @@ async def test_an_order_that_waited_is_refused(rig: Rig) -> None:
     await anyio.sleep(0.1)
     assert "2 s on its way; nothing was done" in rig.front.events[-1].text
     assert refused.value.limit == MAX_ORDER_LATE
+
+
+@pytest.mark.parametrize("whose", ["own", "of another"])
+async def test_what_ones_own_stop_ended_is_no_problem(rig: Rig, whose: str) -> None:
+    browser = await airborne(rig)
+    other = Browser(rig, "another")
+    tab = browser.tab
+
+    async def stop() -> None:
+        await anyio.sleep(1.0)
+        await (tab if whose == "own" else other.tab).stop()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(stop)
+        group.start_soon(keep_alive, browser, anyio.sleep(3.0))
+        assert not await tab.attempt(lambda: tab.fly(Task.LAND))
+    assert (tab.problem == "") is (whose == "own")
+    # What goes wrong afterwards is one.
+    assert not await tab.attempt(lambda: tab.simple_task(99))
+    assert tab.problem

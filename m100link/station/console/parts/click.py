@@ -235,10 +235,11 @@ class ClickPart:
             return
         self._orders += 1
         mine, self._problem = self._orders, None
+        began = self._deck.agent.now
         try:
             await self._deck.agent.guide(tab.lease, order, self._begun)
         except M100Error as error:
-            if mine == self._orders:
+            if mine == self._orders and not tab.has_ended(error, began):
                 self._problem = error
                 if not self._is_open:
                     raise  # it flew, and the panel beside which it would stand is closed
