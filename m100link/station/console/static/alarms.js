@@ -116,6 +116,7 @@ function fill(place, ms) {
 
 for (const touch of ["pointerdown", "keydown"])
   document.addEventListener(touch, () => context?.state !== "running" && allow(), {capture: true});
+if (navigator.userActivation?.hasBeenActive) allow();  // a touch that came before this was loaded
 find("#page-lost-seen").addEventListener("click", () => { lost.isSeen = true; });
 m100.heard = heard;
 setInterval(look, 200);
