@@ -271,7 +271,6 @@ TESTED_ELSEWHERE = {
     "mavlink/statustext.py": ("mavlink/test_vehicle.py", "told by messages"),
     "mavlink/udp.py": ("cli/test_mavlink.py", "a socket of a process"),
     "mavlink/wishes.py": ("mavlink/test_deck.py", "values that the deck takes"),
-    "mavlink/world.py": ("mavlink/test_vehicle.py", "told by messages"),
     "protocol/records.py": ("protocol/test_packet.py", "records are what packages are read into"),
     "session/events.py": ("session/test_endpoint.py", "names and counters, nothing to run"),
     "sim/orders/ctl.py": ("cli/test_sim.py", "a socket between two processes"),

@@ -38,13 +38,17 @@ class Asked:
         self.wishes: list[Wish] = []
         self.texts: list[str] = []
         self.fenced: list[tuple[float, float, float]] = []
+        self.firsts: list[int | None] = []
+        self.orders: list[Any] = []
+        self.other: Peer | None = None
         deck = SimpleNamespace(
             wish=self._wish,
             phase=Phase.AIRBORNE,
-            other_operator=lambda peer: None,
-            is_flown_by_aircraft=False,
-            flies_mission=False,
-            orders=[],
+            other_operator=lambda peer: self.other,
+            has_setpoint=lambda *_: True,
+            is_flown_by_aircraft=True,
+            flies_mission=True,
+            orders=self.orders,
         )
         world = world_of(known or Known(position(latitude=NORTH, longitude=EAST)))
         self.commands = Commands(
@@ -54,13 +58,17 @@ class Asked:
             Rates(world),
             tell=lambda _, text: self.texts.append(text),
             request=lambda *_: False,
-            mission=lambda *_: None,
+            mission=self._mission,
             fence=self._fence,
         )
 
     def _wish(self, wish: Wish, now: float) -> Result:
         self.wishes.append(wish)
         return Result.ACCEPTED
+
+    def _mission(self, peer: Peer, first: int | None) -> Wish | None:
+        self.firsts.append(first)
+        return Wish(Mode.MISSION, None, peer)
 
     def _fence(self, *place: float) -> str:
         self.fenced.append(cast("tuple[float, float, float]", place))
@@ -199,3 +207,92 @@ def test_what_cannot_be_flown_as_it_is_said_is_denied(message: Message) -> None:
     asked = Asked()
     assert asked.ask(message) is Result.DENIED
     assert asked.wishes == []
+
+
+MODE, CURRENT, START, PAUSE, ARM, STANDARD = 176, 224, 300, 193, 400, 262
+
+
+@pytest.mark.parametrize(
+    ("given", "mode", "order"),
+    [
+        ((1, 4, 3), Mode.HOLD, Halt()),
+        ((129, 4, 6), Mode.LAND, Land()),
+        ((1, 4, 5), Mode.RTL, GoHome()),
+        ((1, 4, 2), Mode.TAKEOFF, TakeOff(2.5)),
+        ((1, 4, 4), Mode.MISSION, None),
+        ((1, 6, 0), Mode.OFFBOARD, None),
+        ((1, 6), Mode.OFFBOARD, None),
+        ((1, 3), Mode.POSCTL, None),
+        ((1, 2), Mode.ALTCTL, None),
+    ],
+)
+def test_modes_are_those_of_px4(given: Any, mode: Mode, order: object) -> None:
+    asked = Asked()
+    assert asked.ask(long(MODE, *given)) is Result.ACCEPTED, asked.texts
+    [wish] = asked.wishes
+    assert (wish.mode, wish.order) == (mode, order)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        long(MODE, NAN, 4, 3),
+        long(MODE, 1, NAN, 3),
+        long(MODE, 256, 4, 3),
+        long(MODE, 1, -1, 3),
+        long(MODE, 8, 4, 3),
+        long(MODE, 1, 1, 0),
+        long(MODE, 1, 4, 99),
+        long(STANDARD, 99),
+        long(STANDARD, NAN),
+        long(ARM, 2),
+        long(ARM, NAN),
+        long(CURRENT, -1),
+        long(CURRENT, NAN),
+    ],
+)
+def test_what_is_no_mode_and_no_number_is_denied(message: Message) -> None:
+    asked = Asked()
+    assert asked.ask(message) is Result.DENIED
+    assert (asked.wishes, asked.firsts) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("message", "first"),
+    [
+        (long(CURRENT, 0), 0),
+        (long(CURRENT, 4), 4),
+        (long(START, 3), 3),
+        (long(START, 0), None),
+        (long(START), None),
+        (long(PAUSE, 1), None),
+    ],
+)
+def test_a_mission_begins_with_its_item(message: Message, first: int | None) -> None:
+    asked = Asked()
+    assert asked.ask(message) is Result.ACCEPTED
+    assert asked.firsts == [first]
+    assert [wish.mode for wish in asked.wishes] == [Mode.MISSION]
+
+
+def test_a_pause_is_a_hold() -> None:
+    asked = Asked()
+    assert asked.ask(long(PAUSE, 0)) is Result.ACCEPTED
+    assert [wish.order for wish in asked.wishes] == [Halt()]
+
+
+@pytest.mark.parametrize(
+    "message", [long(SPEED, 1, 3.0), long(CURRENT, 2), long(START, 0), long(MODE, 1, 4, 4)]
+)
+def test_while_somebody_else_flies_nothing_of_the_flight_changes(message: Message) -> None:
+    asked = Asked()
+    asked.other = Peer(("127.0.0.1", 14560), 1, 1)
+    assert asked.ask(message) is Result.TEMPORARILY_REJECTED
+    assert (asked.wishes, asked.firsts, asked.orders) == ([], [], [])
+
+
+def test_a_speed_goes_to_the_mission_that_the_aircraft_flies_in_millimetres() -> None:
+    asked = Asked()
+    assert asked.ask(long(SPEED, 1, 3.25)) is Result.ACCEPTED
+    [order] = asked.orders
+    assert (order.action.value, order.number) == ("mission_speed", 3250)

@@ -332,3 +332,26 @@ def test_places_are_those_of_the_item() -> None:
     found = told("GLOBAL_POSITION_INT", Known(position(latitude=12.5, longitude=-0.25)), None)
     assert (found["lat"], found["lon"]) == (125_000_000, -2_500_000)
     assert (LATITUDE, LONGITUDE) != (12.5, -0.25)
+
+
+# MAV_DATA_STREAM: sensors 1, status 2, sticks 3, position 6, and three that are free: 10 to 12.
+RATES_BY_DEFAULT = {
+    "SYS_STATUS": (2, 2),
+    "EXTENDED_SYS_STATE": (2, 2),
+    "GLOBAL_POSITION_INT": (20, 6),
+    "LOCAL_POSITION_NED": (20, 6),
+    "ATTITUDE": (20, 10),
+    "ATTITUDE_QUATERNION": (20, 10),
+    "HOME_POSITION": (1, 6),
+    "GPS_RAW_INT": (5, 1),
+    "BATTERY_STATUS": (1, 2),
+    "RC_CHANNELS": (5, 3),
+    "VFR_HUD": (0, 11),
+    "ALTITUDE": (0, 12),
+    "HIGHRES_IMU": (0, 1),
+    "SYSTEM_TIME": (0, 12),
+}
+
+
+def test_what_nobody_asked_for_comes_as_often_as_the_manual_says() -> None:
+    assert {name: (one.hz, one.group) for name, one in STREAMS.items()} == RATES_BY_DEFAULT
