@@ -9,6 +9,7 @@ from typing import Any, cast
 import pytest
 
 from m100link.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo
+from m100link.agent.messages import Limits, State
 from m100link.mavlink.codec import Message
 from m100link.mavlink.commands import Commands, read_command
 from m100link.mavlink.deck import Deck
@@ -296,3 +297,21 @@ def test_a_speed_goes_to_the_mission_that_the_aircraft_flies_in_millimetres() ->
     assert asked.ask(long(SPEED, 1, 3.25)) is Result.ACCEPTED
     [order] = asked.orders
     assert (order.action.value, order.number) == ("mission_speed", 3250)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        long(REPOSITION, -1, 1, 0, NAN, 10.5, -20.25, 75.31 + 101.0),
+        long(REPOSITION, -1, 1, 0, NAN, 10.5010, -20.25, 90.0),
+        long(TAKE_OFF, NAN, NAN, NAN, NAN, NAN, NAN, 75.31 + 101.0),
+    ],
+)
+def test_outside_of_the_envelope_is_denied_at_the_command(message: Message) -> None:
+    known = Known(position(latitude=NORTH, longitude=EAST))
+    limits = Limits(100.0, 50.0, None, None, NORTH, EAST)
+    known.state = State(0.0, connection="connected", limits=limits)
+    asked = Asked(known)
+    assert asked.ask(message) is Result.DENIED
+    assert asked.wishes == []
+    assert asked.texts
