@@ -264,7 +264,6 @@ TESTED_ELSEWHERE = {
     "mavlink/definitions.py": ("mavlink/test_codec.py", "compared with those of others"),
     "mavlink/numbers.py": ("mavlink/test_modes.py", "compared with those of others"),
     "mavlink/orders.py": ("mavlink/test_bridge.py", "values that are seen in what flies"),
-    "mavlink/parameters.py": ("mavlink/test_vehicle.py", "asked for by messages"),
     "mavlink/peers.py": ("mavlink/test_bridge.py", "heard by datagrams"),
     "mavlink/standard_modes.py": ("mavlink/test_vehicle.py", "asked for by messages"),
     "mavlink/udp.py": ("cli/test_mavlink.py", "a socket of a process"),

@@ -118,6 +118,7 @@ class FleetAircraft:
                 not begun: the way there and back takes longer.
             M100Error: As :meth:`m100link.Control.land`, and :class:`m100link.errors.FleetError`.
         """
+        self._asker.doubtful_clocks = []
         for left in reversed(range(_LANDINGS_ASKED)):
             try:
                 await self._asker.ask(Ask(0, Action.LAND))

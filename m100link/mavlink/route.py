@@ -24,9 +24,8 @@ FASTEST_M_S = 10.0
 """Of a leg, and what the pilot's stick adds to a mission that the aircraft flies included."""
 
 _LAST_NAV, _LAST_CONDITION = 95, 114
-_CHANGES_THE_WAY = {34, 177, 192, 3000}
-"""DO_ORBIT, DO_JUMP, DO_REPOSITION, VTOL transition: what is not a NAV item and moves all the same.
-"""
+_CHANGES_THE_WAY = {177, 192, 3000}
+"""DO_JUMP, DO_REPOSITION, VTOL transition: what is not a NAV item and moves all the same."""
 
 
 class Refused(Exception):

@@ -276,6 +276,11 @@ def test_a_mission_begins_with_its_item(message: Message, first: int | None) -> 
     assert [wish.mode for wish in asked.wishes] == [Mode.MISSION]
 
 
+@pytest.mark.parametrize("number", [NAN, -1.0, 0xFFFFFF])
+def test_the_rate_of_what_is_no_message_is_not_told(number: float) -> None:
+    assert Asked().ask(long(510, number)) is Result.UNSUPPORTED
+
+
 def test_a_pause_is_a_hold() -> None:
     asked = Asked()
     assert asked.ask(long(PAUSE, 0)) is Result.ACCEPTED
