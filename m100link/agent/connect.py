@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
@@ -86,13 +87,13 @@ def by_driver(driver: Driver, *, timeout: float = 3.0, flights: Flights | None =
 @asynccontextmanager
 async def _recording(flights: Flights | None) -> AsyncIterator[Recorder | None]:
     """A log for what is connected meanwhile; attempts that fail leave none."""
-    log = None if flights is None else flights.begin()
+    log = None if flights is None else await flights.begin()
     try:
         yield log
     except BaseException:
         if flights is not None and log is not None:
             await log.aclose()
-            flights.drop(log)
+            await asyncio.to_thread(flights.drop, log)
         raise
     if flights is not None and log is not None:
         flights.keep(log)

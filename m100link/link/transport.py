@@ -121,7 +121,11 @@ async def open_transport(
         PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
         BadURL: No transport of that scheme is installed.
     """
-    return await find_transport(address)(address, protocol)
+    if address.scheme in ("serial", "tcp"):
+        return await find_transport(address)(address, protocol)
+    # One that plugs itself in is looked for on the disk, while another task may fly.
+    opener = await asyncio.to_thread(find_transport, address)
+    return await opener(address, protocol)
 
 
 async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:

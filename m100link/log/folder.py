@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import re
+import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -76,13 +78,20 @@ class Flights:
         self._keep_bytes = keep_mb * 1_000_000
         self._tell = tell
         self.newest: Path | None = None
+        self._ending: set[asyncio.Future[None]] = set()
         self._told = ""  # why it is not recorded: once is enough
 
-    def begin(self) -> Recorder | None:
-        """A log for the next connection; None when it cannot be, which is told."""
+    async def begin(self) -> Recorder | None:
+        """A log for the next connection; None when it cannot be, which is told.
+
+        Beside the event loop, in which others may fly: a disk may stand still.
+        """
+        making = asyncio.ensure_future(asyncio.to_thread(self._made))
         try:
-            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            return Recorder(self.folder)
+            return await asyncio.shield(making)
+        except asyncio.CancelledError:
+            making.add_done_callback(self._abandon)
+            raise
         except (M100Error, OSError) as error:
             why = error.seen if isinstance(error, M100Error) else f"{error}"
             remedy = error.remedy if isinstance(error, UsageError) else ""
@@ -91,21 +100,35 @@ class Flights:
                 self._tell(f"not recorded: {why}" + (f" ({remedy})" if remedy else ""), "warning")
             return None
 
+    def _made(self) -> Recorder:
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        return Recorder(self.folder)
+
+    def _abandon(self, making: asyncio.Future[Recorder]) -> None:
+        """Whoever wanted it was cancelled: a log that nothing was noted in leaves no file."""
+        if not making.cancelled() and making.exception() is None:
+            ending = asyncio.ensure_future(making.result().aclose())
+            self._ending.add(ending)
+            ending.add_done_callback(self._ending.discard)
+
     def keep(self, log: Recorder) -> None:
         """An aircraft answered: this log is kept, the oldest make room for it."""
         self._told = ""
         self.newest = log.path
         self._tell(f"recorded into {log.path}", "info")
-        self.make_room()
+        threading.Thread(target=self.make_room, name="m100link: old logs", daemon=True).start()
 
     @staticmethod
     def drop(log: Recorder) -> None:
-        """No aircraft answered: attempts to connect are not flights."""
+        """No aircraft answered: attempts to connect are not flights. Takes as long as the disk."""
         with suppress(OSError):
             log.path.unlink()
 
     def make_room(self) -> None:
-        """Remove the oldest of our own logs that nobody writes, beyond what is kept."""
+        """Remove the oldest of our own logs that nobody writes, beyond what is kept.
+
+        Takes as long as the disk does: from no event loop in which somebody flies.
+        """
         try:
             kept = sorted(self._ours(), reverse=True)
         except OSError as error:

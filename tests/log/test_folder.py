@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from m100link.errors import NoAircraft
 from m100link.log import Recorder, read
 from m100link.log.folder import Flights, default_folder
 from m100link.sim import Driver, VirtualAircraft
+from tests.waiting import PATIENCE, blocking_until
 
 pytestmark = pytest.mark.anyio
 
@@ -136,3 +138,60 @@ async def test_what_cannot_be_recorded_is_told_once_and_flown(
     aircraft = await by_url("sim://", flights=Flights(tmp_path / "there", tell=told))()
     await aircraft.aclose()
     assert "pip install 'm100link[log]'" in told.all[0][1]
+
+
+async def test_no_disk_is_waited_for_in_the_event_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another aircraft of the process may fly in it while this one connects."""
+    flights = Flights(tmp_path, keep=1, tell=Told())
+    threads: set[int] = set()
+    made, dropped = flights._made, flights.drop
+    has_room = threading.Event()
+
+    def make() -> Recorder:
+        threads.add(threading.get_ident())
+        return made()
+
+    def drop(log: Recorder) -> None:
+        threads.add(threading.get_ident())
+        dropped(log)
+
+    def make_room() -> None:
+        threads.add(threading.get_ident())
+        has_room.set()
+
+    for name, one in (("_made", make), ("drop", drop), ("make_room", make_room)):
+        monkeypatch.setattr(flights, name, one)
+    aircraft = await by_url("sim://", flights=flights)()
+    await aircraft.aclose()
+    assert has_room.wait(PATIENCE)
+    with pytest.raises(NoAircraft):
+        await by_url("sim://?mute", timeout=0.5, flights=flights)()
+    assert threads
+    assert threading.get_ident() not in threads
+
+
+async def test_who_is_cancelled_while_a_log_is_made_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flights = Flights(tmp_path, tell=Told())
+    goes_on, is_made, made = threading.Event(), threading.Event(), flights._made
+
+    def make() -> Recorder:
+        goes_on.wait(PATIENCE)
+        try:
+            return made()
+        finally:
+            is_made.set()
+
+    monkeypatch.setattr(flights, "_made", make)
+    beginning = asyncio.ensure_future(flights.begin())
+    await asyncio.sleep(0.01)
+    beginning.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await beginning
+    goes_on.set()
+    assert is_made.wait(PATIENCE)
+    assert files_in(tmp_path) != []
+    await asyncio.to_thread(blocking_until, lambda: files_in(tmp_path) == [])
