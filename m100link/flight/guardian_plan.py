@@ -117,7 +117,7 @@ def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> G
         for _ in range(2):
             last += orders.steps(ORDERS[wanted.mission].stop, _REPEAT_GAP_MS)
     last += neutrals
-    release_gap = _RELEASE_GAP_MS
+    release_gap = _REPEAT_GAP_MS
     if wanted.land:
         numbers = islice(commander.task_sequences, _LANDINGS)
         for index, number in enumerate(numbers):

@@ -33,6 +33,7 @@ from m100link.sync.control import Control
 from m100link.sync.payload import AircraftCamera, AircraftGimbal
 from m100link.sync.portal import Portal
 from m100link.sync.signals import SIGNALS
+from m100link.sync.steering import asked
 from m100link.sync.subscription import Subscription
 from m100link.telemetry.columns import Table
 from m100link.telemetry.device_clock import DeviceClock

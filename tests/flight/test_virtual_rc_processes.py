@@ -75,14 +75,27 @@ async def test_a_signal_centres_the_sticks_and_switches_it_off(number: signal.Si
 
 
 @pytest.mark.smoke
-async def test_killed_it_goes_on_for_a_second_then_the_pilots_sticks_fly() -> None:
-    """V4."""
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+async def test_whatever_becomes_of_the_program_the_guardian_centres_and_switches_off(
+    number: signal.Signals,
+) -> None:
+    """Whether the aircraft still has it on then (it waits a second for channels, V4) or not."""
     async with flown() as (virtual, process):
-        process.kill()
-        await process.wait()
-        killed_at = virtual.vehicle.time
-        await until(lambda: not virtual.vehicle.remote.virtual.is_on)
-        assert virtual.vehicle.time - killed_at < 2.0
+        process.send_signal(number)
+        received = virtual.autopilot.received_commands
+
+        def settings() -> list[bool]:
+            commands = [one.command for one in received]
+            return [one.is_on for one in commands if isinstance(one, VirtualRcSettings)]
+
+        await until(lambda: settings() == [True, False])
+        assert not virtual.vehicle.remote.virtual.is_on
+        assert not virtual.vehicle.remote.virtual.is_locked
+        data = [
+            one.command.channels[:4] for one in received if isinstance(one.command, VirtualRcData)
+        ]
+        moved = [index for index, sticks in enumerate(data) if sticks != (CENTRE,) * 4]
+        assert len(data) - moved[-1] > 20, "centred for as long as settings may not come"
         await until(lambda: virtual.vehicle.flight.dynamics.speed < 0.1)
         virtual.move_stick(pitch=-0.5)
         await until(lambda: virtual.vehicle.flight.dynamics.velocity_north < -1.0)
