@@ -272,7 +272,7 @@ class Aircraft:
                 its event loop for 2 s, or so many (0.5 to 60). None in memory, nor outside Linux.
 
         Raises (on entering):
-            GuardianFailed: It cannot be started; authority was not asked for.
+            GuardianFailed: It cannot be started; authority was not requested.
             UsageError: Another control block of this program is running; the firmware is unknown.
             AuthorityRefused: With cause and remedy.
             NotActivated, KeyRejected, AckTimeout, OutOfResources, LinkError: See each class.

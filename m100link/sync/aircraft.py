@@ -33,7 +33,6 @@ from m100link.sync.control import Control
 from m100link.sync.payload import AircraftCamera, AircraftGimbal
 from m100link.sync.portal import Portal
 from m100link.sync.signals import SIGNALS
-from m100link.sync.steering import asked
 from m100link.sync.subscription import Subscription
 from m100link.telemetry.columns import Table
 from m100link.telemetry.device_clock import DeviceClock
@@ -217,7 +216,7 @@ class Aircraft:
                 its event loop for 2 s, or so many (0.5 to 60). None in memory, nor outside Linux.
 
         Raises (on entering):
-            GuardianFailed: It cannot be started; authority was not asked for.
+            GuardianFailed: It cannot be started; authority was not requested.
             UsageError: Another control block of this program is running; the firmware is unknown.
             AuthorityRefused: With cause and remedy.
             NotActivated, KeyRejected, AckTimeout, OutOfResources, LinkError: See each class.
