@@ -38,6 +38,8 @@ def reserve(what: str, close: Close) -> None:
     Raises:
         OutOfResources: The system has no more.
     """
+    for dead in [one for one, loop in _flying.items() if loop.is_closed()]:
+        free(dead)  # its event loop was closed before it ended
     loop = asyncio.get_running_loop()
     with of_the_system(what):
         anyio.CancelScope()  # which loads what it stands on when the first one is made

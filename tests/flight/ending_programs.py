@@ -26,6 +26,7 @@ from typing import Any, Literal
 
 import m100link
 from m100link import sync
+from m100link.flight.signals import NUMBERS
 from tests.flight.foreign_aircraft import APP_ID, KEY
 from tests.flight.missions.foreign import plan
 from tests.rig import NORTH
@@ -229,7 +230,18 @@ def fall_off_the_end(port: str, flight: str, loss: str) -> None:
     assert not flying.done()
 
 
+def default_signals() -> None:
+    """As in a program that is begun at a prompt: a shell lets those in the background ignore some.
+
+    What is ignored is left alone.
+    """
+    for number in NUMBERS:
+        is_ctrl_c = number == signal.SIGINT
+        signal.signal(number, signal.default_int_handler if is_ctrl_c else signal.SIG_DFL)
+
+
 if __name__ == "__main__":
+    default_signals()
     sys.addaudithook(_refuse)
     own_port, own_flight, own_ending, own_loss = sys.argv[1:]
     if own_ending == "fall":

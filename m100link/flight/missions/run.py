@@ -407,9 +407,9 @@ class MissionRun:
             cause="" if code is None else code.cause,
             remedy="it does not go on by itself: look at the aircraft, and begin it again",
         )
-        _logger.warning("%s", failure.seen)
         self.events.add(event)
         self._end(RunInput.BROKEN_OFF, failure)
+        _logger.warning("%s", failure.seen)
 
     def _end(
         self, how: RunInput, failure: M100Error | None = None, *, is_answered: bool = False
@@ -444,10 +444,10 @@ class MissionRun:
         except M100Error as error:
             self._deck.block.end(StopCause.GUARD_REFUSED, error)
         except Exception as error:
-            _logger.error("nobody watches the %s any more", self.name, exc_info=error)
             failure = M100Error(f"nobody watches the {self.name} any more: {error!r}")
             failure.__cause__ = error
             self._deck.block.end(StopCause.GUARD_REFUSED, failure)
+            _logger.error("nobody watches the %s any more", self.name, exc_info=error)
 
     async def _look_again_and_again(self) -> None:
         next_progress_at = next_poll_at = self._clock()
