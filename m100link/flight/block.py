@@ -354,6 +354,10 @@ class ControlBlock:
         """Whether the program's setpoints may go out: it is flying, and telemetry is true."""
         return self._life.state is BlockState.FLYING and self._watchdog.is_quiet()
 
+    def hurry(self) -> None:
+        """A guard refused: perhaps because telemetry cannot be true, which then is what is told."""
+        self._watchdog.hurry()
+
     def require_flying(self, what: str) -> None:
         """Raise unless the block may send: what ended it, or how to come to where it may.
 

@@ -21,7 +21,6 @@ FOLLOW_S = 1.2
 caomuqing/mav_system_identification-DJI_M100_sysID show a tilt 0.24 s after it was asked for; the
 failsafes of ArduPilot act after one second (ekf_check: ten in a row at 10 Hz)."""
 
-_LOOK_S = 0.05
 _FRESH_S = 0.5
 _LEAST_M_S = 1.0  # slower setpoints drown in gusts
 _LEAST_CLIMB_M_S = 0.5
@@ -92,10 +91,11 @@ class FollowCheck:
         self._unseen_m = 0.0
 
     def look(self) -> str:
-        """What does not follow, with its figures; empty while nothing speaks against it."""
+        """What does not follow, with its figures; empty while nothing speaks against it.
+
+        To be asked a few times a second.
+        """
         now = self._clock()
-        if now - self._looked_at < _LOOK_S:
-            return ""
         passed, self._looked_at = now - self._looked_at, now
         setpoint = self._setpoint()
         status = known(self._state, FlightStatus)
@@ -105,29 +105,26 @@ class FollowCheck:
                 self._begin()
             return ""
         self._asked = setpoint
-        attitude = known(self._state, Attitude, within=_FRESH_S)
         velocity = known(self._state, Velocity, within=_FRESH_S)
         return (
-            self._look_at_way(now, passed, setpoint, velocity, attitude)
+            self._look_at_way(now, passed, setpoint, velocity)
             or self._look_at_climb(now, setpoint, velocity)
-            or self._look_at_turn(now, setpoint, attitude)
+            or self._look_at_turn(now, setpoint)
         )
+
+    def _attitude(self) -> Attitude | None:
+        return known(self._state, Attitude, within=_FRESH_S)
 
     # -- horizontally ----------------------------------------------------------------------------
 
     def _look_at_way(
-        self,
-        now: float,
-        passed: float,
-        setpoint: Setpoint,
-        velocity: Velocity | None,
-        attitude: Attitude | None,
+        self, now: float, passed: float, setpoint: Setpoint, velocity: Velocity | None
     ) -> str:
         if setpoint.mode.horizontal is Horizontal.TILT:
             self._way.is_over(now, None, 0.0)
-            return self._look_at_tilt(now, setpoint, attitude)
+            return self._look_at_tilt(now, setpoint)
         self._tilt.is_over(now, None, 0.0)
-        north, east, fast = _wanted(setpoint, attitude)
+        north, east, fast = self._wanted(setpoint)
         wanted = math.hypot(north, east)
         if wanted < _LEAST_M_S:
             self._unseen_m = 0.0
@@ -139,14 +136,31 @@ class FollowCheck:
         north, east = north / wanted, east / wanted
         along = velocity.north_m_s * north + velocity.east_m_s * east
         seen: float | None = along
-        if along >= _FOLLOWS * wanted or self._leans(now, attitude, north, east):
+        if along >= _FOLLOWS * wanted or self._leans(north, east):
             seen = None
         if not self._way.is_over(now, seen, _BEGINS * (wanted - along)):
             return ""
         return f"{wanted:.1f} m/s are asked for, and {along:.1f} m/s flown, without a begin"
 
-    def _leans(self, now: float, attitude: Attitude | None, north: float, east: float) -> bool:
+    def _wanted(self, setpoint: Setpoint) -> tuple[float, float, float]:
+        """What is asked for at least, north and east, m/s, and how fast it may be flown."""
+        x, y = setpoint.x, setpoint.y
+        if setpoint.frame is ReferenceFrame.BODY:
+            attitude = self._attitude()
+            if attitude is None:
+                return 0.0, 0.0, 0.0
+            yaw = math.radians(attitude.yaw_deg)
+            x, y = x * math.cos(yaw) - y * math.sin(yaw), x * math.sin(yaw) + y * math.cos(yaw)
+        fast = math.hypot(x, y)
+        if setpoint.mode.horizontal is Horizontal.VELOCITY:
+            return x, y, fast
+        if fast < _LEAST_OFFSET_M:
+            return 0.0, 0.0, 0.0
+        return x / fast * _OFFSET_M_S, y / fast * _OFFSET_M_S, min(fast / 2, _FAST_OFFSET_M_S)
+
+    def _leans(self, north: float, east: float) -> bool:
         """Whether it tilts towards that direction, or has begun to."""
+        attitude = self._attitude()
         if attitude is None:
             return False
         yaw, pitch, roll = (
@@ -178,8 +192,8 @@ class FollowCheck:
             return ""
         return f"setpoints of {self._unseen_m:.0f} m were flown, and the position did not change"
 
-    def _look_at_tilt(self, now: float, setpoint: Setpoint, attitude: Attitude | None) -> str:
-        wanted = math.hypot(setpoint.x, setpoint.y)
+    def _look_at_tilt(self, now: float, setpoint: Setpoint) -> str:
+        wanted, attitude = math.hypot(setpoint.x, setpoint.y), self._attitude()
         if attitude is None or wanted < _LEAST_TILT_DEG or setpoint.frame is ReferenceFrame.GROUND:
             self._tilt.is_over(now, None, 0.0)
             return ""
@@ -209,14 +223,16 @@ class FollowCheck:
         position = known(self._state, Position)
         return position is not None and position.height_m > _LANDS_BELOW_M
 
-    def _look_at_turn(self, now: float, setpoint: Setpoint, attitude: Attitude | None) -> str:
-        seen = None
-        if attitude is not None:
+    def _look_at_turn(self, now: float, setpoint: Setpoint) -> str:
+        seen, is_by_rate = None, setpoint.mode.yaw is Yaw.RATE
+        is_slow = is_by_rate and abs(setpoint.yaw) < _LEAST_TURN_DEG_S
+        attitude = None if is_slow else self._attitude()
+        if attitude is None:
+            self._heading = None
+        else:
             heading = attitude.yaw_deg
-            if setpoint.mode.yaw is Yaw.RATE:
-                is_asked = abs(setpoint.yaw) >= _LEAST_TURN_DEG_S
-            else:
-                is_asked = abs(normalize_degrees(setpoint.yaw - heading)) >= _LEAST_TURN_DEG
+            far = abs(normalize_degrees(setpoint.yaw - heading))
+            is_asked = is_by_rate or far >= _LEAST_TURN_DEG
             if self._heading is None or not is_asked:
                 self._heading = heading
             turned = abs(normalize_degrees(heading - self._heading))
@@ -226,22 +242,6 @@ class FollowCheck:
         if not self._turn.is_over(now, seen, _TURNED_DEG):
             return ""
         return "a turn is asked for, and the heading stays"
-
-
-def _wanted(setpoint: Setpoint, attitude: Attitude | None) -> tuple[float, float, float]:
-    """What is asked for at least, north and east, m/s, and how fast it may be flown."""
-    x, y = setpoint.x, setpoint.y
-    if setpoint.frame is ReferenceFrame.BODY:
-        if attitude is None:
-            return 0.0, 0.0, 0.0
-        yaw = math.radians(attitude.yaw_deg)
-        x, y = x * math.cos(yaw) - y * math.sin(yaw), x * math.sin(yaw) + y * math.cos(yaw)
-    fast = math.hypot(x, y)
-    if setpoint.mode.horizontal is Horizontal.VELOCITY:
-        return x, y, fast
-    if fast < _LEAST_OFFSET_M:
-        return 0.0, 0.0, 0.0
-    return x / fast * _OFFSET_M_S, y / fast * _OFFSET_M_S, min(fast / 2, _FAST_OFFSET_M_S)
 
 
 def _apart_m(one: Position, other: Position) -> float:

@@ -76,7 +76,12 @@ class Steering:
         self.require_autopilot_idle("a setpoint")
         check_lifetime(lifetime, is_long_allowed=is_long_allowed)
         setpoint.control_flag(self._requests.firmware)  # refused here, not in the sending task
-        self._guards.check(setpoint)
+        try:
+            self._guards.check(setpoint)
+        except GuardRefused:
+            self.block.hurry()
+            self.block.require_flying("a setpoint")
+            raise
         self._refused = None
         self.setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
 
@@ -160,6 +165,7 @@ class Steering:
         try:
             self._guards.check(setpoint)
         except GuardRefused as error:
+            self.block.hurry()
             if setpoint != setpoint.neutral():  # standing still is never refused
                 self._refused = error
                 self.setpoints.neutralise()
