@@ -329,7 +329,6 @@ class ControlBlock:
 
     def _on_authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
         reason = self._authority.reason
-        self.guardian.update()
         if reason is LossReason.LINK:
             lost = self._commander.link.failure or LinkLost("the line is gone")
             self.end(StopCause.LINK_LOST, lost.again())
@@ -338,6 +337,7 @@ class ControlBlock:
                 self._setpoints.silence()
         elif after in (AuthorityState.PAUSED, AuthorityState.LOST):
             self.end(StopCause.AUTHORITY_LOST, authority_lost(reason))
+        self.guardian.update()  # behind what ends the block
 
     def _on_stopped(self) -> None:
         self._life.feed(BlockInput.STOPPED)
