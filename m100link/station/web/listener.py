@@ -118,6 +118,7 @@ class _Newcomer:
         self._listener, self._accepted = listener, accepted
         self._loop = asyncio.get_running_loop()
         self._task: asyncio.Task[None] | None = None
+        self._is_entering = False  # a task that was made has not begun yet
         self._patience = self._loop.call_later(listener.patience, self.turn_out)
         self._loop.add_reader(accepted, self._ready)
         listener.door.enter(self)
@@ -136,7 +137,7 @@ class _Newcomer:
         self._leave()
         if self._task is not None:
             self._task.cancel()
-        else:
+        if not self._is_entering:  # else its transport closes the socket
             self._loop.remove_reader(self._accepted)
             self._accepted.close()
 
@@ -152,6 +153,7 @@ class _Newcomer:
             self._task = asyncio.create_task(self._enter(), name="m100link station: newcomer")
 
     async def _enter(self) -> None:
+        self._is_entering = True
         listener = self._listener
         patience = listener.patience if listener.context is not None else None
         try:

@@ -153,3 +153,27 @@ async def test_when_it_is_closed_newcomers_are_closed_and_others_stay() -> None:
         assert await reader.readexactly(4) == b"here"
         writer.close()
         other.close()
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+async def test_whoever_is_turned_out_while_it_comes_in_is_closed(turns: int) -> None:
+    """Also between the turn that lets it in and the first step of its task."""
+    door, made = Door(), list[Any]()
+    enter = door.enter
+
+    def watched(visitor: Any) -> None:
+        enter(visitor)
+        made.append(visitor)
+
+    door.enter = watched  # type: ignore[method-assign]  # the door is all that knows it
+    async with listening(door) as (_, port):
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        await until(lambda: bool(made))
+        made[0].step()
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        made[0].turn_out()
+        async with asyncio.timeout(PATIENCE):
+            assert await reader.read() == b""
+        assert len(door) == 0
+        writer.close()
