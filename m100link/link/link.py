@@ -393,7 +393,7 @@ class Link(asyncio.Protocol):
         elif (silent_s := self._loop.time() - self.last_received_at) > _SILENT_S:
             cause = (
                 f"nothing has come from the aircraft for {silent_s:.1f} s: "
-                "it stands still, or the line is broken"
+                "it stands still, or the line from it is broken"
             )
         return AckTimeout(
             f"no ack of {name} after {event.tries} tries; its outcome is unknown",
