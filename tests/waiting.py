@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 PATIENCE = 120.0
@@ -20,6 +20,13 @@ async def until(predicate: Callable[[], bool], within: float = PATIENCE) -> None
     async with asyncio.timeout(within):
         while not predicate():  # noqa: ASYNC110 - what is waited for has no event
             await asyncio.sleep(0.01)
+
+
+def again_and_again(within: float = PATIENCE) -> Iterator[None]:
+    """Attempts at what a busy machine may refuse any number of times, but not for so long."""
+    deadline = time.monotonic() + within
+    while time.monotonic() < deadline:
+        yield
 
 
 def kept_waiting(process: int | None = None) -> float:

@@ -13,9 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from tests.browser.conftest import Console, until
-from tests.waiting import PATIENCE
-
-ATTEMPTS = 6
+from tests.waiting import PATIENCE, again_and_again
 
 NOT_TAKEN = ("stood still", "on its way", "shifted", "not offered", "was withdrawn")
 """What the page says when it asks for another press."""
@@ -102,18 +100,18 @@ async def press_until(
             await mend()
         return False
 
-    for _ in range(ATTEMPTS):
+    for _ in again_and_again():
         await until(is_offered, what=name)
         if await is_done():
             return
         before = await page.inner_text("#problem")
         await pressed(page, name)
         with suppress(AssertionError):
-            await until(answered, within=PATIENCE / ATTEMPTS)
+            await until(answered, within=PATIENCE / 6)
         if await is_done():
             return
         assert not problem or any(why in problem for why in NOT_TAKEN), problem
-    raise AssertionError(f"{name} was pressed {ATTEMPTS} times, and nothing came of it")
+    raise AssertionError(f"{name} was pressed again and again, and nothing came of it")
 
 
 async def hold_until(page: Any, name: str, done: Callable[[], bool | Awaitable[bool]]) -> None:
@@ -137,13 +135,13 @@ async def steer(
             return True
         return "still held" in await page.inner_text("#problem")
 
-    for _ in range(ATTEMPTS):
+    for _ in again_and_again():
         await begin()
         await until(answered)
         if moves():
             return
         await end()
-    raise AssertionError(f"it was held {ATTEMPTS} times, and the page let go each time")
+    raise AssertionError("it was held again and again, and the page let go each time")
 
 
 async def hold_key(page: Any, key: str, moves: Callable[[], bool]) -> None:

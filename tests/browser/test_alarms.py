@@ -34,7 +34,9 @@ async def test_an_alarm_is_seen_heard_acknowledged_and_kept(console: Console) ->
     await shows(page, "#alarm-loud", "land soon")  # for whoever does not see it
     await heard(page, "warning")
     await page.wait_for_function("window.m100.heard.beeps > 0")
-    assert await page.evaluate("window.m100.heard.spoken") == ["Battery 20 %: land soon"]
+    # Once, whatever else there is to say on a busy machine: that nobody was heard for a second.
+    spoken = await page.evaluate("window.m100.heard.spoken")
+    assert spoken.count("Battery 20 %: land soon") == 1
     await page.get_by_role("button", name="Acknowledge: Battery 20 %").click()
     await page.wait_for_selector(f"{alarm}.acknowledged")
     await heard(page, "")

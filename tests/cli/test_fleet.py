@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -57,13 +57,19 @@ class Site:
         )
         return done.returncode, [json.loads(line) for line in done.stdout.splitlines()]
 
-    def listed(self, count: int) -> list[dict[str, Any]]:
-        """The cards, when so many are connected."""
+    def listed(
+        self, count: int, is_so: Callable[[dict[str, Any]], object] = bool
+    ) -> list[dict[str, Any]]:
+        """The cards, when so many are connected and are so.
+
+        A card is told by the second, and at first without what its aircraft has not said yet.
+        """
         ends = time.monotonic() + 2 * PATIENCE
         found: list[dict[str, Any]] = []
         while time.monotonic() < ends:
             _, found = self.ask("list")
-            if sum(one.get("connection") == "connected" for one in found) == count:
+            there = [one for one in found if one.get("connection") == "connected"]
+            if sum(bool(is_so(one)) for one in there) == count:
                 break
         return found
 
@@ -89,7 +95,8 @@ def test_all_take_off_and_land_and_one_that_is_not_there_is_named(site: Site) ->
     assert [card["name"] for card in site.listed(2)] == ["a1", "a2"]
     status, told = site.ask("takeoff", "--all")
     assert (status, [one["outcome"] for one in told]) == (0, ["ok", "ok"])
-    assert [card["phase"] for card in site.listed(2)] == ["in air", "in air"]
+    in_air = site.listed(2, lambda card: card.get("phase") == "in air")
+    assert [card["phase"] for card in in_air] == ["in air", "in air"]
     status, told = site.ask("stop", "a1", "nobody")
     assert status == 1
     outcomes = {one["name"]: one["outcome"] for one in told}

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from tests.browser.conftest import console_in_browser, until
-from tests.browser.operator import ATTEMPTS, NOT_TAKEN, banner, hold_key, is_still, shows
+from tests.browser.operator import NOT_TAKEN, banner, hold_key, is_still, shows
+from tests.waiting import again_and_again
 
 pytestmark = [pytest.mark.anyio, pytest.mark.timeout(600)]
 
@@ -49,7 +50,7 @@ async def hold(page: Any, selector: str, key: str, done: Callable[[], Awaitable[
         problem = await page.inner_text("#problem")
         return bool(problem) or await done()
 
-    for _ in range(ATTEMPTS):
+    for _ in again_and_again():
         await page.wait_for_selector(f"{selector}:not([disabled]):visible")
         await go(page, selector)
         await page.keyboard.down(key)
@@ -59,7 +60,7 @@ async def hold(page: Any, selector: str, key: str, done: Callable[[], Awaitable[
         if await done():
             return
         assert any(why in problem for why in NOT_TAKEN), problem
-    raise AssertionError(f"{selector} was held {ATTEMPTS} times: {problem}")
+    raise AssertionError(f"{selector} was held again and again: {problem}")
 
 
 def seen(what: Callable[[], bool]) -> Callable[[], Awaitable[bool]]:
