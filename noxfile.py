@@ -202,8 +202,9 @@ KINDS = {
         groups=("test", "interop"),
     ),
 }
-DEFAULT = ("lint", "types", "docs", "quick")
-FULL = ("lint", "types", "docs", "tests", "browser", "examples", "interop")
+# What takes longest begins first.
+DEFAULT = ("quick", "types", "docs", "lint")
+FULL = ("tests", "types", "docs", "lint", "browser", "examples", "interop")
 
 
 @dataclass(frozen=True)
