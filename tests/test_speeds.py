@@ -13,6 +13,9 @@ from tests import judged, speeds
 from tests.affected import affected
 from tests.judged import Machine, descendants
 
+# Each runs pytest in a process, or reads the whole house.
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 
 
@@ -40,7 +43,6 @@ def test_it():
 """
 
 
-@pytest.mark.slow
 def test_what_is_dear_and_not_called_slow_fails_the_run(tmp_path: Path) -> None:
     status, told = outcome(tmp_path, DEAR)
     assert (status, "1 passed" in told) == (1, True)
