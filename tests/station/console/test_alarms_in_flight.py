@@ -104,12 +104,17 @@ async def a_guard_ends_a_mission(operator: Operator) -> None:
     perform(operator.rig.aircraft, "battery 15")
 
 
+async def the_position_jumps(operator: Operator) -> None:
+    operator.rig.aircraft.vehicle.flight.dynamics.north += 1000.0
+
+
 CAUSES: dict[AlarmName, tuple[Callable[[Operator], Awaitable[None]], str]] = {
     N.LINK_LOST: (order("unplug"), "line to the aircraft is lost"),
     N.LANDS_ITSELF: (order("battery 9"), "lands by itself"),
     N.BATTERY_CRITICAL: (order("battery 10"), "Battery 10 %: the aircraft is about to land"),
     N.LEASE_TAKEN: (somebody_takes_over, "Anna took control from you"),
     N.LINK_OLD: (order("stall on"), "The aircraft is silent"),
+    N.NAVIGATION: (the_position_jumps, "The telemetry cannot be true"),
     N.BATTERY_FLOOR: (order("battery 19"), "the station does not steer"),
     N.GPS: (order("gps 2"), "GPS is weak"),
     N.AUTHORITY_LOST: (order("rc-mode P"), "The pilot took control with the mode switch"),

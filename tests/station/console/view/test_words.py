@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from m100link.station.console.fate import Fate
 from m100link.station.console.view.catalogue import CATALOGUE, PARTS
 from m100link.station.console.view.units import Language, LengthUnit, Quantity, SpeedUnit, Units
 from m100link.station.console.view.words import Speaker, for_browser, say
@@ -88,7 +89,7 @@ def test_the_page_is_told_its_words_its_units_and_its_decimal_sign() -> None:
 
 def test_what_the_page_asks_for_is_what_it_is_told() -> None:
     told: dict[str, Any] = for_browser(Speaker())
-    asked = set()
+    asked = {f"fate_{fate}" for fate in Fate}  # by their names, in steer.js
     for path in (CONSOLE / "static").glob("*.js"):
         for line in path.read_text(encoding="utf-8").splitlines():
             if re.search(r"\b(words|go)\(", line) or "? " in line:
