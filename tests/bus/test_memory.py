@@ -7,9 +7,9 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.bus.memory import MemoryNetwork, Weather
 from m100link.bus.network import Question
 from m100link.sim.clock import virtual_clock_loop
+from tests.bus.memory import MemoryNetwork, Weather
 
 pytestmark = pytest.mark.anyio
 

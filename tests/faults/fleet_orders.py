@@ -27,7 +27,6 @@ from m100link.agent.connect import by_driver
 from m100link.agent.lease import Lease
 from m100link.agent.messages import Ask
 from m100link.agent.service import Service
-from m100link.bus.memory import MemoryNetwork, Weather
 from m100link.errors import M100Error
 from m100link.fleet.agent import FleetAgent
 from m100link.fleet.asking import Asker
@@ -38,6 +37,7 @@ from m100link.fleet.outcome import Outcome, outcome_of
 from m100link.sim import VirtualClockEventLoop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
+from tests.bus.memory import MemoryNetwork, Weather
 
 __all__ = ["Counted", "Ordering", "run"]
 

@@ -15,7 +15,6 @@ from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver
 from m100link.agent.service import Service
 from m100link.aircraft import Aircraft
-from m100link.bus.memory import MemoryBus, MemoryNetwork
 from m100link.fleet.agent import FleetAgent
 from m100link.fleet.client import Fleet
 from m100link.fleet.keys import Keys
@@ -25,6 +24,7 @@ from m100link.fleet.told import AgentTold
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
+from tests.bus.memory import MemoryBus, MemoryNetwork
 
 UTC = 1_800_000_000.0
 """POSIX time as the clock of the loop begins."""

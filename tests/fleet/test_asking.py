@@ -11,12 +11,12 @@ import pytest
 from m100link.agent.actions import Action
 from m100link.agent.lease import Lease
 from m100link.agent.messages import Ask, Message
-from m100link.bus.memory import MemoryBus, Weather
 from m100link.bus.network import Answer, Bus
 from m100link.errors import M100Error, OutcomeUnknown, Unreachable
 from m100link.fleet.asking import PATIENCE_S, Asker
 from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome, outcome_of
+from tests.bus.memory import MemoryBus, Weather
 from tests.fleet.conftest import SITE, Rig, with_camera
 
 pytestmark = pytest.mark.anyio

@@ -5,12 +5,12 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.bus.memory import Weather
 from m100link.errors import OutcomeUnknown
 from m100link.fleet.client import Change
 from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import Card, pack
+from tests.bus.memory import Weather
 from tests.fleet.conftest import SITE, Rig
 
 pytestmark = pytest.mark.anyio

@@ -10,10 +10,10 @@ import pytest
 from m100link.agent.actions import Action
 from m100link.agent.lease import LeaseHeld
 from m100link.agent.messages import Ask
-from m100link.bus.memory import Weather
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
+from tests.bus.memory import Weather
 from tests.fleet.conftest import Rig
 
 pytestmark = pytest.mark.anyio

@@ -10,10 +10,10 @@ import pytest
 
 from m100link.agent.actions import Action
 from m100link.agent.messages import Ask
-from m100link.bus.memory import Weather
 from m100link.errors import OutcomeUnknown
 from m100link.fleet.client import FleetAircraft
 from m100link.fleet.outcome import Outcome
+from tests.bus.memory import Weather
 from tests.fleet.conftest import OnBoard, Rig, with_camera
 
 pytestmark = pytest.mark.anyio

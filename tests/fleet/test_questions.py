@@ -5,9 +5,9 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.bus.memory import MemoryNetwork, Weather
 from m100link.bus.network import Question
 from m100link.fleet.questions import STEP_S, Questions
+from tests.bus.memory import MemoryNetwork, Weather
 
 pytestmark = pytest.mark.anyio
 

@@ -10,12 +10,12 @@ from typing import Any, TypeVar
 
 import pytest
 
-from m100link.bus.memory import MemoryBus, MemoryNetwork
 from m100link.fleet.asking import Asker
 from m100link.fleet.keys import Keys
 from m100link.fleet.logs import fetching
 from m100link.fleet.logs.fetching import LogFetcher
 from m100link.fleet.logs.service import LogService
+from tests.bus.memory import MemoryBus, MemoryNetwork
 from tests.fleet.conftest import UTC
 
 T = TypeVar("T")

@@ -10,13 +10,13 @@ import anyio
 import pytest
 
 from m100link.agent.fault import MessageError
-from m100link.bus.memory import Weather
 from m100link.bus.network import Question
 from m100link.errors import FleetError, Unreachable, UsageError
 from m100link.fleet.asking import PATIENCE_S
 from m100link.fleet.logs.fetching import PIECE, Fetched, LogFetcher
 from m100link.fleet.logs.words import LogEntry, LogReply, pack_entries, pack_reply
 from m100link.fleet.payloads import Order, unpack
+from tests.bus.memory import Weather
 from tests.fleet.logs.conftest import FIRST, KEYS, SECOND, Road, bytes_of
 from tests.fleet.logs.test_service import serving
 

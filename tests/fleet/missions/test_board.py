@@ -11,7 +11,6 @@ import pytest
 from m100link.agent.actions import Action
 from m100link.agent.messages import Ask, PlanTold
 from m100link.agent.plan_told import told_of
-from m100link.bus.memory import Weather
 from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
 from m100link.fleet.control import FleetControl
 from m100link.fleet.keys import Keys
@@ -20,6 +19,7 @@ from m100link.fleet.missions.board import digest_of
 from m100link.fleet.missions.stages import MissionStage
 from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import MissionCard
+from tests.bus.memory import Weather
 from tests.fleet.conftest import SITE, OnBoard, Rig
 from tests.fleet.missions.conftest import away, kind, on_board
 

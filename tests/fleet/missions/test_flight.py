@@ -6,7 +6,6 @@ import anyio
 import pytest
 
 from m100link.agent.fault import MessageError
-from m100link.bus.memory import Weather
 from m100link.errors import M100Error, NotObserved, OutcomeUnknown, Unreachable
 from m100link.fleet.keys import Keys
 from m100link.fleet.missions.flight import FleetMission, mission_card
@@ -23,6 +22,7 @@ from m100link.flight.missions.events import (
     Uploaded,
 )
 from m100link.missions.plan import AtEnd
+from tests.bus.memory import Weather
 from tests.fleet.conftest import SITE, OnBoard, Rig
 from tests.fleet.missions.conftest import away, kind, on_board
 

@@ -12,7 +12,6 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.bus.memory import MemoryBus, Weather
 from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable, UsageError
 from m100link.fleet.identity import Signer
 from m100link.fleet.keys import Keys
@@ -30,6 +29,7 @@ from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
+from tests.bus.memory import MemoryBus, Weather
 from tests.fleet.conftest import SITE, OnBoard, Rig, anyio_backend, rig
 from tests.fleet.show.shows import ORIGIN
 from tests.fleet.show.shows import track as points_track
