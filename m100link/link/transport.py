@@ -121,11 +121,9 @@ async def open_transport(
         PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
         BadURL: No transport of that scheme is installed.
     """
-    if address.scheme in ("serial", "tcp"):
-        return await find_transport(address)(address, protocol)
-    # One that plugs itself in is looked for on the disk, while another task may fly.
-    opener = await asyncio.to_thread(find_transport, address)
-    return await opener(address, protocol)
+    # A transport that plugs itself in is loaded in the event loop, once in a program: in a thread,
+    # the virtual clock of a test would run on meanwhile, and over its time-outs.
+    return await find_transport(address)(address, protocol)
 
 
 async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:

@@ -248,7 +248,7 @@ class Ended:
         monkeypatch.setattr(ControlBlock, "end", watched)
 
 
-@pytest.mark.parametrize("firmware", ["1.0", "3.1"])
+@pytest.mark.parametrize("firmware", ["3.1", pytest.param("1.0", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("flight", FLIGHTS, ids=lambda flight: cast(str, flight.__name__))
 @pytest.mark.parametrize("fault", FAULTS)
 async def test_each_lie_ends_each_flight_typed_soon_and_near(

@@ -234,6 +234,7 @@ def command_lines(process: int) -> str:
     return "\n".join(told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [20261123, 20261124])
 async def test_no_secret_stands_in_the_log_at_debug(seed: int, tmp_path: Path) -> None:
     secrets = Secrets(seed, tmp_path)
