@@ -37,6 +37,7 @@ _TILTED_DEG = 3.0
 _LEANS_DEG = 8.0  # a tilt towards it that says that wind, and not a wire, is in the way
 _LANDS_BELOW_M = 3.0  # near the ground an autopilot descends as it likes
 _STILL_M = 0.5
+_NOWHERE = 0.0, 0.0
 _UNSEEN_M = 10.0  # without a velocity, how far it may fly and not be seen to move
 
 
@@ -46,14 +47,22 @@ class _Deadline:
     def __init__(self) -> None:
         self._since: float | None = None
         self._from = 0.0
+        self._asked = _NOWHERE
 
-    def is_over(self, now: float, seen: float | None, needed: float) -> bool:
-        """Whether it did not; ``seen`` is how much there is, None while it need not grow."""
+    def is_over(
+        self, now: float, seen: float | None, needed: float, asked: tuple[float, float]
+    ) -> bool:
+        """Whether it did not; ``seen`` is how much there is, None while it need not grow.
+
+        ``asked`` is the direction. One that is asked to go back has that time anew: no aircraft
+        follows a direction that changes faster than it can tilt.
+        """
         if seen is None:
             self._since = None
             return False
-        if self._since is None or seen - self._from >= needed:
-            self._since, self._from = now, seen
+        goes_back = asked[0] * self._asked[0] + asked[1] * self._asked[1] <= 0.0
+        if self._since is None or goes_back or seen - self._from >= needed:
+            self._since, self._from, self._asked = now, seen, asked
         self._from = min(self._from, seen)
         return now - self._since >= FOLLOW_S
 
@@ -87,8 +96,9 @@ class FollowCheck:
         self._way, self._climb, self._turn, self._tilt = (_Deadline() for _ in range(4))
         self._lean: tuple[float, float] | None = None  # north and east, °, when the way began
         self._heading: float | None = None  # when the turn began
+        self._rightward = 0.0  # which turn is asked for
         self._place: Position | None = None
-        self._unseen_m = 0.0
+        self._unseen = _NOWHERE  # north and east, m
 
     def look(self) -> str:
         """What does not follow, with its figures; empty while nothing speaks against it.
@@ -121,24 +131,24 @@ class FollowCheck:
         self, now: float, passed: float, setpoint: Setpoint, velocity: Velocity | None
     ) -> str:
         if setpoint.mode.horizontal is Horizontal.TILT:
-            self._way.is_over(now, None, 0.0)
+            self._way.is_over(now, None, 0.0, _NOWHERE)
             return self._look_at_tilt(now, setpoint)
-        self._tilt.is_over(now, None, 0.0)
+        self._tilt.is_over(now, None, 0.0, _NOWHERE)
         north, east, fast = self._wanted(setpoint)
         wanted = math.hypot(north, east)
         if wanted < _LEAST_M_S:
-            self._unseen_m = 0.0
-            self._way.is_over(now, None, 0.0)
+            self._unseen = _NOWHERE
+            self._way.is_over(now, None, 0.0, _NOWHERE)
             return ""
-        if velocity is None:
-            return self._look_at_place(passed, fast)
-        self._unseen_m = 0.0
         north, east = north / wanted, east / wanted
+        if velocity is None:
+            return self._look_at_place(passed, (north * fast, east * fast))
+        self._unseen = _NOWHERE
         along = velocity.north_m_s * north + velocity.east_m_s * east
         seen: float | None = along
         if along >= _FOLLOWS * wanted or self._leans(north, east):
             seen = None
-        if not self._way.is_over(now, seen, _BEGINS * (wanted - along)):
+        if not self._way.is_over(now, seen, _BEGINS * (wanted - along), (north, east)):
             return ""
         return f"{wanted:.1f} m/s are asked for, and {along:.1f} m/s flown, without a begin"
 
@@ -178,28 +188,31 @@ class FollowCheck:
             self._lean = lean
         return more >= _TILTED_DEG or lean[0] * north + lean[1] * east >= _LEANS_DEG
 
-    def _look_at_place(self, passed: float, fast: float) -> str:
+    def _look_at_place(self, passed: float, asked: tuple[float, float]) -> str:
         """Without a velocity, the place has to change while it is flown to another one."""
         place = known(self._state, Position)
         if place is None:
-            self._unseen_m, self._place = 0.0, None
+            self._unseen, self._place = _NOWHERE, None
             return ""
         if self._place is None or _apart_m(self._place, place) > _STILL_M:
-            self._place, self._unseen_m = place, 0.0
+            self._place, self._unseen = place, _NOWHERE
             return ""
-        self._unseen_m += fast * min(passed, _FRESH_S)
-        if self._unseen_m < _UNSEEN_M:
+        passed = min(passed, _FRESH_S)
+        self._unseen = self._unseen[0] + asked[0] * passed, self._unseen[1] + asked[1] * passed
+        unseen = math.hypot(*self._unseen)
+        if unseen < _UNSEEN_M:
             return ""
-        return f"setpoints of {self._unseen_m:.0f} m were flown, and the position did not change"
+        return f"setpoints of {unseen:.0f} m were flown, and the position did not change"
 
     def _look_at_tilt(self, now: float, setpoint: Setpoint) -> str:
         wanted, attitude = math.hypot(setpoint.x, setpoint.y), self._attitude()
         if attitude is None or wanted < _LEAST_TILT_DEG or setpoint.frame is ReferenceFrame.GROUND:
-            self._tilt.is_over(now, None, 0.0)
+            self._tilt.is_over(now, None, 0.0, _NOWHERE)
             return ""
         along = (attitude.roll_deg * setpoint.x + attitude.pitch_deg * setpoint.y) / wanted
         seen = along if along < _FOLLOWS * wanted else None
-        if not self._tilt.is_over(now, seen, _BEGINS * (wanted - along)):
+        asked = setpoint.x, setpoint.y
+        if not self._tilt.is_over(now, seen, _BEGINS * (wanted - along), asked):
             return ""
         return f"a tilt of {wanted:.0f}° is asked for, and {along:.0f}° flown, without a begin"
 
@@ -215,7 +228,8 @@ class FollowCheck:
         ):
             climb = abs(velocity.up_m_s)  # the sources do not settle its sign
             seen = climb if climb < _FOLLOWS * abs(wanted) else None
-        if not self._climb.is_over(now, seen, _BEGINS * (abs(wanted) - climb)):
+        needed = _BEGINS * (abs(wanted) - climb)
+        if not self._climb.is_over(now, seen, needed, (wanted, 0.0)):
             return ""
         return f"a climb of {wanted:.1f} m/s is asked for, and {climb:.1f} m/s flown"
 
@@ -224,22 +238,23 @@ class FollowCheck:
         return position is not None and position.height_m > _LANDS_BELOW_M
 
     def _look_at_turn(self, now: float, setpoint: Setpoint) -> str:
-        seen, is_by_rate = None, setpoint.mode.yaw is Yaw.RATE
+        seen, asked, is_by_rate = None, 0.0, setpoint.mode.yaw is Yaw.RATE
         is_slow = is_by_rate and abs(setpoint.yaw) < _LEAST_TURN_DEG_S
         attitude = None if is_slow else self._attitude()
         if attitude is None:
             self._heading = None
         else:
             heading = attitude.yaw_deg
-            far = abs(normalize_degrees(setpoint.yaw - heading))
-            is_asked = is_by_rate or far >= _LEAST_TURN_DEG
-            if self._heading is None or not is_asked:
+            asked = setpoint.yaw if is_by_rate else normalize_degrees(setpoint.yaw - heading)
+            is_asked = is_by_rate or abs(asked) >= _LEAST_TURN_DEG
+            goes_back, self._rightward = asked * self._rightward < 0.0, asked
+            if self._heading is None or not is_asked or goes_back:
                 self._heading = heading
             turned = abs(normalize_degrees(heading - self._heading))
             seen = turned if is_asked and turned < _TURNED_DEG else None
             if seen is None:
                 self._heading = heading
-        if not self._turn.is_over(now, seen, _TURNED_DEG):
+        if not self._turn.is_over(now, seen, _TURNED_DEG, (asked, 0.0)):
             return ""
         return "a turn is asked for, and the heading stays"
 

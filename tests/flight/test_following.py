@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from typing import Any, cast
 
 import pytest
@@ -195,6 +196,22 @@ def test_without_a_velocity_the_place_has_to_change_within_10_m() -> None:
     for _ in range(400):
         moving.moved += 0.5 * STEP_S  # a sixth of what is asked for
         assert moving.fly(STEP_S) == ""
+
+
+@pytest.mark.parametrize("item", ["with a velocity", "without a velocity"])
+@pytest.mark.parametrize("asked", IGNORED.values(), ids=list(IGNORED))
+def test_to_and_fro_faster_than_it_can_be_flown_is_no_fault(asked: Setpoint, item: str) -> None:
+    """A tracker that hunts around its target sends this, and nothing has to move."""
+    seed = random.randrange(1 << 32)
+    chance = random.Random(seed)
+    back = Setpoint(asked.mode, -asked.x, -asked.y, -asked.z, -asked.yaw, asked.frame)
+    for _ in range(20):
+        stand, half_s = Stand(), chance.uniform(STEP_S, 0.9)
+        if item == "without a velocity":
+            stand.velocity = None
+        for number in range(round(20.0 / half_s)):
+            stand.setpoint = back if number % 2 else asked
+            assert stand.fly(half_s) == "", f"seed {seed}, {half_s:.2f} s"
 
 
 def test_ground_frame_tilt_is_not_judged() -> None:
