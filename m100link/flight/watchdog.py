@@ -72,6 +72,8 @@ class TelemetryWatchdog:
 
     def start(self) -> None:
         """Look now, and on and on; until something was found, or :meth:`stop`."""
+        if self._timer is None:  # a sleep of before is not the flight's
+            self._suspended = SuspendWatch()
         if self.is_quiet():
             rest = _WAIT_S
             age = self._state.newest_age or 0.0

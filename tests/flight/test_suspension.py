@@ -110,3 +110,15 @@ async def test_after_a_suspend_nothing_that_moves_leaves(
         assert all(flown.is_neutral(move) for move in sent)
         assert flown.is_released
         assert flown.is_running is (stop == "hover")
+
+
+async def test_a_sleep_before_control_is_obtained_ends_no_flight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asleep = suspension.asleep_s
+    async with rig() as flown:
+        block = flown.aircraft.control()
+        monkeypatch.setattr(suspension, "asleep_s", lambda: asleep() + 6.0)
+        async with block as control:
+            await control.take_off()
+        await flown.assert_hovers()
