@@ -14,6 +14,7 @@ import random
 import ssl
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 
 __all__ = ["CLIENTS", "STRANGERS", "Target"]
 
@@ -31,12 +32,16 @@ class Target:
         port: Of rosbridge.
         console: Port of the console.
         token: What clients know.
+        metrics: Port of the numbers for Prometheus.
+        foxglove: Port of Foxglove's viewers.
         context: For TLS, None without it.
     """
 
     port: int
     console: int
     token: str
+    metrics: int = 0
+    foxglove: int = 0
     context: ssl.SSLContext | None = None
 
     async def open(
@@ -67,6 +72,12 @@ _FRAMES = {
     "long_pings": (b"", _frame(9, bytes(125)) * 500),
     "json": (b"", _frame(1, _JSON.encode())),
     "small_json": (b"", _frame(1, b"{}") * 8_000),
+    # A ping between two parts of a message, for ever; a budget's worth of parts in each.
+    "between": (
+        _frame(1, b"{", is_last=False),
+        (_frame(0, b"x", is_last=False) + _frame(9)) * 5_000,
+    ),
+    "deflated": (b"", b"\xc1" + _frame(1, bytes(60_000))[1:]),  # it was not agreed on
 }
 
 
@@ -113,6 +124,79 @@ async def _requests(target: Target, token: str) -> None:
     await _flood(target, b"", b"", target.head("GET /health", token=token) * 200)
 
 
+async def _paths(target: Target, token: str, port: int, *paths: str, fields: str = "") -> None:
+    """Pipelined, of a port that serves paths."""
+    asked = b"".join(
+        target.head(f"GET {path}", fields, token=token, host=f"127.0.0.1:{port}") for path in paths
+    )
+    await _flood(target, b"", b"", asked * 50, port)
+
+
+async def _nowhere(target: Target, token: str) -> None:
+    """Pages that the console does not have."""
+    await _paths(target, token, target.console, "/nothing", "/console/nothing", "/_nicegui/x")
+
+
+async def _files(target: Target, token: str) -> None:
+    """The console's largest files, to be compressed."""
+    at = f"/_nicegui/{version('nicegui')}/static"
+    files = (f"{at}/quasar.umd.prod.js", f"{at}/sass.dart.js", "/console/console.css")
+    await _paths(target, token, target.console, *files, fields="Accept-Encoding: gzip\r\n")
+
+
+async def _polls(target: Target, token: str) -> None:
+    """Long polls of a socket of the console."""
+    path = "/_nicegui_ws/socket.io/?EIO=4&transport=polling"
+    await _paths(target, token, target.console, path)
+
+
+async def _metrics(target: Target, token: str) -> None:
+    await _paths(target, token, target.metrics, "/metrics")
+
+
+async def _viewers(target: Target, token: str) -> None:
+    """64 kB of subscriptions at a time."""
+    host = f"127.0.0.1:{target.foxglove}"
+    fields = f"{_UPGRADE}Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n"
+    asked = {"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 1}] * 1_800}
+    more = _frame(1, json.dumps(asked).encode())
+    await _flood(
+        target, target.head("GET /", fields, token=token, host=host), b"", more, target.foxglove
+    )
+
+
+async def _bodies(target: Target, token: str) -> None:
+    """Upgrades with bodies, and requests of HTTP/1.0."""
+    body = target.head("GET /", f"{_UPGRADE}Content-Length: 65000\r\n", token=token)
+    old = target.head("GET /health", token=token).replace(b"HTTP/1.1", b"HTTP/1.0")
+    for one in (body + bytes(65_000), old * 200):
+        await _flood(target, b"", one, b"")
+
+
+async def _lines(target: Target, token: str) -> None:
+    """The longest head there may be, by a byte at a time and then again and again."""
+    more = target.head("GET /health", f"a: {'b' * 15_000}\r\n", token=token)
+    await _flood(target, b"", b"", more * 4)
+
+
+async def _drips(target: Target, token: str) -> None:
+    """Sixty connections, each of which sends its head, or what may be a handshake, slowly."""
+    head = target.head("GET /", token=token) if target.context is None else b"\x16\x03\x01\x20\x00"
+    opened = await asyncio.gather(
+        *(asyncio.open_connection("127.0.0.1", target.port) for _ in range(60)),
+        return_exceptions=True,
+    )
+    writers = [one[1] for one in opened if not isinstance(one, BaseException)]
+    try:
+        for at in range(len(head)):
+            for writer in writers:
+                writer.write(head[at : at + 1])
+            await asyncio.sleep(0.05)
+    finally:
+        for writer in writers:
+            writer.transport.abort()
+
+
 async def _connections(target: Target, token: str) -> None:
     """Handshakes, with TLS."""
     _, writer = await target.open()
@@ -133,6 +217,14 @@ STRANGERS = {
     "pages": _pages,
     "requests": _requests,
     "connections": _connections,
+    "nowhere": _nowhere,
+    "files": _files,
+    "polls": _polls,
+    "metrics": _metrics,
+    "viewers": _viewers,
+    "bodies": _bodies,
+    "lines": _lines,
+    "drips": _drips,
 }
 """What can be done without a token."""
 
@@ -167,6 +259,8 @@ def main() -> None:
     parser.add_argument("port", type=int)
     parser.add_argument("console", type=int)
     parser.add_argument("token")
+    parser.add_argument("--metrics", type=int, default=0)
+    parser.add_argument("--foxglove", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help=f"of {', '.join(CLIENTS)}")
@@ -177,7 +271,9 @@ def main() -> None:
         context = ssl.create_default_context()
         context.check_hostname = False
         context.verify_mode = ssl.CERT_NONE  # whoever attacks does not mind
-    target = Target(options.port, options.console, options.token, context)
+    target = Target(
+        options.port, options.console, options.token, options.metrics, options.foxglove, context
+    )
     asyncio.run(attack(target, options.seconds, options.seed, options.only))
 
 

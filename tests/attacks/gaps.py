@@ -106,11 +106,14 @@ def _part(times: Sequence[float], share: float) -> float:
 class Station:
     """A station whose aircraft flies, and the client that flies it."""
 
-    def __init__(self, rosbridge: str, console: str, line: Line, pilot: ClientConnection) -> None:
+    def __init__(self, announced: dict[str, Any], line: Line, pilot: ClientConnection) -> None:
+        rosbridge, console = announced["rosbridge"][0], announced["console"]
         self.line, self.pilot, self.name = line, pilot, ""
         self.ports = {
             name: _port(console if name in _CONSOLE_OF else rosbridge) for name in ATTACKS
         }
+        for more in ("metrics", "foxglove"):
+            self.ports[more] = _port(announced[more]) if more in announced else 0
 
     async def take_off(self) -> None:
         """Activate, take control, take off."""
@@ -239,7 +242,7 @@ async def flying(*options: str, token: str = "") -> AsyncIterator[Station]:
         pilot = await stack.enter_async_context(
             connect(rosbridge, compression=None, ssl=context, additional_headers=headers)
         )
-        station = Station(rosbridge, announced["console"], line, pilot)
+        station = Station(announced, line, pilot)
         await station.take_off()
         yield station
 

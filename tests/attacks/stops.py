@@ -110,7 +110,7 @@ async def measure(
     with tempfile.NamedTemporaryFile("w", suffix=".token") as file:
         file.write(token)
         file.flush()
-        more = ["--token-file", file.name]
+        more = ["--token-file", file.name, "--metrics", "0", "--foxglove", "0"]
         if tls:
             more += ["--tls-cert", str(tls[0]), "--tls-key", str(tls[1])]
         async with flying(*options, *more, token=token) as station:
@@ -118,6 +118,8 @@ async def measure(
             attacker = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "tests.attacks.everything"),
                 *(str(station.ports["orders"]), str(station.ports["pages"]), token),
+                *("--metrics", str(station.ports["metrics"])),
+                *("--foxglove", str(station.ports["foxglove"])),
                 *("--seconds", str(seconds + 5.0), "--seed", str(seed), "--only", only),
                 *(("--tls",) if tls else ()),
                 preexec_fn=be_nice,
