@@ -176,6 +176,8 @@ async def _come_in_every_way(one: Station) -> None:
     assert "303" in await one.get(f"/?token={token}&aircraft=x")
     assert "403" in await one.get(f"/?token={wrong}")
     bearer = f"Authorization: Bearer {one.secrets.token}"
+    for path in (f"/nothing/{token}", f"/nothing?token={token}", f"/nothing?x={token}"):
+        await one.get(path, bearer)
     for server in (one.console, one.told["metrics"].split("/")[2]):
         for header in (f"Cookie: {one.cookie}", bearer, f"Authorization: Bearer {wrong}"):
             await one.get("/metrics", header, server=server)
@@ -214,6 +216,10 @@ async def _fly_a_page(one: Station) -> None:
         await socket.send("40")
         await socket.send(f'42["handshake",{{"client_id":"{client}"}}]')
         await _ask(socket)
+        said = {"client_id": client, "level": "error", "message": f"steer/{''.join(key)}"}
+        await socket.send(f"42{json.dumps(['log', said])}")
+        await _ask(socket)
+    await one.get(f"/steer/{''.join(key)}", f"Cookie: {one.cookie}")  # no WebSocket: no such page
 
 
 async def _activate(url: str) -> None:

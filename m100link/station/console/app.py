@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
-from nicegui import Client, ui
+from nicegui import Client, core, ui
 from nicegui import app as nicegui_app
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
@@ -98,6 +100,10 @@ def console_app(
     # that has no name for who listens to it. The page says itself what it waits for.
     nicegui_app.config.quasar_config["loadingBar"]["skipHijack"] = True
     ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
+    # NiceGUI builds a page for each path that there is not, and logs the address as it came; what a
+    # page has to say it logs as well. Keys and tokens may stand in both, and lines without end.
+    nicegui_app.add_exception_handler(404, _not_found)
+    core.sio.on("log", _forget)
     nicegui_app.add_middleware(Policy)  # it reads a page: before what compresses it
     ui.run_with(
         app,
@@ -112,3 +118,11 @@ def console_app(
         origins=settings.allow_origin,
         access=settings.access(),
     )
+
+
+async def _not_found(request: Request, error: Exception) -> Response:
+    return PlainTextResponse("There is no such page.\n", status_code=404)
+
+
+async def _forget(sender: str, message: object) -> None:
+    """What a page wants logged is the affair of its browser."""
