@@ -323,7 +323,7 @@ class FleetAgent:
         key = self._keys.lease if is_lease else self._keys.command
         try:
             order: Order = unpack(Order, question.payload)
-            is_repeated = self._book.is_known(order.id)
+            is_repeated = self._book.heard(order.id, order.digest())
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
@@ -365,7 +365,7 @@ class FleetAgent:
             if lands(message):
                 require_young(order.clock, self.client.now)
             self._ages.revoke(self.client.now)
-        self._book.begin(order.id, self.client.now)
+        self._book.begin(order.id, order.digest(), self.client.now)
         self._ended[order.id] = asyncio.Event()
         self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
 
@@ -388,7 +388,7 @@ class FleetAgent:
         except M100Error as error:
             reply = self._reply(order.id, error)
         finally:
-            self._book.end(reply, self.client.now)
+            self._book.end(replace(reply, order=order.digest()), self.client.now)
             self._ended.pop(order.id).set()
 
     def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> Reply:

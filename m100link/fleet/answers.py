@@ -32,7 +32,11 @@ def clocks_told(answers: Iterable[Answer], name: str) -> list[float]:
 
 
 def believed(
-    answers: Iterable[Answer], keys: Keys, identity: str, sessions: Collection[str]
+    answers: Iterable[Answer],
+    keys: Keys,
+    identity: str,
+    sessions: Collection[str],
+    digest: bytes = b"",
 ) -> Reply | MessageError | None:
     """What an aircraft says of an order.
 
@@ -41,13 +45,15 @@ def believed(
         keys: Of the aircraft.
         identity: Of the order.
         sessions: Ids of those that show the aircraft's token.
+        digest: Of the order, where a reply may name another one of the same id.
 
     Returns:
         Its reply, or why there are only such as cannot be read; None when it said nothing. What
         others say is nothing.
 
     Raises:
-        OutcomeUnknown: Two agents have that name, or two answers say different things.
+        OutcomeUnknown: Two agents have that name, two answers say different things, or what they
+            say is of another order.
     """
     replies: list[Reply] = []
     unread: MessageError | None = None
@@ -73,5 +79,11 @@ def believed(
             f"two answers of {keys.name} to one order disagree",
             cause="a stranger answers in its name",
             remedy="look at the aircraft; the rules of a router keep strangers out",
+        )
+    if replies and replies[0].order not in (b"", digest):
+        raise OutcomeUnknown(
+            f"{keys.name} tells of another order of the same id",
+            cause="a stranger heard the id and used it",
+            remedy="look at the aircraft, and ask anew",
         )
     return replies[0] if replies else unread

@@ -187,26 +187,27 @@ class Asker:
         """
         order = self._order(LeaseAsk(0, LeaseAction.RENEW), lease.number, lease.token, clock)
         answers = await self._bus.ask(self._keys.lease, pack(order), timeout=within)
-        reply = self._read(answers, order.id)
+        reply = self._read(answers, order)
         if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
         return _raised(reply)
 
-    async def look(self, identity: str = "", *, within: float) -> Reply | None:
+    async def look(self, order: Order | None = None, *, within: float) -> Reply | None:
         """Ask once what became of an order; of none, what time it is there.
 
         Args:
-            identity: Of the order.
+            order: As it was asked.
             within: Seconds.
 
         Returns:
             The answer, whatever it says; None when none came in time that can be read.
 
         Raises:
-            OutcomeUnknown: Two agents answered.
+            OutcomeUnknown: Two agents answered, or what was told is of another order.
         """
-        named = identity or uuid.uuid4().hex
-        reply = self._read(await self._bus.ask(self._keys.status(named), timeout=within), named)
+        asked = order or Order(uuid.uuid4().hex, self._keys.name, self._name, 0, 0.0, b"")
+        answers = await self._bus.ask(self._keys.status(asked.id), timeout=within)
+        reply = self._read(answers, asked)
         return reply if isinstance(reply, Reply) else None
 
     def is_of_aircraft(self, answer: Answer) -> bool:
@@ -260,7 +261,7 @@ class Asker:
                     sent = questions.ask(key, payload, within=left)
                 elif questions.is_due:
                     questions.ask(status, within=left)
-                number, reply = await self._next(questions, order.id, min(left, questions.left))
+                number, reply = await self._next(questions, order, min(left, questions.left))
                 if isinstance(reply, MessageError):
                     # Whoever answered may well have done it, and what he says cannot be read.
                     raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
@@ -284,7 +285,7 @@ class Asker:
         )
 
     async def _next(
-        self, questions: Questions, identity: str, within: float
+        self, questions: Questions, order: Order, within: float
     ) -> tuple[int, Reply | MessageError | None]:
         """The next answer and the number of its question; none when it is to be asked again."""
         until = self._clock() + within
@@ -293,7 +294,7 @@ class Asker:
             if ended is None:
                 break
             number, answers = ended
-            found = self._read(answers, identity)
+            found = self._read(answers, order)
             if found is not None:
                 return number, found
             if questions.is_due:  # nobody was there for the newest one
@@ -308,15 +309,16 @@ class Asker:
             remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
         )
 
-    def _read(self, answers: Iterable[Answer], identity: str) -> Reply | MessageError | None:
+    def _read(self, answers: Iterable[Answer], order: Order) -> Reply | MessageError | None:
         """One answer, or why there are only such as cannot be read; None for none.
 
         Raises:
-            OutcomeUnknown: There are answers of two agents, or two that disagree.
+            OutcomeUnknown: There are answers of two agents, two that disagree, or one of another
+                order.
         """
         came = list(answers)
         try:
-            found = believed(came, self._keys, identity, self._sessions)
+            found = believed(came, self._keys, order.id, self._sessions, order.digest())
         except OutcomeUnknown:
             self.doubtful_clocks = clocks_told(came, self._keys.name)
             raise

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from m100link.agent.fault import MessageError
 from m100link.fleet.payloads import Reply
 
 __all__ = ["KEPT_S", "OrderBook"]
@@ -29,13 +30,32 @@ class OrderBook:
     def __init__(self, before: Iterable[str] = (), *, unsure_before: float = -math.inf) -> None:
         self._before = frozenset(before)
         self._unsure_before = unsure_before
-        self._running: set[str] = set()
+        # The digest of what is under way, by id.
+        self._running: dict[str, bytes] = {}
         # What became of the others and when, in the order in which they ended.
         self._ended: dict[str, tuple[float, Reply]] = {}
 
     def is_known(self, identity: str) -> bool:
         """Whether this agent heard it."""
         return identity in self._running or identity in self._ended
+
+    def heard(self, identity: str, digest: bytes) -> bool:
+        """Whether it heard this order.
+
+        Raises:
+            MessageError: It heard another one of that id. A listener who may order anything could
+                else have the answer to its own order told as that to somebody else's.
+        """
+        if not self.is_known(identity):
+            return False
+        ended = self.reply(identity)
+        if digest != (self._running[identity] if ended is None else ended.order):
+            raise MessageError(
+                f"another order came under the id {identity}, and this one was not carried out",
+                cause="a stranger heard the id and used it first",
+                remedy="ask anew: each order has an id of its own",
+            )
+        return True
 
     def was_begun_before(self, identity: str) -> bool:
         """Whether an agent before began it."""
@@ -45,9 +65,9 @@ class OrderBook:
         """Whether an agent before may have begun what was made then, and its word of it is lost."""
         return made_at < self._unsure_before
 
-    def begin(self, identity: str, now: float) -> None:
+    def begin(self, identity: str, digest: bytes, now: float) -> None:
         """It is heard for the first time. Those that ended long ago are forgotten."""
-        self._running.add(identity)
+        self._running[identity] = digest
         while self._ended:
             old, (at, _) = next(iter(self._ended.items()))
             if now - at < KEPT_S and len(self._ended) <= _MOST:
@@ -56,7 +76,7 @@ class OrderBook:
 
     def end(self, reply: Reply, now: float) -> None:
         """It is over."""
-        self._running.discard(reply.id)
+        self._running.pop(reply.id, None)
         self._ended[reply.id] = now, reply
 
     def reply(self, identity: str) -> Reply | None:

@@ -196,7 +196,7 @@ class FleetControl:
         until = self._clock() + _GIVEN_BACK_S
         while (left := until - self._clock()) > 0:
             try:
-                found = await self._asker.look(request.order.id, within=left)
+                found = await self._asker.look(request.order, within=left)
             except FleetError as error:  # what ended the wait for it is what is told
                 _logger.warning("%s: its lease is left to silence: %s", self._keys.name, error.seen)
                 return

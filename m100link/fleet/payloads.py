@@ -93,6 +93,10 @@ class Order:
         head = [self.id, self.aircraft, self.by, self.fence, self.at, self.clock, self.signer]
         return json.dumps([*head, self.key.hex()]).encode() + b"\n" + self.message
 
+    def digest(self) -> bytes:
+        """What a reply names the order by, 16 bytes: an id is heard by all, and said again."""
+        return hashlib.sha256(self.signed()).digest()[:16]
+
     def under(self, token: str) -> Order:
         """The order with the proof that whoever asks has the lease."""
         return replace(self, proof=_proof(token, self.signed()))
@@ -119,6 +123,7 @@ class Reply:
         key: Public half of the secret of a lease that was granted; empty otherwise.
         clock: The agent's own clock, s; setpoints are stamped by it.
         is_repeated: The order had been heard before.
+        order: :meth:`Order.digest` of the order that was heard under the id; empty where none was.
     """
 
     id: str
@@ -133,6 +138,7 @@ class Reply:
     key: bytes = b""
     clock: float = 0.0
     is_repeated: bool = False
+    order: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)

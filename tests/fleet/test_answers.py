@@ -47,6 +47,9 @@ def answer(reply: Reply | bytes, session: str = "a") -> Answer:
         ([answer(OK), answer(replace(OK, number=3))], "a", OutcomeUnknown),
         ([answer(OK), answer(replace(OK, key=b"k" * 32))], "a", OutcomeUnknown),
         ([answer(OK), answer(replace(OK, boot="other"))], "a", OutcomeUnknown),
+        ([answer(replace(OK, order=b"digest"))], "a", replace(OK, order=b"digest")),
+        ([answer(replace(OK, order=b"others"))], "a", OutcomeUnknown),
+        ([answer(OK), answer(replace(OK, order=b"digest"))], "a", OutcomeUnknown),
         ([answer(OK)], "ab", OutcomeUnknown),
         ([answer(OK, "b")], "ab", OutcomeUnknown),
         ([], "ab", None),
@@ -63,11 +66,11 @@ def test_believed_is_one_word_of_the_session_that_shows_the_token(
 ) -> None:
     if expected is OutcomeUnknown:
         with pytest.raises(OutcomeUnknown):
-            believed(answers, KEYS, "id", set(sessions))
+            believed(answers, KEYS, "id", set(sessions), b"digest")
     elif expected is MessageError:
-        assert isinstance(believed(answers, KEYS, "id", set(sessions)), MessageError)
+        assert isinstance(believed(answers, KEYS, "id", set(sessions), b"digest"), MessageError)
     else:
-        assert believed(answers, KEYS, "id", set(sessions)) == expected
+        assert believed(answers, KEYS, "id", set(sessions), b"digest") == expected
 
 
 def test_the_times_of_all_that_answer_are_known_for_a_landing() -> None:

@@ -12,11 +12,11 @@ import anyio
 import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from m100link.agent.actions import LeaseAction
+from m100link.agent.actions import Action, LeaseAction
 from m100link.agent.fault import MessageError
-from m100link.agent.message_bytes import decode
-from m100link.agent.messages import LeaseAsk, Steer
-from m100link.bus.network import Question
+from m100link.agent.message_bytes import decode, encode
+from m100link.agent.messages import Ask, LeaseAsk, Steer
+from m100link.bus.network import Answer, Question
 from m100link.fleet.agent import FleetAgent
 from m100link.fleet.keys import Keys
 from m100link.fleet.outcome import Outcome
@@ -243,3 +243,38 @@ async def test_of_two_that_answer_nobody_is_believed(
     anna = await rig.pilot("anna", sign=signing(ANNA))
     assert (await anna.land(["a1"]))["a1"].outcome is Outcome.UNKNOWN
     await rig.until(lambda: one.height < 0.1)
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+async def test_another_order_of_the_same_id_gives_no_outcome(rig: Rig, is_first: bool) -> None:
+    """Bert may stop. He hears the id of a landing whose way to the agent is longer than his."""
+    one = await flying(rig)
+    anna = await rig.pilot("anna", sign=signing(ANNA))
+    heard: list[Order] = []
+    asks = rig.network.session()
+
+    async def squat(found: Order) -> None:
+        ask = encode(Ask(0, Action.STOP))
+        mine = Order(found.id, "a1", "bert", 0, rig.utc(), ask, signer="bert")
+        signed = signing(BERT)(mine)
+        await asks.ask(KEYS.command, pack(signed), timeout=2.0)
+
+    sent = anna.bus.ask
+
+    async def ask(key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+        if key == KEYS.command and not heard:
+            heard.append(unpack(Order, payload))
+            await squat(heard[0])
+            if not is_first:  # the order itself is lost
+                return []
+        return await sent(key, payload, timeout=timeout)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(anna.bus, "ask", ask)
+        told = (await anna.land(["a1"]))["a1"].outcome
+    if is_first:
+        assert told is Outcome.REFUSED
+        assert one.height > 1.0, "it was not carried out, as was told"
+    else:
+        assert told is Outcome.UNKNOWN
+        await rig.until(lambda: one.height < 0.1)  # asked for again, under another id

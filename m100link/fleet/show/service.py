@@ -82,7 +82,7 @@ class ShowService:
         self._beside = beside or Beside()
         self.performer = Performer(client, keys.name)
         # What became of orders that were let through: the network may bring one twice.
-        self._known: dict[str, M100Error | None] = {}
+        self._known: dict[bytes, M100Error | None] = {}
         self._pieces = bytearray()
         self._placed_by = ""
 
@@ -130,17 +130,17 @@ class ShowService:
         identity, fault = "", None
         try:
             order: Order = unpack(Order, question.payload)
-            identity = order.id
-            if identity not in self._known:
+            identity, digest = order.id, order.digest()
+            if digest not in self._known:  # by its id somebody else's would be taken for it
                 self._admit(order)
-                self._remember(identity, self._obey(order))
-            fault = self._known[identity]
+                self._remember(digest, self._obey(order))
+            fault = self._known[digest]
         except M100Error as error:
             fault = error
         question.answer(self._keys.show, pack(self._reply(identity, fault)))
 
-    def _remember(self, identity: str, fault: M100Error | None) -> None:
-        self._known[identity] = fault
+    def _remember(self, digest: bytes, fault: M100Error | None) -> None:
+        self._known[digest] = fault
         if len(self._known) > _MOST_KNOWN:
             del self._known[next(iter(self._known))]
 

@@ -83,6 +83,13 @@ async def test_an_order_that_the_network_brings_twice_is_done_once(asked: Asked)
     assert (await asked.order({"do": "place"}, 3)).outcome is Outcome.REFUSED
 
 
+async def test_another_order_of_an_id_that_was_heard_is_an_order_of_its_own(asked: Asked) -> None:
+    """A stranger hears the id of an order; the answer to what he asks by it is not the other's."""
+    await asked.order(PIECE, 4)
+    assert (await asked.order({"do": "tell"}, 1)).outcome is Outcome.OK
+    assert json.loads((await asked.order(LOAD, 1)).text)["stage"] == "loaded"
+
+
 @pytest.mark.parametrize(
     "wanted",
     [
