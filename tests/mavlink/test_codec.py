@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from m100link.mavlink import codec
 from m100link.mavlink.codec import LAYOUTS, Message, Reading, Signer, read_datagram, write_frame
 
 KEY = bytes(range(32))
@@ -42,8 +43,6 @@ def test_values_at_the_end_that_are_zero_are_not_sent() -> None:
 def test_a_frame_of_the_first_version_is_read() -> None:
     heartbeat = bytes.fromhex("fe09 2a ff 00 00 00000000 06 08 c0 04 03".replace(" ", ""))
     crc = LAYOUTS["HEARTBEAT"].crc_extra
-    from m100link.mavlink import codec
-
     whole = heartbeat + codec._CHECKSUM.pack(codec._crc(heartbeat[1:] + bytes([crc])))
     [message] = read_datagram(whole)
     assert (message.name, message.system, message["mavlink_version"]) == ("HEARTBEAT", 255, 3)
@@ -120,6 +119,39 @@ def test_what_is_not_signed_or_with_another_key_is_refused_heartbeats_excepted()
     assert taken(reader, signed(Signer(bytes(32)), 1000)) == 0
     assert taken(reader, signed(Signer(bytes(32)), 1000, "HEARTBEAT")) == 0
     assert taken(reader, frame("HEARTBEAT")) == 1
+
+
+def of_the_first_version(name: str) -> bytes:
+    """Which knows no signatures."""
+    layout = LAYOUTS[name]
+    payload = bytes(layout.size)
+    head = bytes([0xFE, len(payload), 0, 255, 190, layout.number])
+    crc = codec._crc(head[1:] + payload + bytes([layout.crc_extra]))
+    return head + payload + codec._CHECKSUM.pack(crc)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "has_key", "expected"),
+    [
+        ("HEARTBEAT", frame("HEARTBEAT"), True, [False]),
+        ("HEARTBEAT", frame("HEARTBEAT"), False, [False]),
+        ("HEARTBEAT", of_the_first_version("HEARTBEAT"), True, [False]),
+        ("HEARTBEAT", of_the_first_version("HEARTBEAT"), False, [False]),
+        ("HEARTBEAT", signed(Signer(KEY), 1000, "HEARTBEAT"), True, [True]),
+        # Nobody looked at it: what has no key trusts all, and says of none that it was signed.
+        ("HEARTBEAT", signed(Signer(KEY), 1000, "HEARTBEAT"), False, [False]),
+        ("PING", signed(Signer(KEY), 1000), True, [True]),
+        ("PING", signed(Signer(KEY), 1000), False, [False]),
+        ("PING", of_the_first_version("PING"), True, []),
+        ("PING", of_the_first_version("PING"), False, [False]),
+    ],
+)
+def test_signed_is_what_came_with_a_signature_of_the_key(
+    name: str, data: bytes, has_key: bool, expected: list[bool]
+) -> None:
+    reading = Reading(data, signer=Signer(KEY) if has_key else None, now=1000)
+    assert [(one.name, one.is_signed) for one in reading] == [(name, one) for one in expected]
+    assert reading.checked == len(data)
 
 
 def test_a_wrong_signature_does_not_lock_out_the_right_one() -> None:
