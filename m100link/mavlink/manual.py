@@ -13,16 +13,17 @@ STICKS_LIFETIME = 0.5
 """Seconds after which sticks that are not told any more are let go."""
 
 _FULL = 1000.0
-_NO_AXIS = 0x7FFF  # "invalid" in the definition: a joystick without that axis, not a full one
 _DEAD = 0.03
 
 
 def _stick(value: float) -> float:
-    """-1 to 1, with nothing around the middle, and where there is no such axis."""
-    if value == _NO_AXIS:
-        return 0.0
-    found = max(-1.0, min(1.0, value / _FULL))
-    return 0.0 if abs(found) < _DEAD else found
+    """-1 to 1, with nothing around the middle, and where there is no such axis.
+
+    What is out of range is no axis, as PX4 has it: INT16_MAX, by which the definitions say so, and
+    nonsense, which nobody means as a full stick.
+    """
+    found = value / _FULL
+    return found if _DEAD <= abs(found) <= 1.0 else 0.0
 
 
 class Manual:
@@ -44,8 +45,7 @@ class Manual:
     def receive(self, message: Message, now: float) -> None:
         """Take sticks over: pitch, roll, climb (0 to 1000, 500 stays), turn."""
         x, y, z, r = (message[axis] for axis in "xyzr")
-        climb = _NO_AXIS if z == _NO_AXIS else (z - _FULL / 2) * 2
-        first, second, third, fourth = map(_stick, (x, y, climb, r))
+        first, second, third, fourth = map(_stick, (x, y, (z - _FULL / 2) * 2, r))
         self._sticks, self._at = (first, second, third, fourth), now
 
     def is_fresh(self, now: float) -> bool:

@@ -1,8 +1,14 @@
 """Sticks as a table: MANUAL_CONTROL in, what is flown out.
 
-Forward, right and up are positive, and z goes from 0 to 1000. For r the definitions say
-"counter-clockwise 1000"; QGroundControl sends the right-hand side of its stick as positive and PX4
-reads that as clockwise, and so does every program that flies by it.
+Expected are the signs and scales of three that agree:
+
+- MAVLink's definitions (common.xml): x forward, y right, z thrust, r clockwise are 1000. Until
+  mavlink/mavlink#2398 (December 2025) they said r counter-clockwise, as no program had it.
+- QGroundControl sends x as minus its pitch, y as roll, r as yaw to the right, each times 1000; z is
+  its thrust of 0 to 1, times 1000.
+- PX4 (handle_message_manual_control) reads pitch forward x / 1000, roll right y / 1000, yaw
+  clockwise as seen from above r / 1000, and throttle z / 500 - 1, for z of 0 to 1000 alone. It
+  leaves out each axis that is out of its range.
 """
 
 from __future__ import annotations
@@ -54,8 +60,15 @@ def flown(
         # nothing around the middle
         ((29, -29, 514, 29), (0, 0, 0, 0)),
         ((30, -30, 515, 30), (0.15, -0.15, 0.06, 1.8)),
-        # more than full is full, and both together are no faster than one
-        ((3000, 0, 5000, 9000), (5.0, 0, 2.0, 60.0)),
+        ((0, 0, 500, 1000), (0, 0, 0, 60.0)),
+        # more than full is no axis, and both together are no faster than one
+        ((1001, 400, 500, 0), (0, 2.0, 0, 0)),
+        ((500, -1001, 500, 0), (2.5, 0, 0, 0)),
+        ((500, 0, 1001, 0), (2.5, 0, 0, 0)),
+        ((500, 0, -1, 0), (2.5, 0, 0, 0)),
+        ((500, 0, -1000, 0), (2.5, 0, 0, 0)),
+        ((500, 0, 500, 1001), (2.5, 0, 0, 0)),
+        ((500, 0, 500, -0x8000), (2.5, 0, 0, 0)),
         ((1000, 1000, 500, 0), (5 / math.sqrt(2), 5 / math.sqrt(2), 0, 0)),
         # a joystick without that axis
         ((NONE, 400, 500, 0), (0, 2.0, 0, 0)),
