@@ -121,8 +121,9 @@ def list_(*, options: FleetOptions = NO_OPTIONS) -> int:
 
     async def run() -> None:
         async with options.open() as fleet:
-            names = await fleet.names()
-            cards = await fleet.cards()
+            names, cards = await fleet.names(), await fleet.cards()
+        # An agent of an older release shows another token, and tells where it stands all the same.
+        names = in_order({*names, *cards})
         if options.json_output:
             for name in names:
                 print_json(asdict(cards[name]) if name in cards else {"name": name})
@@ -143,6 +144,9 @@ def _table(names: list[str], cards: dict[str, Card]) -> Table:
         card = cards.get(name)
         if card is None:
             table.add_row(name, "no answer")
+            continue
+        if card.fault is not None and not card.boot:
+            table.add_row(name, f"{card.connection}: {card.fault.seen}")
             continue
         height = "" if card.height_m is None else f"{card.height_m:.1f} m"
         battery = "" if card.battery_percent is None else f"{card.battery_percent} %"

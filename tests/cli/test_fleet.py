@@ -233,3 +233,23 @@ def test_whoever_waits_for_a_router_ends_when_told_to(
             assert "no router answers yet" in process.stderr.readline()
         process.send_signal(number)
         assert process.wait(PATIENCE) == 0
+
+
+def test_an_agent_of_an_older_release_is_listed_as_that(site: Site) -> None:
+    """It shows another token, and answers where it stands in words that are not read any more."""
+    zenoh = pytest.importorskip("zenoh")
+    config = zenoh.Config()
+    for name, value in (("mode", "client"), ("connect/endpoints", [site.place])):
+        config.insert_json5(name, json.dumps(value))
+    key = "m100/site/old/state"
+    with (
+        zenoh.open(config) as session,
+        session.declare_queryable(key, lambda asked: asked.reply(key, b'\x01{"name": "old"}')),
+    ):
+        status, told = site.ask("list")
+        ends = time.monotonic() + PATIENCE
+        while not told and time.monotonic() < ends:
+            status, told = site.ask("list")
+    assert (status, [one["name"] for one in told]) == (0, ["old"])
+    assert told[0]["connection"] == "unreadable"
+    assert "version 1" in told[0]["fault"]["seen"]
