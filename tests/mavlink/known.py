@@ -20,6 +20,7 @@ from m100link.protocol.records import (
     RemoteControl,
     Velocity,
 )
+from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.state import AircraftState
 
 ROLL, PITCH, YAW = 10.0, -20.0, -130.0
@@ -69,6 +70,7 @@ class Known:
         self.has_authority = False
         self.newest_age: float | None = 0.0
         self.within: dict[type[Any], float] = {}
+        self.integrity = Integrity(IntegrityState.GOOD, "", 0.25, 0.375)
 
     def get(self, record: type[Any]) -> Any:
         return self.items.get(record)
@@ -84,6 +86,10 @@ class Known:
 
     def limited(self, speed: float) -> Known:
         self.state = State(0.0, limits=Limits(max_speed_m_s=speed))
+        return self
+
+    def doubted(self, state: IntegrityState) -> Known:
+        self.integrity = Integrity(state, "seen", 4.5, 0.375)
         return self
 
     def flown(self) -> Known:

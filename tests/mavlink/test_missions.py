@@ -54,10 +54,10 @@ class Exchange:
         if self.random.random() >= self.loss:
             self.ground.send(name, target_system=1, target_component=1, **fields)
 
-    def heard(self, name: str) -> Iterator[Message]:
+    def heard(self, *names: str) -> Iterator[Message]:
         fresh, self.read = self.ground.heard[self.read :], len(self.ground.heard)
         for one in fresh:
-            if one.name == name and self.random.random() >= self.loss:
+            if one.name in names and self.random.random() >= self.loss:
                 yield one
 
     async def upload(self, items: list[Item], kind: int = MissionType.MISSION) -> MissionResult:
@@ -66,8 +66,7 @@ class Exchange:
             self.send("MISSION_COUNT", count=len(items), mission_type=kind)
             while True:
                 await anyio.sleep(0.05)
-                fresh, self.read = self.ground.heard[self.read :], len(self.ground.heard)
-                fresh = [one for one in fresh if self.random.random() >= self.loss]
+                fresh = list(self.heard("MISSION_ACK", "MISSION_REQUEST_INT"))
                 for one in fresh:
                     if one.name == "MISSION_ACK":
                         return MissionResult(one["type"])

@@ -24,6 +24,7 @@ from m100link.protocol.records import (
     RemoteControl,
     Velocity,
 )
+from m100link.telemetry.integrity import IntegrityState
 from tests.mavlink.known import LATITUDE, LONGITUDE, Known, position, quaternion, world_of
 
 NOW = 1234.5678
@@ -124,6 +125,11 @@ TABLE: dict[str, dict[str, Any]] = {
     | {"fields_updated": 0b111_111, "xmag": NAN, "ymag": NAN, "zmag": NAN, "abs_pressure": NAN}
     | {"diff_pressure": NAN, "pressure_alt": NAN, "temperature": NAN},
     "SYSTEM_TIME": BOOT | {"time_unix_usec": 0},
+    # ESTIMATOR_STATUS_FLAGS: attitude 1, velocity 2 and 4, absolute position 16 and 32
+    "ESTIMATOR_STATUS": USEC
+    | {"flags": 1 | 2 | 4 | 16 | 32, "pos_horiz_ratio": 0.25, "pos_vert_ratio": 0.375}
+    | dict.fromkeys(("vel_ratio", "mag_ratio", "hagl_ratio", "tas_ratio"), NAN)
+    | {"pos_horiz_accuracy": NAN, "pos_vert_accuracy": NAN},
 }
 
 
@@ -188,6 +194,9 @@ def test_a_heading_is_never_that_of_a_whole_turn(yaw: float, hdg: int, heading: 
         ("HIGHRES_IMU", Acceleration, "zacc", NAN),
         ("HIGHRES_IMU", Acceleration, "fields_updated", 0b111_000),
         ("HIGHRES_IMU", Attitude, "xacc", NAN),
+        ("ESTIMATOR_STATUS", Attitude, "flags", 2 | 4 | 16 | 32),
+        ("ESTIMATOR_STATUS", Velocity, "flags", 1 | 16 | 32),
+        ("ESTIMATOR_STATUS", Position, "flags", 1 | 2 | 4),
     ],
 )
 def test_a_field_that_nobody_knows_says_so(
@@ -328,6 +337,28 @@ def test_the_heartbeat_is_armed_where_motors_may_turn(known: Known, status: int,
     assert (found["system_status"], found["base_mode"]) == (status, base)
 
 
+# Bit 1024: GPS glitch. GPS is sensor 0x20 of SYS_STATUS.
+@pytest.mark.parametrize(
+    ("state", "flags", "has_gps"),
+    [
+        (IntegrityState.UNKNOWN, 1 | 2 | 4 | 16 | 32, True),
+        (IntegrityState.CLOCK_STOPPED, 1, True),
+        (IntegrityState.LATE, 1, True),
+        (IntegrityState.JUMPED, 1 | 1024, False),
+        (IntegrityState.FROZEN, 1 | 1024, False),
+        (IntegrityState.INCONSISTENT, 1 | 1024, False),
+    ],
+)
+def test_a_place_that_cannot_be_true_is_a_glitch(
+    state: IntegrityState, flags: int, has_gps: bool
+) -> None:
+    known = Known().doubted(state)
+    found = told("ESTIMATOR_STATUS", known, None)
+    assert (found["flags"], found["pos_horiz_ratio"]) == (flags, 4.5)
+    health = told("SYS_STATUS", known, None)["onboard_control_sensors_health"]
+    assert bool(health & 0x20) is has_gps
+
+
 def test_places_are_those_of_the_item() -> None:
     found = told("GLOBAL_POSITION_INT", Known(position(latitude=12.5, longitude=-0.25)), None)
     assert (found["lat"], found["lon"]) == (125_000_000, -2_500_000)
@@ -350,6 +381,7 @@ RATES_BY_DEFAULT = {
     "ALTITUDE": (0, 12),
     "HIGHRES_IMU": (0, 1),
     "SYSTEM_TIME": (0, 12),
+    "ESTIMATOR_STATUS": (1, 2),
 }
 
 
