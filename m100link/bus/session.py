@@ -386,7 +386,7 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
     except ModuleNotFoundError as error:
         raise UsageError(
             f"{opening.purpose} needs {error.name}, which is not installed",
-            remedy=f"pip install 'm100link[{opening.extra}]'",
+            remedy=f"pip install '.[{opening.extra}]' in a clone of m100link",
         ) from None
     config = _config(opening)
     mode = str(json.loads(config.get_json("mode") or "null") or "peer")

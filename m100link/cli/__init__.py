@@ -24,7 +24,7 @@ def main() -> None:
     except ModuleNotFoundError as error:
         sys.stderr.write(
             f"m100link's command line needs {error.name}, which is not installed.\n"
-            "  what to do:   pip install 'm100link[cli]'\n"
+            "  what to do:   pip install '.[cli]' in a clone of m100link\n"
         )
         raise SystemExit(2) from None
     from m100link.cli.app import run

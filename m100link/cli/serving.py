@@ -113,7 +113,7 @@ def require_packages() -> None:
     except ModuleNotFoundError as error:
         raise UsageError(
             f"the ground station needs {error.name}, which is not installed",
-            remedy="pip install 'm100link[station]'",
+            remedy="pip install '.[station]' in a clone of m100link",
         ) from None
 
 

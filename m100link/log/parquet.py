@@ -41,7 +41,7 @@ def write_parquet(
     except ModuleNotFoundError:
         raise UsageError(
             "a Parquet file needs pyarrow, which is not installed",
-            remedy="pip install 'm100link[analysis]'; m100link log csv needs nothing",
+            remedy="pip install '.[analysis]' in a clone of m100link; log csv needs nothing",
         ) from None
     names, rows = flight.rows(*records, firmware=firmware)
     number = arrow.float64()

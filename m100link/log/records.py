@@ -141,7 +141,7 @@ def mcap_module(name: str) -> Any:
     except ModuleNotFoundError as error:
         raise UsageError(
             f"a flight log needs {error.name}, which is not installed",
-            remedy="pip install 'm100link[log]'",
+            remedy="pip install '.[log]' in a clone of m100link",
         ) from None
 
 

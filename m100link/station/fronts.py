@@ -222,7 +222,7 @@ def _console(
     except ModuleNotFoundError as error:
         raise UsageError(
             f"the console needs {error.name}, which is not installed",
-            remedy="pip install 'm100link[station]'",
+            remedy="pip install '.[station]' in a clone of m100link",
         ) from None
     tabs = Tabs(agents, dropped_by_clients)
     app = console_app(agents, settings, orders, tabs)
@@ -241,7 +241,7 @@ def _metrics(
     except ModuleNotFoundError as error:
         raise UsageError(
             f"the metrics need {error.name}, which is not installed",
-            remedy="pip install 'm100link[station]'",
+            remedy="pip install '.[station]' in a clone of m100link",
         ) from None
     app = metrics_app(bridge, settings, dropped_by_tabs)
     return Server.make(app, settings, intake=intake)

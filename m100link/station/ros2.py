@@ -61,7 +61,8 @@ def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
         return
     if find_spec("zenoh") is None:
         raise UsageError(
-            "ROS 2 needs zenoh, which is not installed", remedy="pip install 'm100link[ros2]'"
+            "ROS 2 needs zenoh, which is not installed",
+            remedy="pip install '.[ros2]' in a clone of m100link",
         )
     if not 0 <= settings.ros2_domain <= MOST_DOMAIN:
         raise UsageError(

@@ -161,7 +161,7 @@ def test_without_the_package_it_says_what_to_install() -> None:
     )
     assert done.returncode == 2
     assert "the metrics need prometheus_client" in done.stderr
-    assert "pip install 'm100link[station]'" in done.stderr
+    assert "pip install '.[station]'" in done.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -137,7 +137,7 @@ async def test_what_cannot_be_recorded_is_told_once_and_flown(
     told.all.clear()
     aircraft = await by_url("sim://", flights=Flights(tmp_path / "there", tell=told))()
     await aircraft.aclose()
-    assert "pip install 'm100link[log]'" in told.all[0][1]
+    assert "pip install '.[log]'" in told.all[0][1]
 
 
 async def test_no_disk_is_waited_for_in_the_event_loop(

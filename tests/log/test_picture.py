@@ -34,4 +34,4 @@ def test_without_matplotlib_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(UsageError, match="matplotlib") as caught:
         picture(Story("flight.mcap"))
-    assert "m100link[analysis]" in str(caught.value)
+    assert "'.[analysis]'" in str(caught.value)
