@@ -14,6 +14,7 @@ __all__ = ["Errand", "ProgramTask", "new_task", "undisturbed"]
 _logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 3
+_LOOK_S = 0.1
 
 
 class ProgramTask:
@@ -104,8 +105,10 @@ class Errand:
         self._work = work
         self._on_end = on_end
         self._has_ended = False
-        self._is_wanted = asyncio.Event()  # whether it was begun
+        self._is_wanted = False  # whether it was begun
         self._task: asyncio.Task[None] | None = None  # the present attempt, or parked for the first
+        self._parked: asyncio.Future[None] | None = None  # what the parked task waits for
+        self._timer: asyncio.TimerHandle | None = None
 
     def park(self, on_cancelled: Callable[[], None]) -> None:
         """Make the task now, which waits to be begun: then that takes nothing of the system.
@@ -114,14 +117,33 @@ class Errand:
             on_cancelled: Called when somebody cancels the task before it was begun, as asyncio.run
                 does on its way out; it should lead to :meth:`begin`.
         """
-        self._task = new_task(self._wait(on_cancelled), "m100link stop path")
+        self._parked = asyncio.get_running_loop().create_future()
+        self._task = new_task(self._wait(self._parked, on_cancelled), "m100link stop path")
+        self._look()
 
     def begin(self) -> asyncio.Task[None]:
-        """Begin, or begin again. One that is parked needs two frames of the stack for it."""
-        self._is_wanted.set()
+        """Begin, or begin again. One that is parked needs no frame of the stack for it.
+
+        Where there is none for the call either, it begins a tenth of a second later. Nothing here
+        completes what the parked task waits for: with too little stack that task would never be
+        woken, not even by its cancellation.
+        """
+        self._is_wanted = True
         if self._task is None or self._task.done():
             self._task = new_task(self._run(), "m100link stop path")
+        elif self._parked is not None:
+            self._parked.get_loop().call_soon(self._look)
         return self._task
+
+    def _look(self) -> None:
+        """Begin, if that is wanted; called by the event loop, with all of the stack."""
+        if self._parked is None or self._parked.done():
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._parked.get_loop().call_later(_LOOK_S, self._look)
+        if self._is_wanted:
+            self._parked.set_result(None)
 
     async def ended(self) -> None:
         """Wait for the end, then let on what cancelled the caller meanwhile.
@@ -143,14 +165,16 @@ class Errand:
         if not task.cancelled():
             task.result()
 
-    async def _wait(self, on_cancelled: Callable[[], None]) -> None:
+    async def _wait(self, begun: asyncio.Future[None], on_cancelled: Callable[[], None]) -> None:
         cancelled: asyncio.CancelledError | None = None
         try:
-            await self._is_wanted.wait()
+            await begun
         except asyncio.CancelledError as error:
             cancelled = error
-            if not self._is_wanted.is_set():
+            if not self._is_wanted:
                 on_cancelled()
+        if self._timer is not None:
+            self._timer.cancel()
         await self._run(cancelled)
 
     async def _run(self, cancelled: asyncio.CancelledError | None = None) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import sys
+from types import FrameType
+from typing import cast
 
 import anyio
 import pytest
@@ -108,6 +111,31 @@ async def test_work_that_is_cancelled_again_and_again_is_given_up_and_says_so(
 async def test_work_that_is_cancelled_before_its_first_line_is_begun_all_the_same() -> None:
     work = Work()
     work.errand.begin().cancel()
+    await work.errand.ended()
+    assert (work.begun, work.done, work.ended) == (1, 1, 1)
+
+
+@pytest.mark.parametrize("left", range(1, 40))
+async def test_parked_work_is_begun_however_little_of_the_stack_is_left(left: int) -> None:
+    work = Work()
+    work.errand.park(lambda: None)
+    await asyncio.sleep(0.25)
+    # Before, one whose waking had no room slept for ever, and no cancellation woke it.
+    here, frame = 0, cast("FrameType | None", sys._getframe())
+    while frame is not None:
+        here, frame = here + 1, frame.f_back
+    limit, is_called = sys.getrecursionlimit(), True
+    with contextlib.suppress(RecursionError):  # not so little
+        sys.setrecursionlimit(here + left)
+    try:
+        work.errand.begin()
+    except RecursionError as error:
+        is_called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
+    finally:
+        sys.setrecursionlimit(limit)
+    if not is_called:  # its first line had no room, and nobody can know
+        work.errand.begin()
+    await asyncio.sleep(1.2)
     await work.errand.ended()
     assert (work.begun, work.done, work.ended) == (1, 1, 1)
 
