@@ -136,11 +136,14 @@ class SetpointLoop:
     def _send_if_due(self, now: float, *, is_checked: bool) -> None:
         """Send now unless its time is still to come; then the task does it."""
         assert self._setpoint is not None
-        if now >= self._due_at() - _SLACK and (is_checked or self._admits(self._setpoint)):
-            self._transmit(self._setpoint, now)
+        # First the task that ends it; and by the event loop: on the last frames of a stack the task
+        # would not be woken, and not even by its cancellation from then on.
         if self._task is None or self._task.done():  # done: somebody cancelled every task
             self._task = new_task(self._run(), "m100link setpoints")
-        self._news.set()
+        if not self._news.is_set():
+            self._loop.call_soon(self._news.set)
+        if now >= self._due_at() - _SLACK and (is_checked or self._admits(self._setpoint)):
+            self._transmit(self._setpoint, now)
 
     @property
     def _is_news(self) -> bool:

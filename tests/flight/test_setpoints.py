@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import sys
 from collections.abc import AsyncIterator
 from itertools import pairwise
 from random import Random
+from types import FrameType
+from typing import cast
 
 import pytest
 
@@ -671,3 +675,27 @@ async def test_a_log_that_raises_costs_no_frame(rig: Rig, monkeypatch: pytest.Mo
     assert len(told) == 1
     assert rig.failures == []
     assert len(rig.frames) == pytest.approx(75, abs=1)
+
+
+@pytest.mark.parametrize("left", range(1, 40))
+async def test_a_setpoint_on_the_last_frames_of_a_stack_is_ended_like_any_other(
+    rig: Rig, left: int
+) -> None:
+    """A task that has no room to be woken there must not sleep for ever."""
+    rig.set(NORTH)
+    await asyncio.sleep(2.0)
+    here, frame = 0, cast("FrameType | None", sys._getframe())
+    while frame is not None:
+        here, frame = here + 1, frame.f_back
+    limit = sys.getrecursionlimit()
+    with contextlib.suppress(RecursionError):
+        try:
+            sys.setrecursionlimit(here + left)
+            rig.set(EAST)
+        finally:
+            sys.setrecursionlimit(limit)
+    await asyncio.sleep(2.0)
+    assert rig.frames[-1][1] == STILL
+    rig.set(NORTH)
+    await asyncio.sleep(2.0)
+    assert rig.frames[-1][1] == STILL
