@@ -149,7 +149,7 @@ def of_the_first_version(name: str) -> bytes:
 def test_signed_is_what_came_with_a_signature_of_the_key(
     name: str, data: bytes, has_key: bool, expected: list[bool]
 ) -> None:
-    reading = Reading(data, signer=Signer(KEY) if has_key else None, now=1000)
+    reading = Reading(bytes(20) + data, signer=Signer(KEY) if has_key else None, now=1000)
     assert [(one.name, one.is_signed) for one in reading] == [(name, one) for one in expected]
     assert reading.checked == len(data)
 

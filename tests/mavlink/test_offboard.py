@@ -180,6 +180,13 @@ def test_an_attitude_is_a_tilt_a_climb_and_a_heading(given: Message, expected: F
     assert found.mode == Setpoint.tilt(roll_deg=0.0, pitch_deg=0.0, up=0.0, yaw_deg=0.0).mode
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_nose_straight_up_or_down_is_the_greatest_tilt(sign: float) -> None:
+    """Rounded, the sine of its pitch is beyond 1."""
+    upright = attitude(0.0, 0.0, 0.0, q=(0.5006, 0.0, sign * 0.5006, 0.0))
+    assert flown(offboard(), upright).y == sign * 30.0
+
+
 @pytest.mark.parametrize(
     "given",
     [
