@@ -328,8 +328,10 @@ class Vehicle:
         return Message("AUTOPILOT_VERSION", fields)
 
     def _interval(self, number: int, peer: Peer) -> Message:
-        hz = self._rates.hz(NUMBERS[number], peer) if number in NUMBERS else 0.0
-        interval = round(1e6 / hz) if hz > 0 else -1
+        interval = 0  # of what is not there, by the definition; -1 of what nobody asked for
+        if number in NUMBERS:
+            hz = self._rates.hz(NUMBERS[number], peer)
+            interval = round(1e6 / hz) if hz > 0 else -1
         return Message("MESSAGE_INTERVAL", {"message_id": number, "interval_us": interval})
 
     # -- time passes -----------------------------------------------------------------------------

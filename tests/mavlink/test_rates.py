@@ -140,6 +140,21 @@ async def test_a_peer_that_asks_for_a_kilohertz_changes_nothing_for_another(
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("name", "expected"), [("ATTITUDE", 50_000), ("VFR_HUD", -1), ("HIL_STATE", 0)]
+)
+async def test_an_interval_is_that_of_the_definitions(
+    ground: Ground, name: str, expected: int
+) -> None:
+    """MESSAGE_INTERVAL: -1 is disabled, 0 not available, and more the interval in µs."""
+    number = LAYOUTS[name].number if name in LAYOUTS else 90
+    wanted = LAYOUTS["MESSAGE_INTERVAL"].number
+    assert await ground.ask(Command.REQUEST_MESSAGE, wanted, number) is Result.ACCEPTED
+    assert ground.last("MESSAGE_INTERVAL")["message_id"] == number
+    assert ground.last("MESSAGE_INTERVAL")["interval_us"] == expected
+
+
+@pytest.mark.anyio
 async def test_nobody_counts_as_lost_what_went_to_another(rig: Rig, ground: Ground) -> None:
     """Ground stations show how many are missing by the numbers of the frames."""
     other = Ground(rig, ("127.0.0.1", 7000), 246)
