@@ -45,7 +45,7 @@ IN_ORDER = (HOVERS, LANDS, STOPS)
 """Whatever leaves the program time to act."""
 
 BY_GUARDIAN = (HOVERS, LANDS_BY_GUARDIAN, STOPS)
-"""The program cannot act any more; the guardian does, and nobody reads the aircraft's answers."""
+"""The program can no longer act; the guardian does, and does not read the aircraft's answers."""
 
 CUT_OFF = (SILENCE, SILENCE, FLIES_ON)
 """Nobody can send anything any more; a landing that was asked for does not happen."""
@@ -67,12 +67,12 @@ class Ending(Enum):
     COLLECTED = "an abandoned generator is collected (GC)"
     FALLS_OFF = "its last line, with an open block and an event loop that runs no more"
     OUT_OF_RESOURCES = (
-        "any of these without a file descriptor, disk, thread or task to be had, or beside a log "
-        "whose handler raises or blocks"
+        "any of these when the system has no file descriptor, disk, thread or task left, or beside a "
+        "log whose handler raises or blocks"
     )
     FORK = "the child of a fork ends: `sys.exit()`, `os._exit()`, an exception, `return`, SIGTERM"
     HANG = "the event loop is blocked for 2 s: `time.sleep()`, a debugger"
-    STOPPED = "the process stands still for 2 s (SIGSTOP), or the computer slept"
+    STOPPED = "the process is stopped for 2 s (SIGSTOP), or the computer slept"
     KILL = "`kill -9`, a signal that nobody handles (SIGUSR1, SIGALRM), the system is out of memory"
     CRASH = "a crash (SIGSEGV, SIGABRT), `os._exit()`, `os.execv()`"
     UNPLUGGED = "the cable is pulled, the computer loses power"
