@@ -67,8 +67,8 @@ class Ending(Enum):
     COLLECTED = "an abandoned generator is collected (GC)"
     FALLS_OFF = "its last line, with an open block and an event loop that runs no more"
     OUT_OF_RESOURCES = (
-        "any of these when the system has no file descriptor, disk, thread or task left, or beside a "
-        "log whose handler raises or blocks"
+        "any of these when the system has no file descriptor, disk, thread or task left, or "
+        "beside a log whose handler raises or blocks"
     )
     FORK = "the child of a fork ends: `sys.exit()`, `os._exit()`, an exception, `return`, SIGTERM"
     HANG = "the event loop is blocked for 2 s: `time.sleep()`, a debugger"

@@ -1,7 +1,7 @@
-"""Which answer to an order is believed.
+"""Decide which answer to an order to believe.
 
-Whoever reaches the router may answer for an aircraft. Believed is what comes from the session that
-shows the aircraft's token, if there is one such session, and if it says one thing.
+Any program on the network may answer for an aircraft. An answer is believed if it comes from the
+only session that shows the aircraft's token, and if no other answer of that session contradicts it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["believed", "clocks_told"]
 
 
 def clocks_told(answers: Iterable[Answer], name: str) -> list[float]:
-    """What time it is there, s, as each tells who says to be an aircraft of that name."""
+    """Return the clock, s, of each session that claims to be the aircraft of that name."""
     found = set()
     for one in answers:
         try:
@@ -38,18 +38,18 @@ def believed(
     sessions: Collection[str],
     digest: bytes = b"",
 ) -> Reply | MessageError | None:
-    """What an aircraft says of an order.
+    """Return the answer of an aircraft to an order.
 
     Args:
-        answers: Whatever came to one question.
-        keys: Of the aircraft.
-        identity: Of the order.
-        sessions: Ids of those that show the aircraft's token.
-        digest: Of the order, where a reply may name another one of the same id.
+        answers: All answers to one question.
+        keys: Keys of the aircraft.
+        identity: Id of the order.
+        sessions: Ids of the sessions that show the aircraft's token.
+        digest: Digest of the order, where a reply may name another one of the same id.
 
     Returns:
-        Its reply, or why there are only such as cannot be read; None when it said nothing. What
-        others say is nothing.
+        Its reply, or the reason why no reply can be read; None when it did not answer. Answers of
+        other sessions do not count.
 
     Raises:
         OutcomeUnknown: Two agents have that name, two answers say different things, or what they

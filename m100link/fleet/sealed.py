@@ -1,8 +1,8 @@
-"""Words on a disk that tell when they were changed, and when some of them are gone.
+"""Records in a file that reveals when records were changed or are missing.
 
 A line has a checksum, its number, and the number of the first line of its file. Beside the file
-stands a mark: the number of the newest line. So a line that was changed, one that is gone in the
-middle, an end that was cut off and a file that was emptied or removed are all noticed.
+is a mark: the number of the newest line. So a reader notices a changed line, a missing line, an end
+that was cut off, and a file that was emptied or removed.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _MARK = re.compile(r"([0-9a-f]{8}) ((\d{18}) (\d{18}))\n")
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """That there are words, in a file of their own that is as long whatever it says.
+    """The mark: which records exist. Its file always has the same length.
 
     Attributes:
-        newest: Number of the newest word; 0: none was written yet.
-        first: Number of the first word of the file.
+        newest: Number of the newest record; 0: none was written yet.
+        first: Number of the first record of the file.
     """
 
     newest: int
@@ -45,12 +45,12 @@ class Mark:
 
 
 def seal(number: int, first: int, content: dict[str, Any]) -> str:
-    """A line of a file.
+    """Return a line of a file.
 
     Args:
         number: Its number; one more than that of the line before.
         first: Number of the first line of the file.
-        content: What it says.
+        content: Its content.
     """
     body = f"{number} {first} {json.dumps(content)}"
     return f"{crc32(body.encode()):08x} {body}\n"
@@ -58,11 +58,11 @@ def seal(number: int, first: int, content: dict[str, Any]) -> str:
 
 @dataclass
 class Words:
-    """What a file says.
+    """The content of a file.
 
     Attributes:
-        kept: What can be read, by number, in their order.
-        damaged: How many words cannot, or are gone.
+        kept: The readable records by number, in order.
+        damaged: Number of records that are damaged or missing.
         sure_from: From this number on none is lost.
         newest: The greatest number that was ever written.
     """

@@ -1,7 +1,7 @@
-"""The secret of a lease: agreed by its agent and whoever asked for it, and never sent.
+"""The secret of a lease: its agent and the asker agree it, and neither sends it.
 
-Everybody on the network may hear what both say. So each says half of what is needed, and keeps a
-half: X25519. What is done under the lease carries a proof made with the secret.
+Everybody on the network may hear both sides. So each side sends a public half and keeps a private
+one: X25519. Every order under the lease carries a proof made with the secret.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ _ABOUT = b"m100link lease 2\n"
 
 
 class Half:
-    """What one side keeps; for one order, and no other one."""
+    """The private half of one side, for one order only."""
 
     def __init__(self) -> None:
         self._key = X25519PrivateKey.generate()
         self.public = self._key.public_key().public_bytes_raw()
 
     def secret(self, order: Order, theirs: bytes, agents: bytes) -> str:
-        """The secret of the lease that an order asks for, 64 hexadecimal digits.
+        """Return the secret of the lease that an order asks for, 64 hexadecimal digits.
 
         Args:
-            order: As it was asked.
+            order: The order as it was sent.
             theirs: The public half of the other side, 32 bytes.
-            agents: That of the agent, 32 bytes.
+            agents: The public half of the agent, 32 bytes.
 
         Raises:
-            MessageError: That is no half of a secret.
+            MessageError: ``theirs`` is no half of a secret.
         """
         try:
             shared = self._key.exchange(X25519PublicKey.from_public_bytes(theirs))
@@ -50,7 +50,7 @@ class Half:
 
 
 def agree(order: Order) -> tuple[bytes, str]:
-    """The agent's side: its public half, for the reply, and the secret.
+    """Return the agent's side: its public half, for the reply, and the secret.
 
     Raises:
         MessageError: The order brings no half.
@@ -63,18 +63,18 @@ class LeaseRequest:
     """The asker's side.
 
     Args:
-        order: What is asked, with the public half in it.
-        half: What stays here.
+        order: The request, with the public half in it.
+        half: The private half, which stays here.
     """
 
     def __init__(self, order: Order, half: Half) -> None:
         self.order, self._half = order, half
 
     def lease(self, reply: Reply) -> Lease:
-        """The lease that a reply grants.
+        """Return the lease that a reply grants.
 
         Raises:
-            MessageError: It brings no half of a secret.
+            MessageError: The reply brings no half of a secret.
         """
         secret = self._half.secret(self.order, reply.key, reply.key)
         return Lease(reply.text, secret, reply.number)

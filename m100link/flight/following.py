@@ -1,4 +1,4 @@
-"""Whether the aircraft does what it is told: a wire to it may be broken while all else works."""
+"""Check that the aircraft follows setpoints: the wire to it may be broken while all else works."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ class _Deadline:
 class FollowCheck:
     """Compares setpoints with what telemetry shows of them.
 
-    Only what is asked for and does not even begin is a contradiction: one that is slow, leans into
-    the wind, or is kept from it by the wind follows all the same.
+    A contradiction is a demand that the aircraft does not even begin to follow. An aircraft that is
+    slow, leans into the wind, or is held back by the wind follows all the same.
 
     Args:
         state: Telemetry.
@@ -101,9 +101,9 @@ class FollowCheck:
         self._unseen = _NOWHERE  # north and east, m
 
     def look(self) -> str:
-        """What does not follow, with its figures; empty while nothing speaks against it.
+        """Return which demand is not followed, with figures; empty while there is no contradiction.
 
-        To be asked a few times a second.
+        Call it a few times a second.
         """
         now = self._clock()
         passed, self._looked_at = now - self._looked_at, now

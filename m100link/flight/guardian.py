@@ -1,7 +1,7 @@
-"""A spare for the end of a flight: a process that flies it when this program cannot.
+"""The program's side of the guardian: a process that ends the flight when this program cannot.
 
 The program keeps a plan of prepared frames in a page of memory that both share, and renews a token
-in it ten times a second by a timer of its event loop. What the guardian does with that stands in
+in it ten times a second by a timer of its event loop. The guardian itself is
 :mod:`m100link.flight.guardian_process`, which knows nothing of this package.
 """
 
@@ -45,7 +45,7 @@ W = TypeVar("W")
 
 
 def patience_of(guardian: bool | float) -> float | None:
-    """What ``control(guardian=…)`` means in seconds; None: no guardian.
+    """Return the seconds that ``control(guardian=…)`` means; None: no guardian.
 
     Raises:
         UsageError: Not 0.5 to 60 s.
@@ -67,10 +67,10 @@ class Guardian(Generic[W]):
 
     Args:
         link: The line.
-        wanted: What is to be done if the program ends now; asked ten times a second.
-        plan: Makes the frames for that, and is called when it changed.
+        wanted: Returns the actions needed if the program ends now; called ten times a second.
+        plan: Makes the frames for these actions; called when they changed.
         on_taken_over: Called once when the guardian ended the flight, with the error that says so.
-        patience_s: How long the event loop may stand still; None: no guardian.
+        patience_s: How long the event loop may be blocked, s; None: no guardian.
     """
 
     def __init__(
@@ -104,16 +104,16 @@ class Guardian(Generic[W]):
 
     @property
     def is_watching(self) -> bool:
-        """Whether it would end the flight if the program could not."""
+        """Whether the guardian would end the flight if the program could not."""
         return self._words is not None
 
     # -- start -----------------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Start it and wait until it watches, with nothing to do yet.
+        """Start the guardian and wait until it watches, with an empty plan.
 
         Raises:
-            GuardianFailed: It cannot be started.
+            GuardianFailed: The process does not start.
         """
         descriptor = self._link.descriptor
         if not self._is_asked_for or descriptor is None:
@@ -168,7 +168,7 @@ class Guardian(Generic[W]):
     # -- while the program flies -----------------------------------------------------------------
 
     def update(self) -> None:
-        """Something changed that may change the plan."""
+        """Publish a new plan if the needed actions have changed."""
         if self._words is None or self._map is None or os.getpid() != self._pid:
             return
         wanted = self._wanted()
@@ -265,7 +265,7 @@ class Guardian(Generic[W]):
     # -- the gate in front of the line -----------------------------------------------------------
 
     def opens(self, size: int) -> bool:
-        """Whether the program may write so many bytes now; they count as missing until it has."""
+        """Whether the program may write so many bytes now; they count as missing until written."""
         words = self._words
         if words is None:
             return True
@@ -275,16 +275,16 @@ class Guardian(Generic[W]):
         return True
 
     def wrote(self, waiting: int) -> None:
-        """So many bytes are not with the system."""
+        """Note how many bytes the system has not taken yet."""
         if self._words is not None:
             self._words[page.UNSENT] = waiting
 
     # -- end -------------------------------------------------------------------------------------
 
     async def end(self) -> None:
-        """It is not needed any more; where it has taken over, wait until it has ended the flight.
+        """Dismiss the guardian; where it has taken over, wait until it has ended the flight.
 
-        May be called again, and when it never started.
+        You may call it again, and when the guardian never started.
         """
         if self._process is None or os.getpid() != self._pid:
             return

@@ -1,4 +1,4 @@
-"""What the guardian of a flight would send, as frames: the stop path without acks."""
+"""The frames that the guardian of a flight sends: the stop path without acks."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class Step(NamedTuple):
 
 
 class GuardianPlan(NamedTuple):
-    """What is sent in which case.
+    """The frames for both cases.
 
     Attributes:
-        stalled: When the program stands still for longer than a setpoint lives.
-        last: When it is gone, or stands still for too long.
+        stalled: For a program that is blocked for longer than a setpoint lives.
+        last: For a program that is gone, or is blocked for too long.
     """
 
     stalled: tuple[Step, ...] = ()
@@ -56,7 +56,7 @@ class GuardianPlan(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What is to be done for the aircraft if the program ends now.
+    """The actions that the aircraft needs if the program ends now.
 
     Attributes:
         neutral: The neutral of what is being sent, None in silence.
@@ -99,8 +99,8 @@ class _Orders:
 def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> GuardianPlan:
     """The plan for a control block: mission stop, neutral, landing, release.
 
-    Nobody reads acks, so orders that may be refused are sent several times, and a landing has the
-    time that the stop path gives it before authority goes back: that would end it in the air.
+    The guardian reads no acks. So the plan repeats orders that the aircraft may refuse, and gives a
+    landing as much time as the stop path before the release, which would end it in the air.
 
     Args:
         commander: The aircraft.

@@ -1,14 +1,13 @@
 """The guardian of a flight, a process of its own: it sends prepared bytes when the program cannot.
 
-Run as a script (``python -I -S``), so that it stands on nothing that the program can break: it has
-a copy of the line, one end of a socket and a page of memory that both share, ignores every signal
-that can be ignored, and imports nothing once it has said that it is ready. It knows no protocol:
-what it would send stands in the page, in order and with the pauses between, and the program keeps
-that right.
+It runs as a script (``python -I -S``), so that the program cannot break what it depends on. It has
+a copy of the line, one end of a socket and a page of shared memory. It ignores every signal that
+can be ignored, and imports nothing once it has reported that it is ready. It knows no protocol: the
+program keeps the frames in the page up to date, in order and with the pauses between them.
 
-The page is words, then two halves that are written in turn. A half counts when its checksum is
-right, the newer one first: a program that is killed in the middle of an update leaves the half of
-before. What was read last is kept, so that junk in the page changes nothing.
+The page has words, then two halves that the program writes in turn. The guardian takes the newer
+half whose checksum is right: a program that is killed during an update leaves the previous half.
+The guardian keeps what it read last, so junk in the page changes nothing.
 """
 
 from __future__ import annotations
@@ -70,7 +69,7 @@ _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while 
 
 
 def milliseconds() -> int:
-    """The time by which both sides measure, a word that wraps."""
+    """Return the time by which both sides measure, a word that wraps."""
     return int(time.clock_gettime(_CLOCK) * 1000) & _WORD
 
 
@@ -112,11 +111,11 @@ def opened(half: bytes) -> tuple[int, int, _Frames, _Frames] | None:
 
 
 class LineGone(Exception):
-    """Nobody can be told anything any more."""
+    """The line takes no more bytes, for good."""
 
 
 class Watch:
-    """Watches one program, and ends its flight when that cannot.
+    """Watches one program, and ends its flight when the program cannot.
 
     Args:
         line, socket, page: Descriptors; the line does not block.
@@ -228,17 +227,17 @@ class Watch:
             self._write(frame, is_last=True)
 
     def _mend(self) -> None:
-        """Let the aircraft be done with a frame that was cut off: what it lacks comes as zeros.
+        """Complete a frame that was cut off, with zeros.
 
-        Otherwise it would take the next frame for the rest of that one. Between frames zeros are
-        passed over.
+        Otherwise the aircraft would take the next frame for its rest. Between frames it ignores
+        zeros.
         """
         missing = min(max(self._word(UNSENT), self._torn), _LONGEST_FRAME)
         if missing:
             self._write(bytes(missing), is_last=self._word(HOLD) == TAKEN)
 
     def _pass(self, seconds: float) -> None:
-        """Let time pass. What a dead program does not read any more must not jam the line."""
+        """Let time pass, and read what a dead program no longer reads: it must not jam the line."""
         until = time.monotonic() + seconds
         while (rest := until - time.monotonic()) > 0:
             if not self._is_dead:

@@ -1,4 +1,4 @@
-"""While something flies, log records are handled by a thread, so that a log costs no flight."""
+"""A thread handles log records while something flies, so that a log costs no flight."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _OF_FLIGHTS = "m100link.flight"
 
 
 class LogThread(logging.Filter):
-    """Takes the log records of this package and of asyncio to a thread while something flies.
+    """Hands log records of this package and of asyncio to a thread while something flies.
 
     A handler of the program may raise, take long or block for ever: a GUI, a socket, a terminal
-    that is stopped by Ctrl-S, a pipe that nobody reads. In the event loop that would cost the
-    setpoint, or the signal, behind the line that is logged. The thread calls the same loggers, with
-    their levels, filters and handlers; while nothing flies nothing is different from before.
+    that is stopped by Ctrl-S, a pipe without a reader. In the event loop that would cost the
+    setpoint, or the signal, that follows the logged line. The thread calls the same loggers, with
+    their levels, filters and handlers. While nothing flies, logging works as usual.
 
     Without a handler of the program, errors of a flight (it was not landed, not released) go to
-    stderr, also by the thread.
+    stderr, also from the thread.
 
     Attributes:
         dropped: Records that found the queue full.
@@ -61,7 +61,7 @@ class LogThread(logging.Filter):
         self._lost = ""  # why records were lost since that was reported
 
     def hold(self, *, is_simulated: bool = False) -> None:
-        """A control block begins: from here on its log is handled by the thread.
+        """Begin a control block, whose log the thread handles from here on.
 
         Args:
             is_simulated: Its event loop has a clock of its own.
@@ -79,10 +79,10 @@ class LogThread(logging.Filter):
             self._cover()
 
     def release(self) -> None:
-        """A control block has ended. Behind the last one the log is as before.
+        """End a control block. After the last one, logging works as usual again.
 
-        Waits at most 0.25 s until all is written. Behind a handler that blocks for longer, records
-        go on to wait in the queue, and not the program.
+        Waits at most 0.25 s until the thread has written all records. When a handler blocks for
+        longer, records stay in the queue and the program goes on.
         """
         with self._changes:
             self._holders = max(0, self._holders - 1)  # 0 in the child of a fork

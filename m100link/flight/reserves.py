@@ -1,4 +1,4 @@
-"""What the end of a flight needs is had before the flight begins: it may not be there later."""
+"""Acquire what the end of a flight needs before the flight: the system may refuse it later."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ _flying: dict[Close, asyncio.AbstractEventLoop] = {}
 
 
 def reserve(what: str, close: Close) -> None:
-    """From here on nothing that ends a flight loads, opens, or begins a thread.
+    """Load and start what ends a flight, so that it need not load, open or start anything later.
 
-    Modules come from a disk that may fail, by file descriptors that may be used up; so what a stop
-    path would load is loaded. The thread of the log begins. Behind the flight: :func:`free`.
+    Python loads modules from a disk that may fail, with file descriptors that may run out. So this
+    loads the modules of the stop path and starts the thread of the log. After the flight, call
+    :func:`free`.
 
     Args:
-        what: Word for the error.
+        what: Names the request in the error.
         close: Ends the flight and waits for that. It is run when the program falls off its end
             between two runs of its event loop.
 
@@ -48,7 +49,7 @@ def reserve(what: str, close: Close) -> None:
 
 
 def free(close: Close) -> None:
-    """The flight has ended."""
+    """Note that the flight has ended."""
     _flying.pop(close, None)
     LOG_THREAD.release()
 

@@ -1,8 +1,8 @@
-"""In the child of a fork, the line and the event loop of the parent are taken out of its hands.
+"""Detach a forked child from the line and the event loop of its parent.
 
-A child has the parent's open files, not copies of them. Where it leaves the coroutine in which it
-was born (an exception, ``sys.exit``, ``return``), its event loop would take the line out of the
-parent's epoll; the parent would hear and send nothing any more, with its last setpoint flying.
+A child shares the parent's open files. When it leaves the coroutine in which it was forked (an
+exception, ``sys.exit``, ``return``), its event loop would remove the line from the parent's epoll.
+The parent would then receive and send nothing, while its last setpoint stays in force.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _EPOLLS = (selectors.EpollSelector,) if hasattr(selectors, "EpollSelector") else
 
 
 class Inherited(Protocol):
-    """What a child inherits, and must not use."""
+    """A resource that a child inherits and must not use."""
 
     def after_fork(self) -> None:
         """Let go of it, in the child. Raises nothing."""
@@ -35,7 +35,7 @@ _inherited: WeakSet[Inherited] = WeakSet()
 
 
 def lose_at_fork(inherited: Inherited) -> None:
-    """From here on it lets go of what it has in the child of each fork."""
+    """Register a resource: the child of each fork lets go of it."""
     _inherited.add(inherited)
 
 

@@ -1,4 +1,4 @@
-"""What may hold back the writes of a line that another process shares."""
+"""A gate that can hold back writes on a line that another process shares."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ GUARDIAN_NAME = "m100link-guard"
 
 
 class Gate(Protocol):
-    """Asked before each write, and told after it."""
+    """The line asks it before each write, and reports to it afterwards."""
 
     def opens(self, size: int) -> bool:
-        """Whether so many bytes may be written now."""
+        """Return whether the line may write so many bytes now."""
         ...
 
     def wrote(self, waiting: int) -> None:
-        """They were; so many bytes wait in this process."""
+        """Note a write, and how many bytes still wait in this process."""
 
 
 def descriptor_of(transport: asyncio.BaseTransport | None) -> int | None:

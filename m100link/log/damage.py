@@ -1,7 +1,7 @@
-"""What is missing from a flight log: where its file is damaged, how many messages that cost, when.
+"""The damage of a flight log: the damaged bytes, the number of lost messages, and their times.
 
-Each message of a recording has a number, and the end of the file says how many there are. So what
-is missing is counted by what is there, whatever became of the part that held it.
+Each message of a recording has a number, and the end of the file has their count. So the readable
+messages show how many are missing, whatever happened to the part that held them.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ _MOST_NAMED = 3  # places, and spans of time; the others are counted
 
 @dataclass(frozen=True)
 class Damage:
-    """What is damaged or missing in a flight log. False when nothing is.
+    """Damaged and missing parts of a flight log. False when there are none.
 
-    A file whose process was killed has no end, and is not damaged by that: ``is_ended``.
+    The file of a killed process has no end (``is_ended``); that alone is no damage.
 
     Attributes:
-        places: From which byte of the file to which it cannot be read, or is not what was written.
+        places: Byte ranges of the file that cannot be read, or are not as they were written.
         missing: Messages that are missing at least, by topic; ``""`` where no topic is known.
         spans_utc: Between which messages that are there others are missing, POSIX time, s; None
             for the beginning and the end of the file. What arrives together is written together,

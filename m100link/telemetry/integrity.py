@@ -1,11 +1,11 @@
-"""Whether what the aircraft tells of its place can be true.
+"""Whether the position that the aircraft reports can be true.
 
 A position counts as fresh when it arrives. That does not make it true: a relay may repeat one
-package for ever, a congested radio may deliver packages ever later, a receiver may jump or stand
-still. So each position is compared with the velocity that came with it and with the time that
-passed by the clock of the aircraft, which repeated and late packages cannot pretend.
+package for ever, a congested radio may deliver packages ever later, a receiver may jump or freeze.
+So the monitor compares each position with the velocity of its package and with the time that passed
+by the aircraft's clock. Repeated and late packages cannot fake that clock.
 
-The work is done when somebody asks, once for each newer package; nobody pays for it otherwise.
+The monitor works only when asked, once for each newer package.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _DOWN = (FlightPhase.STANDBY, FlightPhase.TAKING_OFF, FlightPhase.FINISHING_LAND
 
 
 class IntegrityState(Enum):
-    """What can be said about telemetry as a whole."""
+    """The findings about telemetry as a whole."""
 
     UNKNOWN = "no place to judge: on the ground, poor GPS, or no position"
     GOOD = "the position agrees with velocity and time"
@@ -71,13 +71,13 @@ class Integrity(NamedTuple):
     """Whether telemetry can be believed.
 
     Attributes:
-        state: What was found.
-        seen: The same with its figures; empty while nothing is wrong.
+        state: The finding.
+        seen: The finding with its figures; empty while nothing is wrong.
         test_ratio: Horizontal distance between the position and where the velocity leads, divided
-            by what is allowed; below 1 is fine (PX4: innovation test ratio).
+            by its limit; below 1 is fine (PX4: innovation test ratio).
         height_test_ratio: The same of the height.
-        delay_s: By how much the newest package came later than the earliest ones would let expect,
-            s; 0 while the aircraft's clock is not known.
+        delay_s: Delay of the newest package compared with the earliest ones, s; 0 while the
+            aircraft's clock is not known.
     """
 
     state: IntegrityState
@@ -88,12 +88,12 @@ class Integrity(NamedTuple):
 
     @property
     def is_timely(self) -> bool:
-        """Whether telemetry is new, and not only just come."""
+        """Whether telemetry is new, and did not merely arrive just now."""
         return self.state not in (IntegrityState.CLOCK_STOPPED, IntegrityState.LATE)
 
     @property
     def is_plausible(self) -> bool:
-        """Whether nothing speaks against the position."""
+        """Whether nothing contradicts the position."""
         return not self.is_timely or self.state in (IntegrityState.UNKNOWN, IntegrityState.GOOD)
 
 
@@ -224,7 +224,7 @@ class _Fix(NamedTuple):
 
 
 class IntegrityMonitor:
-    """Compares what telemetry says with itself.
+    """Compares items of telemetry with each other.
 
     Args:
         newest: The newest package with an item.
@@ -252,7 +252,7 @@ class IntegrityMonitor:
         self._fault_ends_at = -math.inf
 
     def look(self, newest_at: float | None) -> Integrity:
-        """What can be said now; the newest package came then."""
+        """Return the finding at this moment; the newest package came then."""
         if newest_at == self._looked_at:
             return self._integrity
         self._looked_at = newest_at

@@ -1,8 +1,9 @@
-"""What became of the beats of a press: sent, flown, or refused and why.
+"""The fate of the beats of a press: sent, flown, or refused and why.
 
-The page shows this and not what it sent. A beat counts as flown once the agent took it: the agent
-answers the ones that it refuses, and is heard all the time, so silence about beats of before the
-last :data:`CERTAIN_AFTER` seconds, from an agent that tells of itself since, means that they fly.
+The page shows this fate instead of what it sent. A beat counts as flown once the agent took it. The
+agent answers only beats that it refuses, and reports its state all the time. So when it has
+reported since, and no refusal of a beat older than :data:`CERTAIN_AFTER` seconds came, that beat
+was flown.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _STATUS_AGE_S = 2.5
 
 
 class Fate(StrEnum):
-    """What the page shows of what is held."""
+    """What the page shows of a held key, stick or gamepad."""
 
     SENT = "sent"  # nobody knows yet
     FLOWN = "flown"
@@ -45,7 +46,7 @@ _GUARDS = {
 
 
 class Press:
-    """One press of keys, sticks or a gamepad, as far as it was carried out."""
+    """One press of keys, sticks or a gamepad, and how much of it was carried out."""
 
     def __init__(self) -> None:
         # When it began to go on to the agent, when it last did, and when it was last refused.
@@ -53,19 +54,19 @@ class Press:
         self._why = Fate.REFUSED
 
     def passed(self, now: float) -> None:
-        """A beat went on to the agent."""
+        """Note that a beat went on to the agent."""
         if now - self._passed_at > _TOLD_FOR:
             self._since = now
         self._passed_at = now
 
     def refused(self, error: M100Error, now: float) -> None:
-        """A beat was refused, here or by the agent."""
+        """Note that a beat was refused, here or by the agent."""
         guard = error.guard if isinstance(error, GuardRefused) else ""
         self._why, self._refused_at = _GUARDS.get(guard, Fate.REFUSED), now
         self._passed_at = -math.inf  # what comes after it is another press
 
     def fate(self, agent: AgentClient, now: float, *, has_lease: bool) -> Fate:
-        """What became of it until now."""
+        """Return its fate until now."""
         if not has_lease or not agent.has_authority:
             return Fate.NO_CONTROL
         if now - self._refused_at <= _TOLD_FOR:

@@ -1,11 +1,11 @@
-"""What the browser lets the console's pages do: a second line, should text ever become markup.
+"""Content Security Policy of the console's pages: a second line, should text ever become markup.
 
-Scripts come from the station's own files, or stand in the page as the station sent it: the hash of
-each is in the header. What gets into a page later, a handler in an attribute or a ``<script>`` in
-a text, does not run.
+The browser runs scripts of the station's own files, and those in the page as the station sent it:
+the header has the hash of each. It does not run scripts that get into a page later, such as a
+handler in an attribute or a ``<script>`` in a text.
 
 NiceGUI and Vue build functions from texts that come over the page's own socket, so
-``'unsafe-eval'`` has to stay: whoever writes into that socket is not held up by this.
+``'unsafe-eval'`` has to stay. The policy does not stop an attacker that writes into that socket.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _RULES = (
 
 
 class Policy:
-    """An ASGI application whose pages say what may run in them.
+    """An ASGI application whose pages carry the policy.
 
     Args:
         app: The application.
@@ -41,7 +41,7 @@ class Policy:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass it on; a page is kept until it is whole."""
+        """Pass a request on; keep a page until it is whole."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

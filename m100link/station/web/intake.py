@@ -1,13 +1,13 @@
-"""What connections sent, parsed a piece at a time and in turn, below HTTP and WebSocket.
+"""Parses the input of connections piece by piece and in turn, below HTTP and WebSocket.
 
-A parser goes through whatever it is given without a break: 240 kB of one-byte chunks, or of empty
-frames, are a second in which no setpoint goes on. So a connection is read by 2 kB, parsed by 256
-bytes, and then waits behind the others. Connections that steer are parsed in each turn of the loop.
-All others share what is left: after each turn of theirs comes a pause as long as the time that the
-process has worked since the last one. They get half of it at most, whatever they cause.
+A parser goes through all its input without a break: 240 kB of one-byte chunks, or of empty frames,
+take a second in which no setpoint goes on. So the intake reads 2 kB of a connection, parses 256
+bytes, and then turns to the others. It parses connections that steer in each turn of the loop. All
+others share the rest: after each of their turns comes a pause as long as the time that the process
+has worked since the last one. So they get half of the time at most.
 
-Each connection has a budget of bytes and of events besides. Beyond it, it waits; what waits too
-long is cut off.
+Each connection also has a budget of bytes and of events. Beyond the budget it waits; the intake
+cuts off a connection that waits too long.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _log = SparingLogger(logging.getLogger(__name__))
 
 
 class Waiting(Protocol):
-    """A connection that has something to be done for it."""
+    """A connection that waits for its turn."""
 
     @property
     def steers(self) -> bool:
@@ -68,15 +68,15 @@ class Waiting(Protocol):
 
     @property
     def is_dear(self) -> bool:
-        """Whether a step makes more work than it takes itself: one of these in a turn."""
+        """Whether a step causes more work than it takes itself: only one of these in a turn."""
         ...
 
     def step(self) -> None:
-        """Do a little; if there is more to be done, it asks for another turn."""
+        """Do one step; ask for another turn if there is more to do."""
 
 
 class Connection(Protocol):
-    """What speaks HTTP or WebSocket on a connection.
+    """The protocol on a connection: HTTP or WebSocket.
 
     Attributes:
         events: Frames or parts of requests that it has parsed.
@@ -95,7 +95,7 @@ class Connection(Protocol):
 
 
 class Intake:
-    """Gives connections their turns; a process has one, whatever it serves.
+    """Gives connections their turns; a process has one for all that it serves.
 
     Args:
         work: Seconds for which this process has worked until now.
@@ -153,8 +153,8 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
     """One connection: the protocol of its transport, and the transport of what speaks on it.
 
     Args:
-        intake: Gives it its turns.
-        inner: What speaks on it first.
+        intake: Gives the connection its turns.
+        inner: The first protocol on it.
     """
 
     is_dear = False
@@ -214,15 +214,15 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._ask_for_turn()
 
     def eof_received(self) -> bool | None:
-        """It sends no more."""
+        """The client sends no more."""
         return self._inner.eof_received()
 
     def pause_writing(self) -> None:
-        """It does not read."""
+        """The client does not read."""
         self._inner.pause_writing()
 
     def resume_writing(self) -> None:
-        """It reads again."""
+        """The client reads again."""
         self._inner.resume_writing()
 
     # -- the intake's side -----------------------------------------------------------------------
@@ -267,15 +267,15 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
     # -- the side of what speaks on it -----------------------------------------------------------
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Another one speaks on it from now on."""
+        """Replace the protocol on the connection."""
         self._inner = cast(asyncio.Protocol, protocol)
 
     def get_protocol(self) -> asyncio.BaseProtocol:
-        """What speaks on it."""
+        """Return the protocol on the connection."""
         return self._inner
 
     def put_back(self, count: int) -> None:
-        """The last bytes were not for what spoke on it, but for what speaks on it now."""
+        """Give the last bytes back: they are for the new protocol, not for the one before."""
         self._begin -= count
 
     def pause_reading(self) -> None:
@@ -288,7 +288,7 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._ask_for_turn()
 
     def close(self) -> None:
-        """Close it when what was written has gone out; what waits to be parsed is forgotten."""
+        """Close it once all output is sent; drop input that waits to be parsed."""
         self._is_over = True
         self._outer.close()
 
@@ -306,9 +306,9 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._outer.write(data)
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
-        """What the transport knows about it."""
+        """Return what the transport knows about the connection."""
         return self._outer.get_extra_info(name, default)
 
     def get_write_buffer_size(self) -> int:
-        """Bytes that were not sent yet."""
+        """Return how many bytes were not sent yet."""
         return self._outer.get_write_buffer_size()

@@ -1,8 +1,8 @@
-"""A listening socket that lets connections in one by one, when they have something to say.
+"""A listening socket that admits connections one by one, once they have sent something.
 
-asyncio's own server takes whoever comes, and begins a TLS handshake with each, as many as there
-are. Here a connection costs a descriptor until its first bytes are there. Then it has its turn, as
-everything that strangers send: one handshake in a turn of the loop.
+asyncio's own server accepts every connection and begins a TLS handshake with each at once. Here a
+connection costs only a descriptor until its first bytes arrive. Then it waits for its turn like all
+input of strangers: one handshake in a turn of the loop.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class Listener:
 
     Args:
         listening: The socket.
-        intake: Gives turns to those that come.
-        door: How many there may be.
-        connection: Makes what speaks on a connection.
+        intake: Gives turns to new connections.
+        door: Limits the number of connections.
+        connection: Makes the protocol of a connection.
         context: For TLS, None without it.
         patience: Seconds for the first bytes, and for a handshake.
     """
@@ -70,7 +70,7 @@ class Listener:
         self.intake.put(self)
 
     def step(self) -> None:
-        """Accept some of those that wait."""
+        """Accept some of the waiting connections."""
         if self._is_closed:
             return
         for _ in range(_AT_ONCE):
@@ -88,7 +88,7 @@ class Listener:
         self._listen()
 
     def forget(self, newcomer: _Newcomer) -> None:
-        """It is no newcomer any more."""
+        """Remove a connection from the newcomers."""
         self._newcomers.discard(newcomer)
 
     def close(self) -> None:
@@ -100,15 +100,15 @@ class Listener:
                 one.turn_out()
 
     async def wait_closed(self) -> None:
-        """It is closed at once."""
+        """Return at once: closing takes no time."""
 
 
 class _Newcomer:
-    """A connection of which nothing was read yet.
+    """A connection that has not been read yet.
 
     Attributes:
-        peer: Address that it comes from.
-        is_answered: Whether it may go for another one.
+        peer: Address of the client.
+        is_answered: Whether it may make room for another one.
     """
 
     steers, is_answered = False, True
@@ -125,7 +125,7 @@ class _Newcomer:
 
     @property
     def is_dear(self) -> bool:
-        """A handshake is."""
+        """Whether a step costs much: a handshake does."""
         return self._listener.context is not None
 
     def _ready(self) -> None:
@@ -147,7 +147,7 @@ class _Newcomer:
         self._listener.forget(self)
 
     def step(self) -> None:
-        """Let it in."""
+        """Admit the connection."""
         if self._accepted.fileno() >= 0:
             self._patience.cancel()
             self._task = asyncio.create_task(self._enter(), name="m100link station: newcomer")
