@@ -147,7 +147,7 @@ def agent(
     """Own an aircraft on board and serve it to a fleet, until Ctrl-C.
 
     When the operator falls silent, the last setpoint ends after 0.2 s and the aircraft brakes; from
-    3 m/s it takes more than a second to hover. The lease ends after 3 s; what follows is --lost.
+    3 m/s it takes more than a second to hover. The lease ends after 3 s; then --lost applies.
 
     Args:
         url: Where the aircraft is, or its name (M100LINK_URL); several as name=URL.

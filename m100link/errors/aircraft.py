@@ -393,9 +393,9 @@ class GuardianFailed(
     cause="no memory, no descriptors or no processes are left, or Python cannot be started again",
     remedy="close what is open, or fly without one: control(guardian=False)",
 ):
-    """The process that ends the flight when the program cannot did not start.
+    """The guardian, which ends the flight when the program cannot, did not start.
 
-    Authority was not asked for.
+    The program did not ask for authority.
     """
 
 
@@ -408,9 +408,9 @@ class GuardianTookOver(
 ):
     """The program stood still in flight, and the guardian ended the flight for it.
 
-    The mission, if one flew, was told to stop, the setpoint was replaced by its neutral, a landing
-    was begun where ``stop="land"`` asks for it, and authority was given back. Nobody heard the
-    aircraft's answers to that.
+    The guardian stopped the mission, if one flew, replaced the setpoint by its neutral, began a
+    landing where ``stop="land"`` asks for it, and gave authority back. It did not read the
+    aircraft's answers.
     """
 
 
@@ -479,7 +479,7 @@ class NavigationLost(
     "packages with new ones",
     remedy="let the pilot take the aircraft; look at position and velocity in the log",
 ):
-    """What the aircraft tells of its place cannot be true: nobody can steer by it."""
+    """The position that the aircraft reports cannot be true; no program can steer by it."""
 
 
 class SetpointsIgnored(
@@ -489,7 +489,7 @@ class SetpointsIgnored(
     "its limit of height or distance, an obstacle",
     remedy="check TX of the cable; otherwise see what the pilot's app says",
 ):
-    """Setpoints go out, and nothing in telemetry begins to follow them."""
+    """Setpoints go out, and telemetry does not show the aircraft begin to follow them."""
 
 
 class ComputerSuspended(
@@ -498,7 +498,7 @@ class ComputerSuspended(
     cause="suspend-to-RAM or hibernation: by a lid, a power key, or an idle desktop",
     remedy="forbid it while flying: systemd-inhibit --what=sleep:handle-lid-switch …",
 ):
-    """The computer slept in flight. What it knew is old, whatever its clock says."""
+    """The computer slept in flight. Its telemetry and setpoints are old, whatever its clock says."""
 
 
 class LayoutMismatch(
