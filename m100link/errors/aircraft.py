@@ -498,7 +498,7 @@ class ComputerSuspended(
     cause="suspend-to-RAM or hibernation: by a lid, a power key, or an idle desktop",
     remedy="forbid it while flying: systemd-inhibit --what=sleep:handle-lid-switch …",
 ):
-    """The computer slept in flight. Its telemetry and setpoints are old, whatever its clock says."""
+    """The computer slept in flight. Telemetry and setpoints are old, whatever its clock says."""
 
 
 class LayoutMismatch(
