@@ -144,7 +144,8 @@ class Guardian(Generic[W]):
         self._renew()
 
     def _spawn(self, descriptor: int) -> None:
-        if not sys.executable:
+        # What a frozen program has there is itself: it would be begun a second time, and fly.
+        if not sys.executable or getattr(sys, "frozen", False):
             raise OSError("nobody knows where Python is (sys.executable)")
         shared = os.memfd_create("m100link guardian")
         try:

@@ -358,6 +358,21 @@ def test_a_guardian_that_cannot_start_is_an_error_and_nothing_was_asked_for(
         asyncio.run(fly(there))
 
 
+def test_a_frozen_program_does_not_begin_a_second_time_as_its_own_guardian(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def fly(there: ForeignAircraft) -> None:
+        async with connected(there) as aircraft:
+            monkeypatch.setattr(sys, "frozen", True, raising=False)
+            monkeypatch.setattr(subprocess, "Popen", None)
+            with pytest.raises(GuardianFailed, match="where Python is"):
+                async with aircraft.control():
+                    raise AssertionError("it does not get here")
+
+    with foreign_aircraft() as there:
+        asyncio.run(fly(there))
+
+
 def test_a_guardian_that_stands_still_itself_does_not_hold_up_the_program(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
