@@ -5,6 +5,7 @@ NiceGUI keeps its pages in one place per process, so a process serves one consol
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -45,6 +46,11 @@ _VIEWPORT = (
 # its operator was about; a busy computer is late by 3 s at times. Steering and the lease do not
 # wait for it: they have a socket of their own, and after 2 s the page says that its texts are old.
 _RECONNECT_S = 10.0
+
+# NiceGUI throws away what nobody came back to after 60 s, all without a break: twenty pages that
+# a program asked for hold up keys and STOP meanwhile. Each goes by itself before that.
+UNHEARD_S = 50.0
+"""Seconds after which a page is thrown away whose browser never opened its socket."""
 
 
 def console_app(
@@ -87,6 +93,9 @@ def console_app(
     def page(client: Client, aircraft: str = "", moved: str = "") -> None:
         key, tab = tabs.open(aircraft, moved)
         client.on_delete(lambda: tabs.close(key))
+        unheard = asyncio.get_running_loop().call_later(UNHEARD_S, client.delete)
+        client.on_connect(lambda: unheard.cancel())
+        client.on_delete(lambda: unheard.cancel())
         Page(
             tab.agent,
             tab,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import subprocess
+import sys
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
@@ -154,3 +156,39 @@ async def test_whoever_steers_needs_no_place_and_loses_none(rig: Rig, places: in
     assert pilot.tab.has_lease
     assert all(page.is_open for page in newcomers)
     assert [page.is_open for page in pages] == [True, False, False]
+
+
+_UNHEARD = """
+import asyncio
+from nicegui import Client
+from m100link.station.config import Settings
+from m100link.station.console import app
+from m100link.station.run import running
+
+app.UNHEARD_S = 0.5
+
+
+async def main():
+    settings = Settings(sim=True, port=0, console_port=0)
+    async with running(settings, with_console=True) as one:
+        reader, writer = await asyncio.open_connection("127.0.0.1", one.console_port)
+        host = f"127.0.0.1:{one.console_port}"
+        head = ["GET / HTTP/1.1", f"Host: {host}", "Connection: close", "", ""]
+        writer.write("\\r\\n".join(head).encode())
+        assert b" 200 " in await reader.readline()
+        async with asyncio.timeout(30.0):  # NiceGUI would look after 60 s
+            while any(one.page.path == "/" for one in Client.instances.values()):
+                await asyncio.sleep(0.1)
+
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.pty  # a process has one console
+def test_a_page_whose_browser_never_came_goes_by_itself() -> None:
+    """All of a minute's at once would hold up those who fly."""
+    done = subprocess.run(
+        [sys.executable, "-c", _UNHEARD], capture_output=True, text=True, timeout=90.0, check=False
+    )
+    assert done.returncode == 0, done.stderr
