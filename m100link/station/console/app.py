@@ -93,9 +93,7 @@ def console_app(
     def page(client: Client, aircraft: str = "", moved: str = "") -> None:
         key, tab = tabs.open(aircraft, moved)
         client.on_delete(lambda: tabs.close(key))
-        unheard = asyncio.get_running_loop().call_later(UNHEARD_S, client.delete)
-        client.on_connect(lambda: unheard.cancel())
-        client.on_delete(lambda: unheard.cancel())
+        _delete_unless_heard(client)
         Page(
             tab.agent,
             tab,
@@ -109,10 +107,7 @@ def console_app(
     # that has no name for who listens to it. The page says itself what it waits for.
     nicegui_app.config.quasar_config["loadingBar"]["skipHijack"] = True
     ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
-    # NiceGUI builds a page for each path that there is not, and logs the address as it came; what a
-    # page has to say it logs as well. Keys and tokens may stand in both, and lines without end.
-    nicegui_app.add_exception_handler(404, _not_found)
-    core.sio.on("log", _forget)
+    _log_nothing_of_strangers()
     nicegui_app.add_middleware(Policy)  # it reads a page: before what compresses it
     ui.run_with(
         app,
@@ -127,6 +122,21 @@ def console_app(
         origins=settings.allow_origin,
         access=settings.access(),
     )
+
+
+def _delete_unless_heard(client: Client) -> None:
+    unheard = asyncio.get_running_loop().call_later(UNHEARD_S, client.delete)
+    client.on_connect(lambda: unheard.cancel())
+    client.on_delete(lambda: unheard.cancel())
+
+
+def _log_nothing_of_strangers() -> None:
+    """NiceGUI builds a page for each path that there is not, and logs the address as it came.
+
+    What a page has to say it logs as well. Both may hold keys and tokens, and be without end.
+    """
+    nicegui_app.add_exception_handler(404, _not_found)
+    core.sio.on("log", _forget)
 
 
 async def _not_found(request: Request, error: Exception) -> Response:
