@@ -107,8 +107,13 @@ class Flight:
     @property
     def front(self) -> int:
         """Process of the fronts."""
-        (child,) = children(self.station.pid)
-        return child
+        named = b"m100link.station.front"  # a guardian is a child, too
+        (front,) = (
+            one
+            for one in children(self.station.pid)
+            if named in Path(f"/proc/{one}/cmdline").read_bytes()
+        )
+        return front
 
     @property
     def browser_processes(self) -> list[int]:
