@@ -206,6 +206,21 @@ def test_a_wish_over_what_flies(running: Running, mode: Mode) -> None:
 
 
 @pytest.mark.parametrize("mode", Mode)
+def test_what_waits_to_come_down_after_a_take_off_is_not_put_off(mode: Mode) -> None:
+    deck, _, _ = deck_in(Phase.AIRBORNE)
+    let_fly(deck, Running.TAKE_OFF)
+    assert RUNNING[Running.TAKE_OFF][Mode.LAND] is Step.WAIT
+    assert deck.wish(Wish(Mode.LAND, Land(), PEER), 0.0) is Result.ACCEPTED
+    if VERDICTS[Phase.AIRBORNE][mode] is Verdict.DENY:
+        return
+    step = RUNNING[Running.TAKE_OFF][mode]
+    is_later = step is Step.WAIT and mode not in (Mode.LAND, Mode.RTL)
+    refused = is_later or step is Step.REFUSE
+    expected = Result.TEMPORARILY_REJECTED if refused else Result.ACCEPTED
+    assert deck.wish(Wish(mode, ORDERS[mode], PEER), 0.0) is expected
+
+
+@pytest.mark.parametrize("mode", Mode)
 def test_a_wish_over_a_take_off_whose_motors_stand(mode: Mode) -> None:
     deck, _, told = deck_in(Phase.ARMED)
     deck.wish(Wish(Mode.TAKEOFF, TakeOff(5.0), PEER), 0.0)
@@ -417,6 +432,24 @@ def test_control_that_is_lost_forgets_what_was_wanted(phase: Phase) -> None:
     deck.advance(2.0)
     assert deck.orders == [], "it comes back to a hover"
     assert shown(deck) is Mode.HOLD
+
+
+@pytest.mark.parametrize("running", [Running.STREAM, Running.FLIGHT, Running.TAKE_OFF])
+def test_control_that_came_back_before_somebody_looked_was_lost(running: Running) -> None:
+    deck, _, _ = deck_in(Phase.AIRBORNE)
+    let_fly(deck, running)
+    deck.taken()
+    assert flies(deck) is Running.NOTHING
+    assert shown(deck) is Mode.HOLD
+
+
+def test_what_ends_a_landing_gives_control_back_itself_and_goes_on() -> None:
+    deck, _, _ = deck_in(Phase.AIRBORNE)
+    let_fly(deck, Running.LAND)
+    assert deck.wish(Wish(Mode.HOLD, Halt(), PEER), 0.0) is Result.ACCEPTED
+    ending = list(deck.orders)
+    deck.taken()
+    assert deck.orders == ending
 
 
 def test_a_stop_of_somebody_else_ends_the_stream_and_a_guard_is_told() -> None:

@@ -177,6 +177,19 @@ def test_two_bridges_with_one_key_forget_nothing_of_each_other(tmp_path: Path) -
     assert not is_taken(later, ping(NOW + SECOND, 246), NOW)
 
 
+def test_of_one_sender_that_two_bridges_hear_the_later_word_counts(tmp_path: Path) -> None:
+    bridges = [started(tmp_path), started(tmp_path)]
+    for (signer, memory), at in zip(bridges, (NOW, NOW + SECOND), strict=True):
+        assert is_taken(signer, ping(at), at)
+        work(memory)
+    for _, memory in reversed(bridges):
+        last = memory.last()
+        assert last is not None
+        memory.write(last)
+    later, _ = started(tmp_path, NOW + SECOND)
+    assert not is_taken(later, ping(NOW + SECOND), NOW + SECOND)
+
+
 def test_it_is_written_once_in_a_while_and_at_once_for_somebody_new(tmp_path: Path) -> None:
     signer, memory = started(tmp_path)
     writes = 0

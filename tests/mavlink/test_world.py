@@ -87,6 +87,13 @@ def test_where_the_flight_stands_and_what_is_shown_of_it(
     assert one.explain(phase)
 
 
+def test_who_has_control_is_named_where_a_wish_is_refused() -> None:
+    assert world(AIR, P).explain(Phase.PILOT) == "the pilot flies: the mode switch is in P"
+    unknown = world(AIR, no_switch=True).explain(Phase.PILOT)
+    assert unknown == "the pilot flies: the mode switch is unknown"
+    assert world(AIR, holder=3).explain(Phase.OTHER) == "somebody has control"
+
+
 @pytest.mark.parametrize(
     ("age", "is_heard"), [(0.0, True), (1.2, True), (1.3, False), (None, False)]
 )
