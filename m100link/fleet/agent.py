@@ -348,6 +348,22 @@ class FleetAgent:
             raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
         if self._verify is not None:
             self._verify(order)
+        try:
+            message = self._admitted(order)
+        except M100Error as error:
+            if self._verify is None:
+                raise
+            # Signatures let an order through once: the same again hears the same.
+            self._book.begin(order.id, order.digest(), self.client.now)
+            refused = replace(self._reply(order.id, error), order=order.digest())
+            self._book.end(refused, self.client.now)
+            return
+        self._book.begin(order.id, order.digest(), self.client.now)
+        self._ended[order.id] = asyncio.Event()
+        self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
+
+    def _admitted(self, order: Order) -> Message:
+        """What an order asks for, if it may begin now. Raises: as :meth:`_begin`."""
         message = decode(order.message)
         if moves(message):
             self.namesakes.require_none(self.client.now)
@@ -365,9 +381,7 @@ class FleetAgent:
             if lands(message):
                 require_young(order.clock, self.client.now)
             self._ages.revoke(self.client.now)
-        self._book.begin(order.id, order.digest(), self.client.now)
-        self._ended[order.id] = asyncio.Event()
-        self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
+        return message
 
     def _may_have_begun(self, order: Order, message: Message) -> bool:
         """Whether an agent before began it, or may have where its ledger is damaged."""

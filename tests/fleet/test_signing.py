@@ -93,6 +93,11 @@ async def test_what_a_recorder_sends_on_changes_or_keeps_is_refused(rig: Rig) ->
     assert (await asked(recorder, given)).outcome is Outcome.OK
     again = await asked(recorder, given)  # the agent tells what became of it, and does nothing
     assert (again.outcome, again.is_repeated) == (Outcome.OK, True)
+    await anyio.sleep(10.0)
+    late = sign(order(Ask(1, Action.LAND), rig.utc(), number=9))  # by no clock of the agent
+    for is_repeated in (False, True):  # a network brings it twice: it is late, not forbidden
+        refused = await asked(recorder, late)
+        assert (refused.outcome, refused.is_repeated) == (Outcome.REFUSED, is_repeated)
     fresh = sign(order(Ask(1, Action.VERSION), rig.utc(), number=2))
     for changed, name in (
         (replace(fresh, message=encode(Ask(1, Action.TAKE_OFF))), "a1"),
