@@ -241,3 +241,14 @@ async def test_a_ground_station_that_is_lost_does_not_halt_the_page(
         await anyio.sleep(0.05)
     assert rig.speed > 1.5
     assert "disarmed" not in ground.texts
+
+
+async def test_a_parameter_of_who_flies_is_set_by_nobody_else(rig: Rig, ground: Ground) -> None:
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    other.beat()
+    await ground.fly(5.0)
+    fields = {"target_system": 1, "target_component": 1, "param_id": "MPC_XY_VEL_MAX"}
+    for one, expected in ((other, 5.0), (ground, 2.0)):
+        one.send("PARAM_SET", **fields, param_value=2.0, param_type=9)
+        await anyio.sleep(0.5)
+        assert one.last("PARAM_VALUE")["param_value"] == expected
