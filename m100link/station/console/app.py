@@ -5,7 +5,6 @@ NiceGUI keeps its pages in one place per process, so a process serves one consol
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -47,10 +46,13 @@ _VIEWPORT = (
 # wait for it: they have a socket of their own, and after 2 s the page says that its texts are old.
 _RECONNECT_S = 10.0
 
-# NiceGUI throws away what nobody came back to after 60 s, all without a break: twenty pages that
-# a program asked for hold up keys and STOP meanwhile. Each goes by itself before that.
-UNHEARD_S = 50.0
-"""Seconds after which a page is thrown away whose browser never opened its socket."""
+MOST_UNHEARD = 16
+"""Pages that wait for the socket of their browser at most; the oldest gives way to a new one.
+
+A program that only asks for pages would have NiceGUI keep a minute of them. The garbage collector
+walks through all that are kept, and NiceGUI deletes them in one go: both hold up keys and STOP. A
+browser opens its socket within seconds.
+"""
 
 
 def console_app(
@@ -73,6 +75,7 @@ def console_app(
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     tabs = tabs or Tabs(agents)
     histories: dict[str, History] = {}
+    unheard = _Unheard()
 
     def history_of(name: str) -> History:
         if name not in histories:  # of one that came later from its first page on
@@ -93,7 +96,7 @@ def console_app(
     def page(client: Client, aircraft: str = "", moved: str = "") -> None:
         key, tab = tabs.open(aircraft, moved)
         client.on_delete(lambda: tabs.close(key))
-        _delete_unless_heard(client)
+        unheard.add(client)
         Page(
             tab.agent,
             tab,
@@ -124,10 +127,19 @@ def console_app(
     )
 
 
-def _delete_unless_heard(client: Client) -> None:
-    unheard = asyncio.get_running_loop().call_later(UNHEARD_S, client.delete)
-    client.on_connect(lambda: unheard.cancel())
-    client.on_delete(lambda: unheard.cancel())
+class _Unheard:
+    """Pages whose browser has not opened its socket."""
+
+    def __init__(self) -> None:
+        self._clients: dict[str, Client] = {}
+
+    def add(self, client: Client) -> None:
+        """A page was asked for."""
+        if len(self._clients) >= MOST_UNHEARD:
+            self._clients.pop(next(iter(self._clients))).delete()
+        self._clients[client.id] = client
+        client.on_connect(lambda: self._clients.pop(client.id, None))
+        client.on_delete(lambda: self._clients.pop(client.id, None))
 
 
 def _log_nothing_of_strangers() -> None:
