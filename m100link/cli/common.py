@@ -219,6 +219,7 @@ class Told(asyncio.Event):
         self.set()
         if self._beginning is not None:
             self._beginning.cancel()
+            err.print("ending")
 
     async def wait(self) -> Literal[True]:
         """Wait until it is set."""

@@ -76,8 +76,8 @@ def fly(
 ) -> int:
     """Upload a plan, let the aircraft fly it, and watch. Ctrl-C stops it, and the aircraft hovers.
 
-    In a terminal with a map; otherwise one JSON object per event. A program that is killed leaves
-    it in flight: `m100link mission stop` ends it then.
+    In a terminal with a map; otherwise one JSON object per event. On Linux, a guardian stops the
+    mission when this program is killed. `m100link mission stop` ends one that is left in flight.
 
     Args:
         plan: A file, JSON or .plan; - is standard input.
@@ -140,8 +140,8 @@ def _announcement(plan: WaypointPlan, place: Place, *, take_off: bool) -> str:
     err.print(
         f"{len(plan.waypoints)} waypoints, about {plan.estimate()}; at the end "
         f"{plan.at_end.name.lower().replace('_', ' ')}, without RC "
-        f"{plan.on_rc_loss.name.lower()}. Ctrl-C stops it; killed, this program leaves it in "
-        "flight.",
+        f"{plan.on_rc_loss.name.lower()}. Ctrl-C stops it. On Linux, a guardian stops it "
+        "when this program is killed.",
         markup=False,
     )
     return f"{'take off and ' if take_off else ''}fly this mission"

@@ -16,9 +16,10 @@ import pytest
 from m100link import Stay, Waypoint, WaypointPlan
 from m100link.cli.outcome import ExitCode
 from m100link.geodesy import LocalFrame
+from m100link.link.gate import GUARDIAN_NAME
 from m100link.sim.vehicle.settings import AircraftSettings
 from tests.cli.conftest import ROOT, CommandLine, Simulator, process
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, blocking_until
 
 pytestmark = [pytest.mark.pty]
 
@@ -79,16 +80,34 @@ def test_a_plan_is_flown_and_told_as_json(later: Simulator, app: list[str], shor
     assert steps[:2] == ["uploaded", "started"]
     assert steps.count("reached") == len(SPOTS)
     assert steps[-1] == "finished"
-    assert "Ctrl-C stops it; killed, this program leaves it in flight" in outcome.err
+    assert "On Linux, a guardian stops it when this program is killed" in outcome.err
     assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
 
 
-def test_a_program_that_is_killed_leaves_it_in_flight_for_the_next_one(
+def leave_in_flight(flying: subprocess.Popen[str]) -> None:
+    """Kill it, and its guardian first, which would stop the mission."""
+    children = Path(f"/proc/{flying.pid}/task/{flying.pid}/children").read_text("ascii").split()
+    names = {int(child): Path(f"/proc/{child}/comm").read_text().strip() for child in children}
+    (guardian,) = (child for child, name in names.items() if name == GUARDIAN_NAME)
+    flying.send_signal(signal.SIGSTOP)  # before it has news of its guardian
+    os.kill(guardian, signal.SIGKILL)
+    flying.kill()
+    flying.communicate(timeout=PATIENCE)
+
+
+def test_a_program_that_is_killed_has_a_guardian_that_stops_the_mission(
     later: Simulator, app: list[str], long: str
 ) -> None:
     flying = begin(long, later.port, *app)
     flying.kill()
     flying.communicate(timeout=PATIENCE)
+    blocking_until(lambda: process("mission", "stop", later.port, *app).out == "no mission flies\n")
+
+
+def test_a_program_that_is_killed_with_its_guardian_leaves_it_in_flight_for_the_next_one(
+    later: Simulator, app: list[str], long: str
+) -> None:
+    leave_in_flight(begin(long, later.port, *app))
     outcome = process("mission", "download", later.port, *app)
     assert outcome.status == 0, outcome
     assert WaypointPlan.parse(outcome.out.encode()) == plan(Stay(30.0))
@@ -103,9 +122,7 @@ def test_a_program_that_is_killed_leaves_it_in_flight_for_the_next_one(
 def test_what_is_refused_beside_a_mission_does_not_end_it_and_landing_does(
     later: Simulator, app: list[str], long: str
 ) -> None:
-    flying = begin(long, later.port, *app)
-    flying.kill()
-    flying.communicate(timeout=PATIENCE)
+    leave_in_flight(begin(long, later.port, *app))
     for words in (["mission", "fly", long, later.port], ["fly", later.port, "1", "0", "0"]):
         outcome = process(*words, "--yes", *app)
         assert outcome.status == ExitCode.AUTHORITY, outcome
