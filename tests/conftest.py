@@ -18,7 +18,7 @@ pytest_plugins = [
 # What starts the suite in the background may have it ignore signals, and programs that tests start
 # would inherit that. These are the dispositions of a program that a person starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-for _number in (signal.SIGTERM, signal.SIGHUP):
+for _number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, signal.SIG_DFL)
 

@@ -41,7 +41,8 @@ def write_parquet(
     except ModuleNotFoundError:
         raise UsageError(
             "a Parquet file needs pyarrow, which is not installed",
-            remedy="pip install '.[analysis]' in a clone of m100link; log csv needs nothing",
+            remedy="pip install '.[analysis]' in a clone of m100link; "
+            "m100link log csv needs nothing",
         ) from None
     names, rows = flight.rows(*records, firmware=firmware)
     number = arrow.float64()

@@ -178,6 +178,7 @@ async def test_a_lost_socket_stops_at_once_and_frees_control(rig: Rig) -> None:
 
 async def test_a_tab_that_is_silent_loses_its_lease(rig: Rig) -> None:
     browser = await airborne(rig)
+    browser.say("alive")
     await anyio.sleep(2.9)
     assert rig.agent.desk.holder(rig.agent.now) == browser.tab.lease
     await rig.until(lambda: not browser.tab.has_lease, within=0.3)
