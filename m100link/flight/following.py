@@ -38,7 +38,8 @@ _LEANS_DEG = 8.0  # a tilt towards it that says that wind, and not a wire, is in
 _LANDS_BELOW_M = 3.0  # near the ground an autopilot descends as it likes
 _STILL_M = 0.5
 _NOWHERE = 0.0, 0.0
-_UNSEEN_M = 10.0  # without a velocity, how far it may fly and not be seen to move
+_UNSEEN_M = 10.0  # without a velocity, how far it may fly and not be seen to move,
+_UNSEEN_S = 2.5  # for so long: an aircraft that turns round is within half a metre for 1.6 s
 
 
 class _Deadline:
@@ -99,6 +100,7 @@ class FollowCheck:
         self._rightward = 0.0  # which turn is asked for
         self._place: Position | None = None
         self._unseen = _NOWHERE  # north and east, m
+        self._unseen_s = 0.0
 
     def look(self) -> str:
         """Return which demand is not followed, with figures; empty while there is no contradiction.
@@ -198,9 +200,10 @@ class FollowCheck:
             self._place, self._unseen = place, _NOWHERE
             return ""
         passed = min(passed, _FRESH_S)
+        self._unseen_s = self._unseen_s + passed if self._unseen != _NOWHERE else passed
         self._unseen = self._unseen[0] + asked[0] * passed, self._unseen[1] + asked[1] * passed
         unseen = math.hypot(*self._unseen)
-        if unseen < _UNSEEN_M:
+        if unseen < _UNSEEN_M or self._unseen_s < _UNSEEN_S:
             return ""
         return f"setpoints of {unseen:.0f} m were flown, and the position did not change"
 

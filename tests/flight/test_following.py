@@ -214,6 +214,23 @@ def test_to_and_fro_faster_than_it_can_be_flown_is_no_fault(asked: Setpoint, ite
             assert stand.fly(half_s) == "", f"seed {seed}, {half_s:.2f} s"
 
 
+def test_turning_round_at_speed_without_a_velocity_is_no_fault_and_standing_is() -> None:
+    """It is within half a metre of where it turns for 1.2 to 1.6 s; 8 m/s fly 10 m meanwhile."""
+    stand = Stand()
+    stand.velocity = None
+    stand.setpoint = Setpoint.velocity(north=8.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+    turns_at, half_s = stand.now + 2.0, 0.8
+    while stand.now < turns_at + 2.0:
+        since = stand.now - turns_at
+        stand.moved = 1.5 * max(0.0, abs(since) - half_s) ** 2 + 0.2 * min(1.0, abs(since) / half_s)
+        assert stand.fly(STEP_S) == "", f"{since:.2f} s"
+    began = stand.now
+    while not (found := stand.fly(STEP_S)):
+        assert stand.now < began + 4.0
+    assert "position did not change" in found
+    assert stand.now - began >= 2.0
+
+
 def test_ground_frame_tilt_is_not_judged() -> None:
     stand = Stand()
     stand.setpoint = Setpoint.tilt(
