@@ -415,7 +415,7 @@ async def _opened(config: zenoh.Config) -> zenoh.Session:
     """Open a session; one that comes when nobody waits any more is closed again.
 
     A router that takes the connection and never answers, or refuses a certificate, holds up zenoh
-    for as long as it likes: whoever is told to end meanwhile must not wait for it.
+    for as long as it likes: a verb that ends meanwhile must not wait for it.
     """
     import zenoh
 

@@ -70,7 +70,7 @@ class Asker:
         patience: As given.
         heard_at: When it answered last, on the event loop's clock; None: never.
         its_clock: What the agent's own clock showed in that answer, s.
-        doubtful_clocks: What was told instead by those of whom nobody knows which is the aircraft.
+        doubtful_clocks: Clocks of several agents that answered; nobody knows which is the aircraft.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class Asker:
             The answer, whatever it says; None when none came in time that can be read.
 
         Raises:
-            OutcomeUnknown: Two agents answered, or what was told is of another order.
+            OutcomeUnknown: Two agents answered, or the reply belongs to another order.
         """
         asked = order or Order(uuid.uuid4().hex, self._keys.name, self._name, 0, 0.0, b"")
         answers = await self._bus.ask(self._keys.status(asked.id), timeout=within)

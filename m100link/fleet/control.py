@@ -98,7 +98,7 @@ class FleetControl:
 
     @property
     def proof(self) -> tuple[int, str]:
-        """Number and secret of the lease: whoever has both can order under it.
+        """Number and secret of the lease; a program that has both can order under it.
 
         Raises:
             StaleLease: It has ended.

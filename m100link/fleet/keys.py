@@ -106,7 +106,7 @@ class Keys:
 
     @property
     def live_beside(self) -> str:
-        """A token without session among the other keys: whoever writes a tool looks there first."""
+        """A token without session among the other keys, where authors of tools look first."""
         return self.of("live")
 
     @property

@@ -144,7 +144,7 @@ class FileLedger:
     """Kept in a file, of which one process at a time is the owner.
 
     Beside it, in the file of the lock, stands the mark of the newest word. A file that is removed,
-    replaced or emptied while the agent runs is made again at the next word, which is told.
+    replaced or emptied while the agent runs is made again at the next record, with a report.
 
     Args:
         path: The file; its folder is made.

@@ -355,7 +355,7 @@ class ControlBlock:
         return self._life.state is BlockState.FLYING and self._watchdog.is_quiet()
 
     def hurry(self) -> None:
-        """A guard refused: perhaps because telemetry cannot be true, which then is what is told."""
+        """A guard refused. Where telemetry cannot be true, the block ends by that error instead."""
         self._watchdog.hurry()
 
     def require_flying(self, what: str) -> None:

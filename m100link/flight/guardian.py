@@ -98,7 +98,7 @@ class Guardian(Generic[W]):
         self._renewed = 0
         self._timers: tuple[asyncio.TimerHandle, ...] = ()
         self._overdue_since: float | None = None
-        self._is_over = False  # it was told that it is not needed any more
+        self._is_over = False  # the program has dismissed it
         self._has_taken_over = False
         self._gone = asyncio.Event()
 
