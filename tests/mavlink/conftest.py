@@ -14,16 +14,20 @@ from m100link.agent.agent import Agent
 from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.client import AgentClient
 from m100link.agent.connect import by_driver
+from m100link.agent.lease import Lease
 from m100link.agent.service import Service
 from m100link.mavlink.bridge import Bridge
 from m100link.mavlink.codec import Message, Signer, read_datagram, write_frame
 from m100link.mavlink.modes import MODES, Mode
 from m100link.mavlink.numbers import Command, Result
 from m100link.mavlink.peers import Address
+from m100link.mavlink.world import World
+from m100link.protocol.records import FlightPhase, FlightStatus, Position
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
+from tests.known import Known, position
 
 GCS = ("127.0.0.1", 14540)
 MODE_OF = {row.number: mode for mode, row in MODES.items()}
@@ -199,3 +203,28 @@ async def rig() -> AsyncIterator[Rig]:
 @pytest.fixture
 def ground(rig: Rig) -> Ground:
     return rig.ground
+
+
+def world_of(known: Known, *, home: tuple[float, float, float] | None = None) -> World:
+    """What the bridge makes of it.
+
+    Args:
+        known: What is told.
+        home: How far north, east and up of home it is, m; None where nobody knows.
+    """
+    world = World(known)
+    if home is not None:
+        north, east, up = home
+        here = position()
+        latitude = here.latitude_deg - math.degrees(north / 6_371_000)
+        across = 6_371_000 * math.cos(here.latitude_rad)
+        longitude = here.longitude_deg - math.degrees(east / across)
+        status = known.items[FlightStatus]
+        known.items[Position] = position(latitude=latitude, longitude=longitude, altitude=10.5)
+        known.items[FlightStatus] = FlightStatus(FlightPhase.STANDBY)
+        world.look()
+        known.items[FlightStatus] = status
+        known.items[Position] = position(height=up)
+    if known.has_authority:
+        world.lease = Lease("mavlink", "token", known.holder.number)
+    return world

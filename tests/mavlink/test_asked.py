@@ -20,7 +20,8 @@ from m100link.mavlink.parameters import Parameters
 from m100link.mavlink.peers import Peer
 from m100link.mavlink.rates import Rates
 from m100link.mavlink.wishes import Wish
-from tests.mavlink.known import Known, position, world_of
+from tests.known import Known, position
+from tests.mavlink.conftest import world_of
 
 NAN = math.nan
 near: Any = pytest.approx

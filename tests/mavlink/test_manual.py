@@ -21,7 +21,8 @@ from m100link.mavlink.codec import Message
 from m100link.mavlink.manual import STICKS_LIFETIME, Manual
 from m100link.mavlink.parameters import Parameters
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
-from tests.mavlink.known import Known, world_of
+from tests.known import Known
+from tests.mavlink.conftest import world_of
 
 NONE = 0x7FFF
 

@@ -16,7 +16,8 @@ from m100link.mavlink.offboard import Offboard
 from m100link.mavlink.parameters import Parameters
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
-from tests.mavlink.known import Known, quaternion, world_of
+from tests.known import Known, quaternion
+from tests.mavlink.conftest import world_of
 
 LOCAL, LOCAL_OFFSET, BODY_NED, BODY_OFFSET, BODY_FRD = 1, 7, 8, 9, 12
 ALL, FORCES = 0xFFF & ~0x200, 0x1C0

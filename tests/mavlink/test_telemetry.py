@@ -25,7 +25,8 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.telemetry.integrity import IntegrityState
-from tests.mavlink.known import LATITUDE, LONGITUDE, Known, position, quaternion, world_of
+from tests.known import LATITUDE, LONGITUDE, Known, position, quaternion
+from tests.mavlink.conftest import world_of
 
 NOW = 1234.5678
 U16, I16 = 0xFFFF, 0x7FFF

@@ -20,7 +20,8 @@ from m100link.protocol.records import (
     RemoteControl,
     Velocity,
 )
-from tests.mavlink.known import Known, position, world_of
+from tests.known import Known, position
+from tests.mavlink.conftest import world_of
 
 GROUND, AIR = FlightStatus(1), FlightStatus(3)
 P, A, F = (RemoteControl(0, 0, 0, 0, mode, None) for mode in (-8000, 0, 8000))

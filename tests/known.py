@@ -1,30 +1,42 @@
-"""An aircraft of which everything is known, and no two numbers are alike: for tables of values."""
+"""One aircraft of which everything is known, and no two numbers are alike: for tables of values.
+
+Each front has a table of these values in and its own values out, by the front's specification. The
+bytes of the package are by DJI's document; no code of the library makes them.
+"""
 
 from __future__ import annotations
 
 import math
+import struct
+from collections.abc import Sequence
 from typing import Any, cast
 
-from m100link.agent.lease import Lease
 from m100link.agent.messages import LeaseChanged, Limits, State
-from m100link.mavlink.world import World
+from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
     Attitude,
     Battery,
+    ControlDevice,
     FlightPhase,
     FlightStatus,
+    Gimbal,
     Magnetometer,
     Position,
     RemoteControl,
+    Time,
     Velocity,
 )
 from m100link.telemetry.integrity import Integrity, IntegrityState
+from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
 ROLL, PITCH, YAW = 10.0, -20.0, -130.0
+"""Degrees: right side down, nose down, looks south-west."""
+
 LATITUDE, LONGITUDE = -33.1234567, 151.2345678
+"""Degrees, north and east."""
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -98,38 +110,76 @@ class Known:
 
 
 EVERYTHING = (
+    Time(123_457, 987_654_321, 1, 400),
     Attitude(*quaternion(ROLL, PITCH, YAW)),
-    AngularVelocity(0.11, -0.23, 0.37),
     Acceleration(1.5, -2.5, 0.7),
-    Velocity(3.21, -1.57, 0.84, 3),
+    Velocity(3.21, -1.57, 0.84, 7),
+    AngularVelocity(0.11, -0.23, 0.37),
     position(),
-    Magnetometer(1.0, 2.0, 3.0),
+    Magnetometer(313.0, -1127.0, 851.0),
     RemoteControl(1000, -2000, 3000, -4000, 8000, -4545),
+    Gimbal(4.5, -37.25, 118.75, 6),
     FlightStatus(FlightPhase.IN_AIR),
     Battery(63),
+    ControlDevice(0x1A, 6),
 )
+"""As firmware 3.1 tells it, in the order of the document: ground north, east, up; body FRD."""
+
+BITS = {type(one): bit for bit, one in enumerate(EVERYTHING)}
 
 
-def world_of(known: Known, *, home: tuple[float, float, float] | None = None) -> World:
-    """What the bridge makes of it.
+def package(
+    firmware: str = "3.1", *, without: Sequence[type[Any]] = (), changed: Sequence[Any] = ()
+) -> bytes:
+    """The value of a telemetry command: the flag word and the items, by DJI's document.
 
     Args:
-        known: What is told.
-        home: How far north, east and up of home it is, m; None where nobody knows.
+        firmware: ``1.0``, ``2.3`` or ``3.1``.
+        without: Records that it does not have.
+        changed: Records in the place of those above.
     """
-    world = World(known)
-    if home is not None:
-        north, east, up = home
-        here = position()
-        latitude = here.latitude_deg - math.degrees(north / 6_371_000)
-        across = 6_371_000 * math.cos(here.latitude_rad)
-        longitude = here.longitude_deg - math.degrees(east / across)
-        status = known.items[FlightStatus]
-        known.items[Position] = position(latitude=latitude, longitude=longitude, altitude=10.5)
-        known.items[FlightStatus] = FlightStatus(FlightPhase.STANDBY)
-        world.look()
-        known.items[FlightStatus] = status
-        known.items[Position] = position(height=up)
-    if known.has_authority:
-        world.lease = Lease("mavlink", "token", known.holder.number)
-    return world
+    has = {type(one): one for one in (*EVERYTHING, *changed) if type(one) not in without}
+    flags = sum(1 << BITS[kind] for kind in has)
+    kinds = sorted(has, key=BITS.__getitem__)
+    return struct.pack("<H", flags) + b"".join(_wire(has[kind], firmware) for kind in kinds)
+
+
+def sample(
+    firmware: str = "3.1",
+    *,
+    at: float = 0.0,
+    without: Sequence[type[Any]] = (),
+    changed: Sequence[Any] = (),
+) -> Sample:
+    """That package, come at a time of the loop, s."""
+    value = package(firmware, without=without, changed=changed)
+    return Sample(value, PROFILES[firmware], at)
+
+
+_WIRE: dict[type[Any], dict[str, str]] = {
+    Time: {"1.0": "I", "2.3": "I", "3.1": "IIB"},
+    Attitude: {"": "4f"},
+    Acceleration: {"": "3f"},
+    Velocity: {"1.0": "3f", "2.3": "3fB", "3.1": "3fB"},
+    AngularVelocity: {"": "3f"},
+    Position: {"": "2d2fB"},
+    Magnetometer: {"": "3h"},
+    RemoteControl: {"": "6h"},
+    Gimbal: {"1.0": "3f", "2.3": "3f", "3.1": "3fB"},
+    FlightStatus: {"": "B"},
+    Battery: {"": "B"},
+    ControlDevice: {"1.0": "B", "2.3": "B", "3.1": "BB"},
+}
+"""Little-endian and packed, by firmware."""
+
+
+def _wire(record: Any, firmware: str) -> bytes:
+    layouts = _WIRE[type(record)]
+    form = layouts.get(firmware) or layouts[""]
+    values = list(record)
+    if type(record) is ControlDevice:
+        values = values[::-1] if form == "BB" else values[:1]  # the mode goes first
+    if type(record) is Magnetometer:
+        values = [round(value) for value in values]
+    values = values[: len(struct.unpack("<" + form, bytes(struct.calcsize("<" + form))))]
+    return struct.pack("<" + form, *values)
