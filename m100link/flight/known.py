@@ -49,8 +49,6 @@ def _is_possible(value: tuple[Any, ...]) -> bool:
     numbers = value if None not in value else [field for field in value if field is not None]
     if not all(map(math.isfinite, numbers)):
         return False
-    if isinstance(value, Battery):
-        return value.percent <= 100
     if isinstance(value, Attitude):
         return 0.5 < sum(part * part for part in value) < 2.0  # a unit quaternion, roughly
-    return value.is_possible if isinstance(value, Position) else True
+    return value.is_possible if isinstance(value, Position | Battery) else True

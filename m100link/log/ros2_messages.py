@@ -23,7 +23,7 @@ from m100link.protocol.records import (
     RemoteControl,
     Velocity,
 )
-from m100link.telemetry.limits import GOOD_GPS
+from m100link.telemetry.limits import has_fix
 
 __all__ = ["Messages", "Stamp", "in_body"]
 
@@ -102,9 +102,8 @@ class Messages:
 
     def fix(self, stamp: Stamp, position: Position) -> bytes:
         """sensor_msgs/NavSatFix; the altitude is the aircraft's, by its barometer."""
-        is_good = position.gps_health is None or position.gps_health >= GOOD_GPS
         place = (position.latitude_deg,), (position.longitude_deg,), (position.altitude_m,)
-        return self._fix.fill(stamp, (_FIX if is_good else _NO_FIX,), *place)
+        return self._fix.fill(stamp, (_FIX if has_fix(position) else _NO_FIX,), *place)
 
     @cached_property
     def _twist(self) -> Template:
@@ -271,8 +270,9 @@ class Messages:
         return Template("sensor_msgs/BatteryState", message, "header.stamp", "percentage")
 
     def battery(self, stamp: Stamp, battery: Battery) -> bytes:
-        """sensor_msgs/BatteryState: the wire has the percentage alone."""
-        return self._battery.fill(stamp, (battery.percent / 100.0,))
+        """sensor_msgs/BatteryState: the wire has the percentage alone; NaN beyond 100 %."""
+        charge = battery.percent / 100.0 if battery.is_possible else math.nan
+        return self._battery.fill(stamp, (charge,))
 
     @cached_property
     def _joy(self) -> Template:

@@ -25,6 +25,7 @@ from m100link.telemetry.limits import (
     BATTERY_LOW,
     GOOD_GPS,
     MAX_TELEMETRY_AGE,
+    has_fix,
     is_low,
 )
 from m100link.telemetry.sample import Sample
@@ -271,7 +272,7 @@ class _Reader:
         if health is not None:
             is_bad = health < GOOD_GPS if self._is_in_air else False
             self._ring("gps", is_bad, at, f"GPS health {health}: it cannot hold its place")
-        if not position.is_possible or (health is not None and health < GOOD_GPS):
+        if not has_fix(position):
             return
         if self._frame is None:
             self._frame = LocalFrame(position.latitude_deg, position.longitude_deg)

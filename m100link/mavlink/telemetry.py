@@ -84,7 +84,7 @@ def _sys_status(world: World, now: float) -> Fields:
         if world.fresh(record) is not None and is_true:
             health |= bit
     battery = world.fresh(Battery)
-    percent = -1 if battery is None or battery.percent > 100 else battery.percent
+    percent = battery.percent if battery is not None and battery.is_possible else -1
     remote = world.fresh(RemoteControl)
     if world.position and remote is not None and remote.is_in_f and percent >= LOWEST_BATTERY:
         health |= Sensor.PREARM
@@ -200,7 +200,7 @@ def _gps(world: World, now: float) -> Fields | None:
 
 def _battery(world: World, now: float) -> Fields | None:
     battery = world.fresh(Battery)
-    if battery is None or battery.percent > 100:
+    if battery is None or not battery.is_possible:
         return None
     return {
         "temperature": 0x7FFF,

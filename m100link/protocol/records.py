@@ -334,6 +334,11 @@ class Battery(NamedTuple):
 
     percent: int
 
+    @property
+    def is_possible(self) -> bool:
+        """Whether this can be a charge: 100 % or less."""
+        return self.percent <= 100
+
 
 class Device(IntEnum):
     """Who controls the aircraft."""

@@ -132,7 +132,7 @@ def _control(agent: AgentClient) -> Status:
 def _battery(agent: AgentClient) -> Status:
     telemetry = agent.telemetry
     battery = None if telemetry is None else telemetry.fresh(Battery, within=_OLD_S)
-    if battery is None:
+    if battery is None or not battery.is_possible:
         return Status("battery", Level.STALE, "unknown")
     values = {"percent": battery.percent}
     if battery.percent <= _LOW_PERCENT:

@@ -106,11 +106,11 @@ def _imu(messages: Messages, sample: Sample, stamp: Stamp) -> bytes | None:
 
 def dji_makers() -> dict[str, Callable[[Sample, Stamp], bytes | None]]:
     """What makes each of :data:`DJI_OUTPUTS` of a package; None where it has nothing for it."""
-    messages = Messages(_GROUND, _BODY)
+    messages, gps, bare = Messages(_GROUND, _BODY), Messages(_GROUND, "gps"), Messages(_GROUND, "")
     made: dict[str, Callable[[Sample, Stamp], bytes | None]] = {
         "attitude": _attitude,
         "imu": lambda one, at: _imu(messages, one, at),
-        "gps_position": lambda one, at: one.position and messages.fix(at, one.position),
+        "gps_position": lambda one, at: one.position and gps.fix(at, one.position),
         "gps_health": _health,
         "height_above_takeoff": _height,
         "velocity": lambda one, at: one.velocity and _vector(at, _GROUND, one.velocity.enu),
@@ -121,6 +121,6 @@ def dji_makers() -> dict[str, Callable[[Sample, Stamp], bytes | None]]:
         "rc": _remote,
         "gimbal_angle": _gimbal,
         "flight_status": _status,
-        "battery_state": lambda one, at: one.battery and messages.battery(at, one.battery),
+        "battery_state": lambda one, at: one.battery and bare.battery(at, one.battery),
     }
     return {f"dji_sdk/{name}": make for name, make in made.items()}

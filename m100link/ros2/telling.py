@@ -28,7 +28,7 @@ from m100link.ros2.ends import Topic
 from m100link.ros2.graph import Names
 from m100link.ros2.stamps import Stamps
 from m100link.ros2.topics import OUTPUTS
-from m100link.telemetry.limits import GOOD_GPS
+from m100link.telemetry.limits import has_fix
 from m100link.telemetry.sample import Sample
 
 __all__ = ["ALL_OUTPUTS", "Places", "Teller"]
@@ -71,9 +71,8 @@ class Places:
         """East, north, up in metres; up from the take-off point. None before the first fix."""
         if not position.is_possible or not math.isfinite(position.height_m):
             return None
-        is_good = position.gps_health is None or position.gps_health >= GOOD_GPS
         if self.origin is None:
-            if not is_good:
+            if not has_fix(position):
                 return None
             self.origin = LocalFrame(position.latitude_deg, position.longitude_deg)
         north, east = self.origin.to_local(position.latitude_deg, position.longitude_deg)
@@ -295,7 +294,7 @@ class Teller:
             "task": agent.state.task,
             "mode_switch": "" if remote is None else remote.mode_switch.name,
             "gps_health": _UNKNOWN if health is None else health,
-            "battery_percent": _UNKNOWN if battery is None else battery.percent,
+            "battery_percent": battery.percent if battery and battery.is_possible else _UNKNOWN,
             "firmware": agent.state.firmware,
             "connection": "silent" if agent.is_silent else agent.state.connection,
         }

@@ -15,7 +15,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from m100link.protocol.records import FlightPhase, FlightStatus, Position, Time, Velocity
-from m100link.telemetry.limits import GOOD_GPS, MAX_TELEMETRY_AGE
+from m100link.telemetry.limits import MAX_TELEMETRY_AGE, has_fix
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -283,14 +283,9 @@ class IntegrityMonitor:
 
     def _look_at_place(self, sample: Sample) -> None:
         position = sample[Position]
-        health = position.gps_health
         told = self._newest(FlightStatus)
         status = None if told is None else told[FlightStatus]
-        if (
-            not position.is_possible
-            or (health is not None and health < GOOD_GPS)
-            or (status is not None and status.status in _DOWN)
-        ):
+        if not has_fix(position) or (status is not None and status.status in _DOWN):
             self._forget()
             self._fault = None
             return

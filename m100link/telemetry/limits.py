@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-__all__ = ["BATTERY_CRITICAL", "BATTERY_LOW", "GOOD_GPS", "MAX_TELEMETRY_AGE", "is_low"]
+from m100link.protocol.records import Position
+
+__all__ = ["BATTERY_CRITICAL", "BATTERY_LOW", "GOOD_GPS", "MAX_TELEMETRY_AGE", "has_fix", "is_low"]
 
 BATTERY_LOW = 25
 """Charge, %, from which down the aircraft warns. Set in the pilot's app; no command reads it, and
@@ -18,6 +20,12 @@ GOOD_GPS = 3
 """From this health on the autopilot holds a position (document 2.2.3.1)."""
 
 _BATTERY_GAP = 2
+
+
+def has_fix(position: Position) -> bool:
+    """Whether GPS knows the place: it can be one, and its health is good or not told."""
+    health = position.gps_health
+    return position.is_possible and (health is None or health >= GOOD_GPS)
 
 
 def is_low(charge: int | None, limit: int) -> bool | None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
+from m100link.protocol.records import Position
 from m100link.sim.vehicle.flight import GOOD_GPS as GOOD_GPS_OF_THE_AIRCRAFT
 from m100link.sim.vehicle.settings import AircraftSettings
-from m100link.telemetry.limits import BATTERY_CRITICAL, BATTERY_LOW, GOOD_GPS, is_low
+from m100link.telemetry.limits import BATTERY_CRITICAL, BATTERY_LOW, GOOD_GPS, has_fix, is_low
 
 
 def test_the_levels_are_those_of_the_virtual_aircraft() -> None:
@@ -21,3 +24,13 @@ def test_the_levels_are_those_of_the_virtual_aircraft() -> None:
 )
 def test_a_charge_at_the_edge_rings_once(charge: int | None, found: bool | None) -> None:
     assert is_low(charge, BATTERY_LOW) is found
+
+
+@pytest.mark.parametrize(
+    ("latitude", "health", "known"),
+    [(0.5, 3, True), (0.5, 2, False), (0.5, None, True), (1.6, 5, False), (math.nan, None, False)],
+)
+def test_a_place_is_known_from_health_three_where_it_can_be_one(
+    latitude: float, health: int | None, known: bool
+) -> None:
+    assert has_fix(Position(latitude, 0.25, 80.0, 5.0, health)) is known

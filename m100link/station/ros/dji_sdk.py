@@ -18,6 +18,7 @@ from m100link.agent.client import AgentClient
 from m100link.agent.way_time import MAX_LATE, WayTime
 from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
+from m100link.log.ros2_messages import in_body
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import (
@@ -33,17 +34,16 @@ from m100link.station.ros.leases import Clients
 from m100link.station.ros.messages import Message
 from m100link.station.ros.missions import Missions
 from m100link.station.ros.payload import Payload
+from m100link.telemetry.limits import has_fix
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
 __all__ = ["DjiSdk", "joy_setpoint"]
 
 GROUND, BODY = "ground_ENU", "body_FLU"
-_UNKNOWN_COVARIANCE = [-1.0, *[0.0] * 8]
 _ZERO_COVARIANCE = [0.0] * 9
 _RC_FULL = 10_000.0
 _GRAVITY_M_S2 = 9.80665
-_GPS_GOOD = 3
 _WAY = "way of setpoints"
 
 
@@ -164,7 +164,7 @@ class DjiSdk:
         orientation = attitude.enu_flu_xyzw
         # An accelerometer feels what keeps the aircraft from falling: gravity is added.
         east, north, up = ground.enu
-        felt = _turn_back(orientation, (east, north, up + _GRAVITY_M_S2))
+        felt = in_body(orientation, (east, north, up + _GRAVITY_M_S2))
         return {
             "header": self._header(BODY),
             "orientation": _quaternion(orientation),
@@ -179,10 +179,9 @@ class DjiSdk:
         position = sample.position
         if position is None:
             return None
-        has_fix = position.gps_health is None or position.gps_health >= _GPS_GOOD
         return {
             "header": self._header("gps"),
-            "status": {"status": 0 if has_fix else -1, "service": 1},
+            "status": {"status": 0 if has_fix(position) else -1, "service": 1},
             "latitude": position.latitude_deg,
             "longitude": position.longitude_deg,
             "altitude": position.altitude_m,
@@ -247,7 +246,7 @@ class DjiSdk:
             "header": self._header(""),
             **unknown,
             # 0 to 1 is the standard; DJI's node puts 0 to 100 there.
-            "percentage": battery.percent / 100.0,
+            "percentage": battery.percent / 100.0 if battery.is_possible else math.nan,
             "power_supply_status": 0,
             "power_supply_health": 0,
             "power_supply_technology": 0,
@@ -358,16 +357,16 @@ class DjiSdk:
     async def _set_origin(self, call: Call) -> Message:
         telemetry = self._agent.telemetry
         position = telemetry.fresh(Position, within=1.0) if telemetry is not None else None
-        if position is None or not position.is_possible:
+        if position is None:
             return {"result": False}
         holder = self._agent.holder
         if holder.number and self._clients.lease(call.session) is None:
             raise UsageError(f"{holder.name} has control: the origin of its flight stays")
-        has_fix = position.gps_health is None or position.gps_health >= _GPS_GOOD
-        if has_fix:
-            frame = LocalFrame(position.latitude_deg, position.longitude_deg)
-            self._origin = (frame, position.altitude_m)
-        return {"result": has_fix}
+        if not has_fix(position):
+            return {"result": False}
+        frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+        self._origin = (frame, position.altitude_m)
+        return {"result": True}
 
     async def _send_to_mobile(self, call: Call) -> Message:
         await self._agent.send_to_mobile(self._clients.held(call.session), call.request["data"])
@@ -403,19 +402,3 @@ def _xyz(x: float, y: float, z: float) -> Message:
 def _quaternion(xyzw: tuple[float, float, float, float]) -> Message:
     x, y, z, w = xyzw
     return {"x": x, "y": y, "z": z, "w": w}
-
-
-def _turn_back(
-    xyzw: tuple[float, float, float, float], vector: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    """A ground vector in body axes: the inverse of the rotation from body to ground."""
-    x, y, z, w = xyzw
-    a, b, c = vector
-    # t = 2 q × v with the conjugate of q, then v + w t + q × t
-    tx, ty, tz = 2 * (c * y - b * z), 2 * (a * z - c * x), 2 * (b * x - a * y)
-    tx, ty, tz = -tx, -ty, -tz
-    return (
-        a + w * tx - (y * tz - z * ty),
-        b + w * ty - (z * tx - x * tz),
-        c + w * tz - (x * ty - y * tx),
-    )
