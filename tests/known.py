@@ -9,9 +9,26 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, cast
 
-from m100link.agent.messages import LeaseChanged, Limits, State
+from m100link.agent.carriers.memory import MemoryChannel
+from m100link.agent.messages import (
+    VERSION,
+    Action,
+    Ask,
+    Hello,
+    LeaseAction,
+    LeaseAsk,
+    LeaseChanged,
+    LeaseGranted,
+    Limits,
+    Message,
+    Outcome,
+    Stage,
+    State,
+    Telemetry,
+)
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import (
     Acceleration,
@@ -57,6 +74,34 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
         (math.cos(half[2]), 0.0, 0.0, math.sin(half[2])),
     ]
     return times(times(about[2], about[1]), about[0])
+
+
+def in_body(north: float, east: float, down: float) -> tuple[float, float, float]:
+    """A vector of the ground, as the known aircraft has it: forward, right, down.
+
+    By the rows of the matrix that turns ground into body, from the angles.
+    """
+    r, p, y = (math.radians(one) for one in (ROLL, PITCH, YAW))
+    sr, cr, sp, cp, sy, cy = *_both(r), *_both(p), *_both(y)
+    rows = (
+        (cp * cy, cp * sy, -sp),
+        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
+        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
+    )
+    forward, right, below = (a * north + b * east + c * down for a, b, c in rows)
+    return forward, right, below
+
+
+def _both(angle: float) -> tuple[float, float]:
+    return math.sin(angle), math.cos(angle)
+
+
+GRAVITY_M_S2 = 9.80665
+
+
+def felt() -> tuple[float, float, float]:
+    """What an accelerometer feels, m/s²: acceleration less gravity, forward, right, down."""
+    return in_body(1.5, -2.5, -0.7 - GRAVITY_M_S2)
 
 
 def position(
@@ -183,3 +228,61 @@ def _wire(record: Any, firmware: str) -> bytes:
         values = [round(value) for value in values]
     values = values[: len(struct.unpack("<" + form, bytes(struct.calcsize("<" + form))))]
     return struct.pack("<" + form, *values)
+
+
+MISSION, POINT, HOTPOINT = "<BffBBBBBBddf16x", "<BddffhhB8xBHB16B16h", "<BddddfBBB11x"
+"""Values of 0x03/0x10, 0x11 and 0x20 by DJI's document of ground stations; places in radians."""
+
+GIMBAL_SPEED, GIMBAL_ANGLE = "<3hB", "<3hBB"
+"""Of 0x01/0x1A and 0x1B: yaw, roll, pitch in 0.1 °; flags, or mode and 0.1 s."""
+
+
+class KnownAgent:
+    """The agent's end of a way to a front: it does all that is asked, and keeps what it was asked.
+
+    Args:
+        channel: That end.
+        state: Where it stands; ``has_authority`` follows what is asked.
+
+    Attributes:
+        heard: What the front sent, in order.
+    """
+
+    def __init__(self, channel: MemoryChannel, state: State | None = None) -> None:
+        self._channel = channel
+        self.state = state or State(
+            0.0, connection="connected", firmware="3.1", is_activated=True, has_authority=True
+        )
+        self.heard: list[Message] = []
+        channel.open(self._hear, lambda _: None)
+        self.tell(Hello(VERSION, "known", 0.0), self.state)
+
+    def tell(self, *messages: Message) -> None:
+        """Let the front hear these."""
+        for message in messages:
+            if isinstance(message, State):
+                self.state = message
+            self._channel.send(message)
+
+    def tell_package(self, at: float, firmware: str = "3.1", **options: Sequence[Any]) -> None:
+        """A package of the known aircraft; the options are those of :func:`package`."""
+        self.tell(Telemetry(package(firmware, **options), firmware, at))
+
+    def asked(self, kind: type[Any]) -> list[Any]:
+        """All of that kind that the front sent."""
+        return [one for one in self.heard if isinstance(one, kind)]
+
+    def _hear(self, message: Message) -> None:
+        self.heard.append(message)
+        identity = getattr(message, "id", 0)
+        if isinstance(message, LeaseAsk):
+            is_over = message.action is LeaseAction.RELEASE
+            self.tell(LeaseChanged(0, "") if is_over else LeaseChanged(7, message.name))
+            self.tell(LeaseGranted(identity, message.name, "token", 7))
+            return
+        if isinstance(message, Ask) and message.action in (Action.OBTAIN, Action.RELEASE):
+            has_authority = message.action is Action.OBTAIN
+            self.tell(replace(self.state, has_authority=has_authority))
+        if identity:
+            number = message.number if isinstance(message, Ask) else 0
+            self.tell(Outcome(identity, Stage.DONE, number=number))

@@ -25,7 +25,7 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.telemetry.integrity import IntegrityState
-from tests.known import LATITUDE, LONGITUDE, Known, position, quaternion
+from tests.known import LATITUDE, LONGITUDE, Known, felt, position, quaternion
 from tests.mavlink.conftest import world_of
 
 NOW = 1234.5678
@@ -49,28 +49,6 @@ def told(name: str, known: Known, home: tuple[float, float, float] | None = HERE
     world = world_of(known, home=home)
     fields = STREAMS[name].fields(world, NOW)
     return None if fields is None else wire(name, fields)
-
-
-def felt() -> tuple[float, float, float]:
-    """What an accelerometer in the body feels, m/s²: acceleration less gravity, forward-right-down.
-
-    By the rows of the matrix that turns ground into body, from the angles.
-    """
-    down = -0.7 - 9.80665
-    r, p, y = (math.radians(one) for one in (10.0, -20.0, -130.0))
-    sr, cr, sp, cp, sy, cy = *_both(r), *_both(p), *_both(y)
-    ground = (1.5, -2.5, down)
-    rows = (
-        (cp * cy, cp * sy, -sp),
-        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
-        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
-    )
-    one, two, three = (sum(a * b for a, b in zip(row, ground, strict=True)) for row in rows)
-    return one, two, three
-
-
-def _both(angle: float) -> tuple[float, float]:
-    return math.sin(angle), math.cos(angle)
 
 
 XACC, YACC, ZACC = felt()
