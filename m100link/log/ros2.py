@@ -109,7 +109,7 @@ def _told(sample: Sample, stamp: Stamp) -> Iterator[tuple[str, bytes]]:
     rates, acceleration = sample.get(AngularVelocity), sample.get(Acceleration)
     if attitude is not None or rates is not None:
         yield "/m100/imu", made.imu(stamp, attitude, rates, acceleration)
-    if attitude is not None and position is not None:
+    if attitude is not None and position is not None and position.is_possible:
         yield "/tf", made.transform(stamp, (0.0, 0.0, position.height_m), attitude)
     velocity = sample.get(Velocity)
     if velocity is not None:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
-from m100link.log.cdr import Template
+from m100link.log.cdr import Template, encode
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -274,15 +274,15 @@ class Messages:
         charge = battery.percent / 100.0 if battery.is_possible else math.nan
         return self._battery.fill(stamp, (charge,))
 
-    @cached_property
-    def _joy(self) -> Template:
-        message = {"header": self._header(self.body), "axes": [0.0] * 4, "buttons": [0, 0]}
-        return Template("sensor_msgs/Joy", message, "header.stamp", "axes", "buttons")
-
     def joy(self, stamp: Stamp, rc: RemoteControl) -> bytes:
-        """sensor_msgs/Joy of the remote: roll, pitch, yaw, throttle; mode switch and gear raw."""
+        """sensor_msgs/Joy of the remote: roll, pitch, yaw, throttle; mode switch and gear raw.
+
+        Firmware that does not tell the gear leaves that button away.
+        """
+        header = {"stamp": {"sec": stamp[0], "nanosec": stamp[1]}, "frame_id": self.body}
         sticks = [one / _STICK for one in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
-        return self._joy.fill(stamp, sticks, (rc.mode, rc.gear or 0))
+        switches = [one for one in (rc.mode, rc.gear) if one is not None]
+        return encode("sensor_msgs/Joy", {"header": header, "axes": sticks, "buttons": switches})
 
 
 def _flu(rates: AngularVelocity) -> Vector:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple, TypeVar
 
 from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.telemetry.sample import Sample
 
-__all__ = ["Thinning", "row_of"]
+__all__ = ["Thinned", "Thinning", "row_of"]
+
+R = TypeVar("R", bound=tuple[Any, ...])
 
 
 def row_of(sample: Sample) -> dict[str, float | None]:
@@ -17,6 +20,23 @@ def row_of(sample: Sample) -> dict[str, float | None]:
         name: None if math.isnan(number) else number
         for name, number in zip(sample.columns, sample.row(), strict=True)
     }
+
+
+class Thinned(NamedTuple):
+    """What is let through.
+
+    Attributes:
+        packages: Those whose items are in the row; the last one is that which was due.
+        row: Its numbers by their columns, and when it was received.
+    """
+
+    packages: list[Sample]
+    row: dict[str, float | None]
+
+    def get(self, record: type[R]) -> R | None:
+        """The newest record of that class, None when no package brought one."""
+        found = (one.get(record) for one in reversed(self.packages))
+        return next((one for one in found if one is not None), None)
 
 
 class Thinning:
@@ -32,13 +52,11 @@ class Thinning:
     def __init__(self, interval_s: float) -> None:
         self._interval_s = 0.999 * interval_s
         self._at = -math.inf
-        self._row: dict[str, float | None] = {}
+        self._packages: list[Sample] = []  # one for each item at most
         self._flags = 0
 
-    def hear(
-        self, value: bytes, profile: FirmwareProfile, now: float
-    ) -> tuple[Sample, dict[str, float | None]] | None:
-        """A package, given by its value; the package and its row when one is due.
+    def hear(self, value: bytes, profile: FirmwareProfile, now: float) -> Thinned | None:
+        """A package, given by its value; what is let through when that is due.
 
         What does not fit the profile is passed over: the link counts it.
         """
@@ -50,10 +68,13 @@ class Thinning:
             sample = Sample(value, profile, now)
         except (LayoutMismatch, IndexError):
             return None
-        self._row |= row_of(sample)
+        self._packages.append(sample)
         self._flags |= flags
         if not is_due:
             return None
-        row, self._row, self._flags = self._row, {}, 0
+        packages, self._packages, self._flags = self._packages, [], 0
         self._at = now
-        return sample, {"received_at": now, **row}
+        row: dict[str, float | None] = {"received_at": now}
+        for one in packages:
+            row |= row_of(one)
+        return Thinned(packages, row)

@@ -73,10 +73,9 @@ class Witness:
         told = self._thinning.hear(value, profile, now)
         if told is None:
             return
-        sample, row = told
-        yield TELEMETRY, row
-        position = sample.get(Position)
-        if position is not None:
+        yield TELEMETRY, told.row
+        position = told.get(Position)
+        if position is not None and position.is_possible:
             yield FIX, fix_of(position)
 
     def _frame(self, frame: Frame, profile: FirmwareProfile, *, is_ours: bool) -> Iterator[Told]:

@@ -6,6 +6,7 @@ degrees of the wire for the gimbal, and mode and gear raw in ``rc``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -83,7 +84,7 @@ def _remote(sample: Sample, stamp: Stamp) -> bytes | None:
     if rc is None:
         return None
     sticks = [one / _STICK for one in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
-    axes = [*sticks, float(rc.mode), float(rc.gear or 0)]
+    axes = [*sticks, float(rc.mode), math.nan if rc.gear is None else float(rc.gear)]
     return encode("sensor_msgs/Joy", {"header": _header(stamp, "rc"), "axes": axes, "buttons": []})
 
 

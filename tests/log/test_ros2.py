@@ -5,15 +5,26 @@ from __future__ import annotations
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
 from m100link import Attitude, Position, Velocity
 from m100link.log import read
 from m100link.log.ros2 import TOPICS, write_bag
-from m100link.protocol.records import AngularVelocity, Battery
+from m100link.protocol.records import (
+    Acceleration,
+    AngularVelocity,
+    Battery,
+    FlightStatus,
+    RemoteControl,
+)
+from tests.known import position, sample
 from tests.log.flight import fly
+
+if TYPE_CHECKING:
+    from m100link.log.reading import FlightLog
 
 rosbag2: Any = pytest.importorskip("rosbags.rosbag2", reason="the judge is not installed")
 
@@ -91,3 +102,85 @@ async def test_times_are_those_of_arrival_and_commands_are_there(tmp_path: Path)
     assert stamp.sec * 10**9 + stamp.nanosec == times[3]
     told = Counter("take_off" in message.data for _, message in found["/m100/events"])
     assert told[True] == 1
+
+
+class KnownLog:
+    """A log with packages of the known aircraft, 0.25 s after each other."""
+
+    def __init__(self, *packages: dict[str, Any]) -> None:
+        self.packages = packages
+
+    def messages(self, *topics: str) -> list[Any]:
+        utc = 1_800_000_004.25
+        return [SimpleNamespace(utc=utc, at=4.25, data=b"a bird")]
+
+    def samples(self, *, firmware: object) -> list[Any]:
+        return [sample(at=4.25 + 0.25 * place, **one) for place, one in enumerate(self.packages)]
+
+
+def read_known(path: Path, *packages: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """The messages of its bag by topic, as rosbags reads them."""
+    from tests.ros2.known import read as flat
+
+    with path.open("xb") as stream:
+        write_bag(cast("FlightLog", KnownLog(*packages)), stream)
+    found: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
+    with rosbag2.Reader(path) as reader:
+        for connection, _, data in reader.messages():
+            found[connection.topic].append(flat(connection.msgtype, data))
+    return found
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_the_bag_has_the_values_of_the_node(topic: str, tmp_path: Path) -> None:
+    """In the frames map and base_link; without an origin a place is above the take-off point."""
+    from tests.ros2.test_values import ACCELERATION, ORIENTATION, TOLD, agree, header, xyz
+
+    at = 4.25
+    usual = {f"/m100/{name}": TOLD[f"~/{name}"] for name in ("imu", "fix", "battery", "joy")}
+    above = {"translation": xyz(0.0, 0.0, 12.34), "rotation": ORIENTATION}
+    expected = {
+        **{name: one | {"header": header("base_link", at)} for name, one in usual.items()},
+        "/m100/velocity": TOLD["~/velocity"] | {"header": header("map", at)},
+        "/m100/acceleration": {"header": header("map", at), "vector": ACCELERATION},
+        "/m100/flight_status": {"data": 3},
+        "/m100/events": {"data": "a bird"},
+        "/tf": {
+            "transforms": {
+                "0": {
+                    "header": header("map", at),
+                    "child_frame_id": "base_link",
+                    "transform": above,
+                }
+            }
+        },
+    }
+    [found] = read_known(tmp_path / "bag.mcap", {})[topic]
+    agree(found, expected[topic])
+
+
+@pytest.mark.parametrize(
+    ("record", "silent"),
+    [
+        (Attitude, {"/tf"}),
+        (Position, {"/tf", "/m100/fix"}),
+        (Velocity, {"/m100/velocity"}),
+        (Acceleration, {"/m100/acceleration"}),
+        (Battery, {"/m100/battery"}),
+        (RemoteControl, {"/m100/joy"}),
+        (FlightStatus, {"/m100/flight_status"}),
+        (AngularVelocity, set()),
+    ],
+)
+def test_what_a_package_has_not_is_not_in_the_bag(
+    record: type[Any], silent: set[str], tmp_path: Path
+) -> None:
+    found = read_known(tmp_path / "bag.mcap", {"without": (record,)})
+    assert {topic for topic, messages in found.items() if not messages} == silent
+
+
+@pytest.mark.parametrize("place", [position(latitude=math.nan), position(height=math.nan)])
+def test_what_cannot_be_a_place_is_no_transform_and_no_fix(place: Position, tmp_path: Path) -> None:
+    found = read_known(tmp_path / "bag.mcap", {"changed": (place,)})
+    assert found["/tf"] == []
+    assert found["/m100/fix"][0]["status.status"] == -1

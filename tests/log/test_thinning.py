@@ -21,7 +21,7 @@ async def test_what_comes_once_a_second_is_in_a_row_of_ten_a_second(tmp_path: Pa
     samples = list(flight.samples())
     thinning = Thinning(0.1)
     rows = [
-        told[1]
+        told.row
         for one in samples
         if (told := thinning.hear(one.value, one.profile, one.received_at)) is not None
     ]
@@ -42,7 +42,7 @@ async def test_a_row_ends_with_the_items_of_its_own_package(tmp_path: Path) -> N
     for one in samples:
         told = thinning.hear(one.value, one.profile, one.received_at)
         if told is not None:
-            sample, row = told
+            sample, row = told.packages[-1], told.row
             assert row["received_at"] == sample.received_at
             assert row_of(sample).items() <= row.items()
 

@@ -71,19 +71,20 @@ class Feed:
         if told is None:
             return
         if self._wants(name, TELEMETRY):
-            self._tell(name, TELEMETRY, at, told[1])
-        position = sample.get(Position)
-        if position is not None and position.is_possible and self._wants(name, FIX):
+            self._tell(name, TELEMETRY, at, told.row)
+        position = told.get(Position)
+        if position is None or not position.is_possible:
+            return
+        if self._wants(name, FIX):
             self._tell(name, FIX, at, {"timestamp": self._stamp(at), **fix_of(position)})
-        attitude = sample.get(Attitude)
+        attitude = told.get(Attitude)
         if attitude is not None and self._wants(name, TRANSFORM):
             x, y, z, w = attitude.enu_flu_xyzw
-            height = 0.0 if position is None else position.height_m
             transform = {
                 "timestamp": self._stamp(at),
                 "parent_frame_id": "takeoff",
                 "child_frame_id": "m100",
-                "translation": {"x": 0.0, "y": 0.0, "z": height},
+                "translation": {"x": 0.0, "y": 0.0, "z": position.height_m},
                 "rotation": {"x": x, "y": y, "z": z, "w": w},
             }
             self._tell(name, TRANSFORM, at, transform)

@@ -51,19 +51,22 @@ def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoin
     """A setpoint from ROS frames (DJI's ``flight_control_setpoint_*`` topics).
 
     Args:
-        flag: Control flag of the protocol; bits 7–6 horizontal, 5–4 vertical, 3 yaw, 1 frame.
+        flag: Control flag of the protocol; bits 7–6 horizontal, 5–4 vertical, 3 yaw, 1 frame;
+            bit 0, stable mode, is not sent.
         x: East or forward (m, m/s), or roll (rad).
         y: North or left (m, m/s), or pitch (rad, as DJI's node has it: negated).
         z: Up (m, m/s) or thrust (%).
         yaw: Counter-clockwise from east (rad), or rate (rad/s).
 
     Raises:
-        BadSetpoint: The flag names no mode, or a value is out of range.
+        BadSetpoint: The flag names no mode or no frame, or a value is out of range.
     """
     try:
         horizontal, vertical = Horizontal(flag >> 6 & 3), Vertical(flag >> 4 & 3)
     except ValueError:
         raise BadSetpoint(f"control flag 0x{flag:02X} names no control mode") from None
+    if flag & 0x04:
+        raise BadSetpoint(f"control flag 0x{flag:02X} names no frame: its bit 2 is reserved")
     yaw_mode, frame = Yaw(flag >> 3 & 1), ReferenceFrame(flag >> 1 & 1)
     if horizontal is Horizontal.TILT:
         first, second, frame = math.degrees(x), math.degrees(-y), ReferenceFrame.BODY
@@ -223,7 +226,7 @@ class DjiSdk:
         if rc is None:
             return None
         sticks = [value / _RC_FULL for value in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
-        axes = [*sticks, float(rc.mode), float(rc.gear or 0)]
+        axes = [*sticks, float(rc.mode), math.nan if rc.gear is None else float(rc.gear)]
         return {"header": self._header("rc"), "axes": axes, "buttons": []}
 
     def _gimbal(self, sample: Sample) -> Message | None:
