@@ -246,6 +246,7 @@ class KnownAgent:
 
     Attributes:
         heard: What the front sent, in order.
+        version: What the aircraft says of itself.
     """
 
     def __init__(self, channel: MemoryChannel, state: State | None = None) -> None:
@@ -254,6 +255,7 @@ class KnownAgent:
             0.0, connection="connected", firmware="3.1", is_activated=True, has_authority=True
         )
         self.heard: list[Message] = []
+        self.version = ""
         channel.open(self._hear, lambda _: None)
         self.tell(Hello(VERSION, "known", 0.0), self.state)
 
@@ -285,4 +287,4 @@ class KnownAgent:
             self.tell(replace(self.state, has_authority=has_authority))
         if identity:
             number = message.number if isinstance(message, Ask) else 0
-            self.tell(Outcome(identity, Stage.DONE, number=number))
+            self.tell(Outcome(identity, Stage.DONE, text=self.version, number=number))

@@ -47,7 +47,7 @@ class KnownRig(Rig):
         sent = self.sent(name)
         if not sent:
             return None
-        return flat(_store().deserialize_cdr(sent[-1][0], full_name(ALL_OUTPUTS[name].kind)))
+        return read(full_name(ALL_OUTPUTS[name].kind), sent[-1][0])
 
     def sent(self, name: str) -> list[tuple[bytes, bytes]]:
         """The messages of a topic, and their attachments."""
@@ -62,6 +62,11 @@ def _store() -> Any:
         name = full_name(f"m100_msgs/{path.stem}")
         store.register(typesys.get_types_from_msg(path.read_text(), name))
     return store
+
+
+def read(kind: str, data: bytes) -> dict[str, Any]:
+    """A message by the path of each of its values."""
+    return flat(_store().deserialize_cdr(data, kind))
 
 
 def flat(message: Any, path: str = "") -> dict[str, Any]:

@@ -29,6 +29,7 @@ from m100link.agent.messages import (
     State,
     Steer,
 )
+from m100link.log.ros2_messages import Messages
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import (
     Acceleration,
@@ -59,7 +60,7 @@ from tests.known import (
     quaternion,
 )
 from tests.ros2.conftest import UTC
-from tests.ros2.known import KnownRig
+from tests.ros2.known import KnownRig, read
 from tests.ros2.test_actions import Client
 
 NAN = math.nan
@@ -125,6 +126,7 @@ ORIENTATION = turned(10.0, 20.0, 90.0 + 130.0)
 FELT = xyz(*flu(*felt()))
 RATES = xyz(*flu(0.11, -0.23, 0.37))
 VELOCITY = xyz(-1.57, 3.21, 0.84)
+ACCELERATION = xyz(-2.5, 1.5, 0.7)
 PLACE = {one: pytest.approx(at, abs=0.01) for one, at in (("x", -70.0), ("y", 30.0), ("z", 12.34))}
 NOTHING = xyz(0.0, 0.0, 0.0)
 UNKNOWN, ABSENT = (0.0,) * 9, (-1.0, *(0.0,) * 8)
@@ -259,7 +261,7 @@ TOLD: dict[str, dict[str, Any]] = {
     "dji_sdk/angular_velocity_fused": {"header": header("body_FLU"), "vector": RATES},
     "dji_sdk/acceleration_ground_fused": {
         "header": header("ground_ENU"),
-        "vector": xyz(-2.5, 1.5, 0.7),
+        "vector": ACCELERATION,
     },
     "dji_sdk/rc": {
         "header": header("rc"),
@@ -791,3 +793,9 @@ def test_the_tables_have_every_input_and_service() -> None:
     assert {name for name, _, _ in STEERED.values()} | {"~/gimbal_speed"} == set(INPUTS)
     with_values = {"~/point_gimbal", "~/mission/upload", "~/mission/start"}
     assert TRIGGERS.keys() | with_values | {"~/release_control"} == SERVICES.keys()
+
+
+def test_a_gear_that_nobody_tells_is_not_made_up() -> None:
+    remote = RemoteControl(1000, -2000, 3000, -4000, 8000, None)
+    made = Messages("odom", "base_link").joy((5, 6), remote)
+    assert read("sensor_msgs/msg/Joy", made)["buttons"] == (8000,)
