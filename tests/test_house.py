@@ -289,7 +289,6 @@ TESTED_ELSEWHERE = {
     "sim/vehicle/piloting.py": ("sim/vehicle/test_authority.py", "what sticks do to the aircraft"),
     "sim/vehicle/settings.py": ("sim/test_telemetry.py", "numbers that the others use"),
     "sim/virtual.py": ("sim/test_autopilot.py", "it hands on to vehicle, autopilot and line"),
-    "station/foxglove/feed.py": ("station/foxglove/test_app.py", "a feed is what viewers are told"),
     "station/console/app.py": ("browser/test_console.py", "a page is seen in a browser"),
     "station/console/page.py": ("browser/test_console.py", "a page is seen in a browser"),
     "station/console/view/inputs.py": (
