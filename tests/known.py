@@ -201,6 +201,9 @@ def sample(
     return Sample(value, PROFILES[firmware], at)
 
 
+STICKS_ALONE = struct.pack("<H5h", 1 << BITS[RemoteControl], 1000, -2000, 3000, -4000, 8000)
+"""A package of the remote by the tables of the document (1.0-document), which have no gear."""
+
 _WIRE: dict[type[Any], dict[str, str]] = {
     Time: {"1.0": "I", "2.3": "I", "3.1": "IIB"},
     Attitude: {"": "4f"},

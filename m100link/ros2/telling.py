@@ -69,7 +69,7 @@ class Places:
 
     def local(self, position: Position) -> Place | None:
         """East, north, up in metres; up from the take-off point. None before the first fix."""
-        if not position.is_possible or not math.isfinite(position.height_m):
+        if not position.is_possible:
             return None
         if self.origin is None:
             if not has_fix(position):

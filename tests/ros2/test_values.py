@@ -28,8 +28,8 @@ from m100link.agent.messages import (
     MissionTold,
     State,
     Steer,
+    Telemetry,
 )
-from m100link.log.ros2_messages import Messages
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import (
     Acceleration,
@@ -54,13 +54,14 @@ from tests.known import (
     LONGITUDE,
     MISSION,
     POINT,
+    STICKS_ALONE,
     felt,
     in_body,
     position,
     quaternion,
 )
 from tests.ros2.conftest import UTC
-from tests.ros2.known import KnownRig, read
+from tests.ros2.known import KnownRig
 from tests.ros2.test_actions import Client
 
 NAN = math.nan
@@ -796,6 +797,12 @@ def test_the_tables_have_every_input_and_service() -> None:
 
 
 def test_a_gear_that_nobody_tells_is_not_made_up() -> None:
-    remote = RemoteControl(1000, -2000, 3000, -4000, 8000, None)
-    made = Messages("odom", "base_link").joy((5, 6), remote)
-    assert read("sensor_msgs/msg/Joy", made)["buttons"] == (8000,)
+    async def listen(rig: KnownRig) -> None:
+        rig.known.tell(Telemetry(STICKS_ALONE, "1.0-document", 1.1))
+
+    rig = asked(listen)
+    for name, gear in (("~/joy", ()), ("dji_sdk/rc", (NAN,))):
+        found = rig.newest(name)
+        assert found is not None
+        values = (*found["axes"], *found["buttons"])
+        assert values == pytest.approx((0.1, -0.2, 0.3, -0.4, 8000, *gear), nan_ok=True)

@@ -34,6 +34,7 @@ from m100link.agent.messages import (
     MissionTold,
     State,
     Steer,
+    Telemetry,
 )
 from m100link.errors import AuthorityLost
 from m100link.protocol.firmware import FIRMWARE_3_1
@@ -63,6 +64,7 @@ from tests.known import (
     LONGITUDE,
     MISSION,
     POINT,
+    STICKS_ALONE,
     KnownAgent,
     felt,
     position,
@@ -329,6 +331,19 @@ def test_what_cannot_be_a_place_is_no_fix(place: Position) -> None:
 def test_a_battery_of_more_than_all_is_not_known(percent: int) -> None:
     found = told(changed=(Battery(percent),))
     assert found["/dji_sdk/battery_state"]["percentage"] is None
+
+
+def test_a_gear_that_nobody_tells_is_not_made_up() -> None:
+    async def listen(rig: KnownRig) -> None:
+        page = rig.client()
+        page.subscribe("/dji_sdk/rc")
+        await anyio.sleep(0.1)
+        rig.known.tell(Telemetry(STICKS_ALONE, "1.0-document", 0.0))
+        await anyio.sleep(0.1)
+        [one] = [one["msg"] for one in page.read() if one["op"] == "publish"]
+        assert one["axes"] == [0.1, -0.2, 0.3, -0.4, 8000.0, None]
+
+    run(listen)
 
 
 @pytest.mark.parametrize(("level", "number"), [("info", 2), ("warning", 4), ("error", 8)])
