@@ -250,6 +250,7 @@ class KnownAgent:
     Attributes:
         heard: What the front sent, in order.
         version: What the aircraft says of itself.
+        is_slow: Whether nothing that is asked for is done yet.
     """
 
     def __init__(self, channel: MemoryChannel, state: State | None = None) -> None:
@@ -258,7 +259,7 @@ class KnownAgent:
             0.0, connection="connected", firmware="3.1", is_activated=True, has_authority=True
         )
         self.heard: list[Message] = []
-        self.version = ""
+        self.version, self.is_slow = "", False
         channel.open(self._hear, lambda _: None)
         self.tell(Hello(VERSION, "known", 0.0), self.state)
 
@@ -288,6 +289,6 @@ class KnownAgent:
         if isinstance(message, Ask) and message.action in (Action.OBTAIN, Action.RELEASE):
             has_authority = message.action is Action.OBTAIN
             self.tell(replace(self.state, has_authority=has_authority))
-        if identity:
+        if identity and not self.is_slow:
             number = message.number if isinstance(message, Ask) else 0
             self.tell(Outcome(identity, Stage.DONE, text=self.version, number=number))

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import anyio
 import pytest
 
-from m100link.agent.guided import ChangeHeight, FlyTo
+from m100link.agent.guided import ChangeHeight, FlyTo, GuidedFlight
 from m100link.agent.messages import (
     Action,
     Ask,
@@ -30,6 +31,7 @@ from m100link.agent.messages import (
     Steer,
     Telemetry,
 )
+from m100link.log.cdr import decode
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import (
     Acceleration,
@@ -44,6 +46,9 @@ from m100link.protocol.records import (
     Time,
     Velocity,
 )
+from m100link.ros2.dji import DJI_OUTPUTS
+from m100link.ros2.flights import FLIGHTS
+from m100link.ros2.graph import data_key
 from m100link.ros2.telling import ALL_OUTPUTS
 from m100link.ros2.topics import INPUTS, SERVICES
 from m100link.sim.clock import virtual_clock_loop
@@ -456,6 +461,7 @@ def pose_at(x: float, y: float, z: float, *turned: float, frame: str = "odom") -
 BODY_RATE, GROUND_RATE, GROUND_HEADING = 0x4A, 0x48, 0x40
 CLOCKWISE = -28.64789  # °/s of half a radian to the left
 YAW_30 = (0.0, 0.0, math.sin(math.radians(15.0)), math.cos(math.radians(15.0)))
+TILTED = (*quaternion(25.0, 35.0, 30.0)[1:], quaternion(25.0, 35.0, 30.0)[0])
 STEERED: dict[str, tuple[str, dict[str, Any], tuple[float, ...]]] = {
     "body": ("~/cmd_vel", twist(), (BODY_RATE, 1.5, -2.5, 0.75, CLOCKWISE)),
     "no frame": ("~/cmd_vel", twist(""), (BODY_RATE, 1.5, -2.5, 0.75, CLOCKWISE)),
@@ -475,6 +481,11 @@ STEERED: dict[str, tuple[str, dict[str, Any], tuple[float, ...]]] = {
     "heading": (
         "~/setpoint_position",
         pose_at(-70.0, 30.0, 12.34, *YAW_30, frame="map"),
+        (GROUND_HEADING, 0.0, 0.0, 0.0, 60.0),
+    ),
+    "tilted heading": (
+        "~/setpoint_position",
+        pose_at(-70.0, 30.0, 12.34, *TILTED),
         (GROUND_HEADING, 0.0, 0.0, 0.0, 60.0),
     ),
     # 5 m/s at most along the way, 2 m/s up or down
@@ -570,6 +581,14 @@ def orders(*calls: tuple[str, dict[str, Any]]) -> list[Any]:
             assert answer["success"], answer
 
     return [one for one in asked(call).known.heard if isinstance(one, Ask)]
+
+
+def test_on_the_ground_nothing_is_flown() -> None:
+    async def publish(rig: KnownRig) -> None:
+        rig.known.tell_package(rig.client.now, changed=(FlightStatus(1),))
+        rig.program.publish("~/cmd_vel", twist())
+
+    assert asked(publish).known.asked(Steer) == []
 
 
 def test_the_gimbal_turns_about_the_axes_of_the_body() -> None:
@@ -763,6 +782,48 @@ def test_a_way_is_flown_point_by_point_with_its_waits() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("name", "goal", "feedback"),
+    [
+        ("~/take_off", {"height": 0.0}, {"height": 12.34}),
+        (
+            "~/fly_to",
+            {"latitude": -33.5, "longitude": 151.75, "height": 17.5, "speed": 3.5},
+            {"distance": 81.5, "seconds": 23.25},
+        ),
+        (
+            "~/fly_mission",
+            {
+                "waypoints": [
+                    {"latitude": -33.5, "longitude": 151.75, "height": 17.5, "wait": 0.0},
+                    {"latitude": -33.25, "longitude": 151.5, "height": 18.5, "wait": 60.0},
+                ],
+                "speed": 3.5,
+            },
+            {"waypoint": 1, "distance": 81.5, "seconds": 23.25},
+        ),
+    ],
+)
+def test_a_goal_tells_how_far_it_is(
+    name: str, goal: dict[str, Any], feedback: dict[str, float]
+) -> None:
+    found: dict[str, Any] = {}
+
+    async def send(rig: KnownRig) -> None:
+        guided = GuidedFlight("flight to a place", distance_m=81.5, seconds=23.25)
+        rig.known.tell(replace(rig.known.state, guided=guided))
+        rig.known.is_slow = name != "~/fly_mission"  # its wait takes time enough
+        client = Client(rig)
+        assert (await client.ask_goal(name, **goal))["accepted"]
+        await anyio.sleep(0.8)
+        kind = FLIGHTS[name][0]
+        key = data_key(0, client.inner(name, "feedback"), f"{kind}_FeedbackMessage")
+        found.update(decode(f"{kind}_FeedbackMessage", rig.bus.outlets[key].sent[-1][0]))
+
+    asked(send)
+    assert found["feedback"] == pytest.approx(feedback, abs=1e-5)
+
+
 WAYPOINT = {"latitude": -33.5, "longitude": 151.75, "height": 17.5}
 
 
@@ -806,3 +867,34 @@ def test_a_gear_that_nobody_tells_is_not_made_up() -> None:
         assert found is not None
         values = (*found["axes"], *found["buttons"])
         assert values == pytest.approx((0.1, -0.2, 0.3, -0.4, 8000, *gear), nan_ok=True)
+
+
+# Messages per second at most; 0 where they come when there is something to say.
+HZ = {
+    **dict.fromkeys(("~/imu", "~/odom", "~/pose", "~/velocity", "/tf", "/clock"), 50),
+    **dict.fromkeys(("~/fix", "~/magnetic_field", "dji_sdk/battery_state"), 10),
+    **dict.fromkeys(("~/joy", "~/gimbal"), 20),
+    **dict.fromkeys(("~/battery", "~/flight_status", "/diagnostics"), 1),
+    **dict.fromkeys(("~/mission_event", "/tf_static", "/rosout"), 0),
+}
+
+
+def test_what_is_told_comes_as_often_as_the_manual_says() -> None:
+    there = {name: row.hz for name, row in ALL_OUTPUTS.items()}
+    assert there == dict.fromkeys(DJI_OUTPUTS, 50) | HZ
+
+
+@pytest.mark.parametrize("name", ["~/imu", "~/joy", "~/fix", "~/battery"])
+def test_packages_of_a_hundred_a_second_are_thinned_to_that(name: str) -> None:
+    count = 0
+
+    async def listen() -> None:
+        nonlocal count
+        async with KnownRig().running() as rig:
+            for _ in range(200):
+                rig.known.tell_package(rig.client.now)
+                await anyio.sleep(0.01)
+            count = len(rig.sent(name))
+
+    anyio.run(listen, backend_options={"loop_factory": virtual_clock_loop})
+    assert count == pytest.approx(2 * HZ[name], abs=1)
