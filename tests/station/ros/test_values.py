@@ -647,6 +647,53 @@ def test_a_service_that_means_nothing_asks_for_nothing(name: str, values: dict[s
     assert (found, answer["result"]) == ([], False)
 
 
+# The commands of 2015: a float that the C program casts to a byte; what is asked, and what is told.
+ORDERED: list[tuple[str, float, list[tuple[Action, int]], dict[str, float]]] = [
+    ("/sdk_request_cmd", 4, [(Action.TAKE_OFF, 0)], {}),
+    ("/sdk_request_cmd", 6.9, [(Action.LAND, 0)], {}),
+    ("/sdk_request_cmd", 257, [(Action.GO_HOME, 0)], {}),
+    ("/sdk_request_cmd", 2, [], {}),
+    ("/sdk_request_cmd", 0, [], {}),
+    ("/nav_open_close_request", 1, [(Action.OBTAIN, 0)], {"/nav_open_close_status": 2.0}),
+    ("/nav_open_close_request", 0, [(Action.RELEASE, 0)], {"/nav_open_close_status": 1.0}),
+    ("/nav_open_close_request", 2, [], {}),
+    ("/sdk_request_activation", 1, [(Action.ACTIVATE, 0)], {}),
+    ("/sdk_request_simple_task", 3, [(Action.PATTERN, 3)], {}),
+    ("/sdk_request_simple_task", 5, [(Action.ACTIVATE, 0)], {}),
+    ("/sdk_request_simple_task", 6, [(Action.VERSION, 0)], {}),
+    ("/sdk_request_simple_task", -1, [(Action.HALT, 0)], {}),
+]
+
+
+@pytest.mark.parametrize(("topic", "data", "wanted", "statuses"), ORDERED)
+def test_an_order_of_2015_asks_for_what_its_number_says(
+    topic: str, data: float, wanted: list[Any], statuses: dict[str, float]
+) -> None:
+    async def publish(rig: KnownRig, page: FakeClient) -> None:
+        page.subscribe("/nav_open_close_status", "/activation_status")
+        page.publish(topic, data=data)
+
+    rig = flying(publish)
+    assert [(one.action, one.number) for one in rig.known.asked(Ask)] == wanted
+    told = {one["topic"]: one["msg"]["data"] for one in rig.page.read() if one["op"] == "publish"}
+    assert told == statuses
+    refused = [one for one in rig.page.statuses() if not one.startswith("version")]
+    assert bool(refused) is not bool(wanted)
+
+
+@pytest.mark.parametrize(
+    "topic", ["/sdk_request_cmd", "/nav_open_close_request", "/sdk_request_simple_task"]
+)
+def test_an_order_that_is_no_number_asks_for_nothing(topic: str) -> None:
+    async def publish(rig: KnownRig, page: FakeClient) -> None:
+        nothing: Any = None  # a NaN, in JSON
+        page.publish(topic, data=nothing)
+
+    rig = flying(publish)
+    assert rig.known.asked(Ask) == []
+    assert len(rig.page.statuses()) == 1
+
+
 def test_data_goes_to_the_app_as_they_are() -> None:
     data = base64.b64encode(b"\x01\xfe\x80").decode()
     [ask], _ = asks(("send_data_to_mobile", {"data": data}))
