@@ -290,6 +290,7 @@ def told(
     changed: tuple[Any, ...] = (),
     pause: float = 0.25,
     wait: float = 1.1,
+    first: Position = FIRST,
 ) -> dict[str, Any]:
     """What a node says of two packages of the known aircraft, the second one changed so."""
     found: dict[str, Any] = {}
@@ -301,7 +302,7 @@ def told(
             rig.known.tell(Event(1, 0.75, "warning", "a bird"))
             await anyio.sleep(SECOND_AT - 0.75 - pause)
             gone = (Time, Battery)  # the battery is told once a second
-            rig.known.tell_package(SECOND_AT - pause, without=gone, changed=(FIRST,))
+            rig.known.tell_package(SECOND_AT - pause, without=gone, changed=(first,))
             await anyio.sleep(pause)
             for name in BY_PACKAGE:
                 rig.sent(name).clear()
@@ -388,6 +389,15 @@ def test_an_imu_says_which_of_its_values_are_not_there(gone: type[Any], unknown:
     assert {one: found[f"{one}_covariance"] for one in names} == {
         one: ABSENT if one in unknown else UNKNOWN for one in names
     }
+
+
+@pytest.mark.parametrize(("health", "east", "north"), [(2, 0.0, 0.0), (3, -70.0, 30.0)])
+def test_a_place_is_measured_from_where_gps_was_good_first(
+    health: int, east: float, north: float
+) -> None:
+    found = told(first=FIRST._replace(gps_health=health))["~/odom"]
+    place = (found["pose.pose.position.x"], found["pose.pose.position.y"])
+    assert place == pytest.approx((east, north), abs=0.01)
 
 
 @pytest.mark.parametrize(("health", "fix"), [(0, -1), (2, -1), (3, 0), (5, 0)])
