@@ -854,6 +854,7 @@ def test_a_task_has_two_to_99_points(count: int) -> None:
     task = TASK | {"mission_waypoint": [waypoint()] * count}
     found, [answer] = asks(("mission_waypoint_upload", {"waypoint_task": task}))
     assert (found, answer["result"]) == ([], False)
+    assert f"2 to 99 waypoints, not {count}" in answer["values"]
 
 
 CIRCLE = {
