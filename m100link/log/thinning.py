@@ -14,12 +14,9 @@ __all__ = ["Thinned", "Thinning", "row_of"]
 R = TypeVar("R", bound=tuple[Any, ...])
 
 
-def row_of(sample: Sample) -> dict[str, float | None]:
-    """The numbers of a package by their columns; None for what is not a number."""
-    return {
-        name: None if math.isnan(number) else number
-        for name, number in zip(sample.columns, sample.row(), strict=True)
-    }
+def row_of(sample: Sample) -> dict[str, float]:
+    """The numbers of a package by their columns; a NaN stays one, which JSON tells as null."""
+    return dict(zip(sample.columns, sample.row(), strict=True))
 
 
 class Thinned(NamedTuple):
@@ -31,7 +28,7 @@ class Thinned(NamedTuple):
     """
 
     packages: list[Sample]
-    row: dict[str, float | None]
+    row: dict[str, float]
 
     def get(self, record: type[R]) -> R | None:
         """The newest record of that class, None when no package brought one."""
@@ -74,7 +71,7 @@ class Thinning:
             return None
         packages, self._packages, self._flags = self._packages, [], 0
         self._at = now
-        row: dict[str, float | None] = {"received_at": now}
+        row: dict[str, float] = {"received_at": now}
         for one in packages:
             row |= row_of(one)
         return Thinned(packages, row)

@@ -291,6 +291,7 @@ def told(
     pause: float = 0.25,
     wait: float = 1.1,
     first: Position = FIRST,
+    state: State = STATE,
 ) -> dict[str, Any]:
     """What a node says of two packages of the known aircraft, the second one changed so."""
     found: dict[str, Any] = {}
@@ -298,7 +299,7 @@ def told(
     async def listen() -> None:
         async with KnownRig().running() as rig:
             await anyio.sleep(0.75)
-            rig.known.tell(STATE, LeaseChanged(3, "somebody"), MissionTold(2, b"\x09\x04"))
+            rig.known.tell(state, LeaseChanged(3, "somebody"), MissionTold(2, b"\x09\x04"))
             rig.known.tell(Event(1, 0.75, "warning", "a bird"))
             await anyio.sleep(SECOND_AT - 0.75 - pause)
             gone = (Time, Battery)  # the battery is told once a second
@@ -441,6 +442,13 @@ def test_a_status_of_long_ago_is_not_known() -> None:
     )
     assert found["/diagnostics"]["status.0.level"] == 2
     assert found["/diagnostics"]["status.3.message"] == "the pilot flies"
+
+
+def test_a_pilot_who_flies_is_told() -> None:
+    found = told(state=replace(STATE, has_authority=False, round_trip=None))
+    assert found["~/flight_status"]["has_authority"] is False
+    assert found["/diagnostics"]["status.3.message"] == "the pilot flies"
+    assert found["/diagnostics"]["status.0.values.1.value"] == ""
 
 
 # -- what it takes --------------------------------------------------------------------------------
@@ -740,6 +748,27 @@ def test_a_point_is_uploaded_as_it_was_asked_for() -> None:
     place = (math.radians(-33.101), math.radians(151.203))
     assert second[:3] == (1, *(pytest.approx(one, abs=1e-12) for one in place))
     assert (second[7], second[8], third[0], third[7]) == (1, 0, 2, 0)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"heading": 4},
+        {"trace": 2},
+        {"at_end": 5},
+        {"on_rc_loss": 2},
+        {"repeat": 3},
+        {"points": [mission_point(actions=[{"kind": 6, "value": 0.0}])]},
+    ],
+)
+def test_a_number_that_stands_for_nothing_is_not_uploaded(changed: dict[str, Any]) -> None:
+    async def upload(rig: KnownRig) -> None:
+        kind = SERVICES["~/mission/upload"].kind
+        answer = await rig.program.call("~/mission/upload", kind, **PLAN | changed)
+        assert answer["success"] is False
+        assert next(iter(changed)) in answer["message"] or "an action 6" in answer["message"]
+
+    assert asked(upload).known.asked(Ask) == []
 
 
 @pytest.mark.parametrize(("take_off", "number"), [(True, 1), (False, 0)])

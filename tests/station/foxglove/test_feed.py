@@ -18,7 +18,7 @@ import pytest
 from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.client import AgentClient
 from m100link.agent.messages import Event, LeaseChanged, State
-from m100link.protocol.records import Attitude, Position, Time
+from m100link.protocol.records import AngularVelocity, Attitude, Position, Time
 from m100link.sim.clock import virtual_clock_loop
 from m100link.station.foxglove.feed import Feed
 from tests.known import LATITUDE, LONGITUDE, KnownAgent, position, quaternion, sample
@@ -191,11 +191,30 @@ def test_what_came_in_another_package_than_the_one_that_is_due_is_told() -> None
     assert found["/tf"][0]["translation"]["z"] == close(12.34)
 
 
+def test_of_two_places_the_newest_is_told() -> None:
+    usual: list[Any] = [{"without": (Position, Attitude)}] * 6
+    usual[3], usual[5] = {"changed": (position(latitude=-20.0),)}, {}
+    found = packages(*usual)
+    assert [one["latitude"] for one in found["/m100/fix"]] == [close(LATITUDE)]
+
+
 def test_it_is_told_twenty_times_a_second() -> None:
     found = packages(*[{"without": (Time,)}] * 101)
     assert [len(found[one]) for one in ("/m100/telemetry", "/m100/fix", "/tf")] == [21] * 3
 
 
-def test_a_round_trip_that_nobody_measured_is_none() -> None:
-    found = heard(lambda feed, known, agent: feed.hear_state("first", agent))
-    assert found["/m100/state"][0]["round_trip_ms"] is None
+def test_what_the_agent_does_not_have_is_not_told() -> None:
+    def tell(feed: Feed, known: KnownAgent, agent: AgentClient) -> None:
+        known.tell(State(0.0, connection="connecting"))
+        feed.hear_state("first", agent)
+
+    [found] = heard(tell)["/m100/state"]
+    assert (found["round_trip_ms"], found["has_authority"]) == (None, False)
+    assert (found["connection"], found["holder"], found["task"]) == ("connecting", "", "")
+
+
+def test_numbers_that_are_none_are_null() -> None:
+    """JSON has no NaN; the reader here refuses what Python writes for it."""
+    rates = AngularVelocity(NAN, math.inf, 0.37)
+    [found] = packages({"changed": (rates,)})["/m100/telemetry"]
+    assert [found[f"angular_velocity.{axis}"] for axis in "xyz"] == [None, None, close(0.37)]
