@@ -191,6 +191,12 @@ def test_what_came_in_another_package_than_the_one_that_is_due_is_told() -> None
     assert found["/tf"][0]["translation"]["z"] == close(12.34)
 
 
+def test_an_attitude_of_another_package_is_told() -> None:
+    usual: list[Any] = [{"without": (Attitude,)}] * 6
+    usual[3] = {}
+    assert len(packages(*usual)["/tf"]) == 1
+
+
 def test_of_two_places_the_newest_is_told() -> None:
     usual: list[Any] = [{"without": (Position, Attitude)}] * 6
     usual[3], usual[5] = {"changed": (position(latitude=-20.0),)}, {}
