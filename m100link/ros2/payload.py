@@ -44,7 +44,6 @@ class Payload:
         Raises:
             M100Error: An angle that it does not have, or nothing may be sent.
         """
-        self._helm.held()
         data = angles_of(request).value(FIRMWARE_3_1)
         await self._helm.do(Action.GIMBAL_ANGLES, data=data)
 
@@ -63,7 +62,6 @@ class Payload:
 
     async def _turn(self, message: Mapping[str, Any]) -> None:
         try:
-            self._helm.held()
             data = rates_of(message["vector"]).value(FIRMWARE_3_1)
             await self._helm.do(Action.GIMBAL_RATES, data=data)
         except M100Error as error:

@@ -601,6 +601,30 @@ def orders(*calls: tuple[str, dict[str, Any]]) -> list[Any]:
     return [one for one in asked(call).known.heard if isinstance(one, Ask)]
 
 
+def test_while_a_goal_flies_no_setpoint_does() -> None:
+    async def publish(rig: KnownRig) -> None:
+        rig.known.is_slow = True
+        assert (await Client(rig).ask_goal("~/take_off", height=5.0))["accepted"]
+        rig.program.publish("~/cmd_vel", twist())
+
+    assert asked(publish).known.asked(Steer) == []
+
+
+def test_without_control_the_gimbal_is_not_turned() -> None:
+    async def turn(rig: KnownRig) -> None:
+        rig.known.tell(replace(rig.known.state, has_authority=False))
+        flags = dict.fromkeys(("is_relative", "keep_yaw", "keep_pitch", "keep_roll"), False)
+        angles = dict.fromkeys(("yaw", "pitch", "roll", "duration"), 1.0)
+        kind = SERVICES["~/point_gimbal"].kind
+        answer = await rig.program.call("~/point_gimbal", kind, **flags, **angles)
+        assert "no control" in answer["message"]
+        head = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+        vector = {"x": 0.1, "y": 0.2, "z": 0.3}
+        rig.program.publish("~/gimbal_speed", {"header": head, "vector": vector})
+
+    assert asked(turn).known.asked(Ask) == []
+
+
 def test_on_the_ground_nothing_is_flown() -> None:
     async def publish(rig: KnownRig) -> None:
         rig.known.tell_package(rig.client.now, changed=(FlightStatus(1),))
