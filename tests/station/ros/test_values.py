@@ -495,6 +495,22 @@ def test_a_joy_that_means_nothing_is_not_flown(name: str, axes: list[float | Non
     assert (steers, len(said)) == ([], 1)
 
 
+@pytest.mark.parametrize(("seconds", "count"), [(1.0, 2), (0.9, 2), (0.1, 1), (0.0, 1)])
+def test_a_joy_that_waited_on_its_way_is_not_flown(seconds: float, count: int) -> None:
+    """Two of them come a second after each other, and are stamped so many seconds apart."""
+
+    async def publish(rig: KnownRig, page: FakeClient) -> None:
+        for nanoseconds in (500_000_000, 500_000_000 + round(seconds * 1e9)):
+            more, nsecs = divmod(nanoseconds, 10**9)
+            header: Any = {"stamp": {"secs": 1_000_000_000 + more, "nsecs": nsecs}}
+            axes: Any = [1.5, 2.5, 0.75, 0.5]
+            topic = "/dji_sdk/flight_control_setpoint_ENUvelocity_yawrate"
+            page.publish(topic, header=header, axes=axes)
+            await anyio.sleep(1.0)
+
+    assert len(flying(publish).known.asked(Steer)) == count
+
+
 # The Quaternion of 2015: y is the first and x the second number of the command, w the climb, z the
 # rate. Mode 1 are angles in °, 0x0A; mode 2 velocities over ground in m/s, 0x48.
 @pytest.mark.parametrize(("mode", "flag"), [(None, 0x0A), (1, 0x0A), (2, 0x48)])
