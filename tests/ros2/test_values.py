@@ -368,6 +368,10 @@ def test_what_a_package_has_not_is_not_told(record: type[Any], silent: set[str])
     assert {name for name in BY_PACKAGE if found[name] is None} == silent
 
 
+def test_an_imu_without_attitude_and_rates_is_none() -> None:
+    assert told((Attitude, AngularVelocity))["~/imu"] is None
+
+
 @pytest.mark.parametrize("record", [Velocity, AngularVelocity, Position])
 def test_what_came_just_before_belongs_to_a_pose_and_what_is_old_does_not(
     record: type[Any],
@@ -961,3 +965,19 @@ def test_packages_of_a_hundred_a_second_are_thinned_to_that(name: str) -> None:
 
     anyio.run(listen, backend_options={"loop_factory": virtual_clock_loop})
     assert count == pytest.approx(2 * HZ[name], abs=1)
+
+
+def test_what_came_late_is_not_made_up_for() -> None:
+    """After a second of silence 50 Hz are 50 Hz again at once."""
+    count = 0
+
+    async def listen() -> None:
+        nonlocal count
+        async with KnownRig().running() as rig:
+            for pause in (0.1, 1.0, 0.01, 0.01, 0.01):
+                await anyio.sleep(pause)
+                rig.known.tell_package(rig.client.now)
+            count = len(rig.sent("~/imu"))
+
+    anyio.run(listen, backend_options={"loop_factory": virtual_clock_loop})
+    assert count == 3
