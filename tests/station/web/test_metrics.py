@@ -8,27 +8,36 @@ import re
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterable
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("prometheus_client")
+from prometheus_client import CollectorRegistry
 from prometheus_client.metrics_core import Metric
+from prometheus_client.openmetrics.exposition import generate_latest as openmetrics_of
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as read_openmetrics
 from prometheus_client.parser import text_string_to_metric_families as read_text
 from websockets.asyncio.client import connect
 
+from m100link.agent.messages import LinkCounted, State
 from m100link.protocol.items import ITEMS
+from m100link.protocol.records import Battery, Gimbal, Position
 from m100link.sim.line import LineFaults
 from m100link.station.config import Settings
+from m100link.station.ros.client import Client
 from m100link.station.run import Running
-from m100link.station.web.metrics import DASHBOARD
+from m100link.station.web.metrics import DASHBOARD, StationMetrics
+from m100link.telemetry.state import AircraftState
+from tests import known
 from tests.station.web.test_server import TOKEN, address, station, until
 
 pytestmark = pytest.mark.anyio
 
 READ: Callable[[str], Iterable[Metric]] = read_openmetrics  # it has no types
+written: Callable[[CollectorRegistry], bytes] = openmetrics_of
 OPENMETRICS = "application/openmetrics-text; version=1.0.0"
 
 
@@ -193,3 +202,181 @@ async def test_it_is_on_this_machine_only_and_not_there_unasked() -> None:
         assert one.sockets.metrics is not None
         assert one.sockets.metrics.getsockname()[0] == "127.0.0.1"
     assert Settings().metrics_port is None
+
+
+# -- values ---------------------------------------------------------------------------------------
+
+
+def slow(name: str, dropped: int) -> Client:
+    """A client of rosbridge that did not get everything."""
+    client = Client.__new__(Client)
+    client.name, client._outbox = name, cast(Any, SimpleNamespace(dropped=dropped))
+    return client
+
+
+COUNTED = LinkCounted(
+    at=50.0,
+    counters={
+        **{"bytes_received": 1001, "bytes_sent": 1002, "frames_received": 103, "frames_sent": 104},
+        **{"discarded_bytes": 105, "dropped_writes": 6, "acks": 41, "duplicate_acks": 7},
+        **{"late_acks": 8, "foreign_acks": 9, "repeats": 11, "expired": 12, "missed_setpoints": 13},
+    },
+    discards={"header_crc": 14, "frame_crc": 15, "no_key": 16},
+    loop_lag=0.0125,
+    # Answers in each class, as `m100link.RoundTrips` has them; the bound belongs to its class.
+    round_trips=dict(
+        zip(
+            ("0.001", "0.002", "0.005", "0.01", "0.02", "0.05", "0.1", "0.2", "0.5"),
+            (0, 1, 2, 0, 3, 5, 7, 0, 11),
+            strict=True,
+        )
+    )
+    | {"1.0": 0, "2.0": 4, "inf": 8},
+    round_trips_s=23.75,
+)
+
+
+def heard() -> AircraftState:
+    """Items at 10 Hz, the gimbal at 5 until 1.9 s ago, position and battery until 2.1 s ago."""
+    now = [0.0]
+    state = AircraftState(lambda: now[0])
+    for number in range(122):
+        gone = [Position, Battery] if number > 100 else []
+        without = [*gone, *([Gimbal] if number % 2 or number > 102 else [])]
+        state.update(known.sample(at=number / 10, without=without))
+    now[0] = 12.1
+    return state
+
+
+def told() -> list[Metric]:
+    """What is told of three aircraft: one that flies, one that is silent, one that is lost."""
+    flies = SimpleNamespace(
+        **{"is_gone": False, "is_silent": False, "is_connected": True, "has_authority": True},
+        state=State(at=50.0, connection="connected", mismatches=17),
+        telemetry=heard(),
+        link=COUNTED,
+    )
+    silent = SimpleNamespace(
+        **{"is_gone": False, "is_silent": True, "is_connected": False, "has_authority": False},
+        state=State(at=1.0, connection="connected", mismatches=18),
+        telemetry=heard(),
+        link=COUNTED,
+    )
+    gone = SimpleNamespace(**{**vars(silent), "is_gone": True})
+    lost = SimpleNamespace(
+        **{**vars(silent), "is_silent": False, "state": State(at=1.0, connection="lost")}
+    )
+    bridge = SimpleNamespace(
+        agents={"a1": flies, "b2": silent, "c3": lost, "d4": gone},
+        graph=SimpleNamespace(sessions=[slow("tablet", 19), object(), slow("laptop", 21)]),
+    )
+    registry = CollectorRegistry()
+    registry.register(StationMetrics(cast(Any, bridge), lambda: {"phone": 22}))
+    return list(READ(written(registry).decode()))
+
+
+A1 = (("aircraft", "a1"),)
+VALUES: dict[tuple[str, tuple[tuple[str, str], ...]], float] = {
+    ("m100_authority", A1): 1,
+    ("m100_authority", (("aircraft", "b2"),)): 0,
+    ("m100_authority", (("aircraft", "c3"),)): 0,
+    ("m100_authority", (("aircraft", "d4"),)): 0,
+    **{
+        ("m100_connection", (("aircraft", name), ("m100_connection", one))): float(one == state)
+        for name, state in {"a1": "connected", "b2": "silent", "c3": "lost", "d4": "gone"}.items()
+        for one in ("connecting", "connected", "lost", "silent", "gone")
+    },
+    ("m100_link_bytes_total", (*A1, ("direction", "received"))): 1001,
+    ("m100_link_bytes_total", (*A1, ("direction", "sent"))): 1002,
+    ("m100_link_frames_total", (*A1, ("direction", "received"))): 103,
+    ("m100_link_frames_total", (*A1, ("direction", "sent"))): 104,
+    ("m100_link_acks_total", (*A1, ("kind", "answered"))): 41,
+    ("m100_link_acks_total", (*A1, ("kind", "duplicate"))): 7,
+    ("m100_link_acks_total", (*A1, ("kind", "late"))): 8,
+    ("m100_link_acks_total", (*A1, ("kind", "foreign"))): 9,
+    ("m100_link_discarded_bytes_total", A1): 105,
+    ("m100_link_dropped_writes_total", A1): 6,
+    ("m100_link_repeats_total", A1): 11,
+    ("m100_link_expired_total", A1): 12,
+    ("m100_missed_setpoints_total", A1): 13,
+    ("m100_link_discards_total", (*A1, ("cause", "header_crc"))): 14,
+    ("m100_link_discards_total", (*A1, ("cause", "frame_crc"))): 15,
+    ("m100_link_discards_total", (*A1, ("cause", "no_key"))): 16,
+    ("m100_agent_loop_lag_seconds", A1): 0.0125,
+    # A bucket has all answers up to its bound, those of smaller ones too.
+    **{
+        ("m100_link_round_trip_seconds_bucket", (*A1, ("le", bound))): count
+        for bound, count in {
+            **{"0.001": 0, "0.002": 1, "0.005": 3, "0.01": 3, "0.02": 6, "0.05": 11, "0.1": 18},
+            **{"0.2": 18, "0.5": 29, "1.0": 29, "2.0": 33, "+Inf": 41},
+        }.items()
+    },
+    ("m100_link_round_trip_seconds_count", A1): 41,
+    ("m100_link_round_trip_seconds_sum", A1): 23.75,
+    **{
+        ("m100_telemetry_rate_hertz", (*A1, ("item", item))): hertz
+        for item, hertz in {
+            **{"time": 10, "quaternion": 10, "acceleration": 10, "velocity": 10},
+            **{"angular_velocity": 10, "position": 0, "magnetometer": 10, "rc": 10, "gimbal": 5},
+            **{"flight_status": 10, "battery": 0, "control_device": 10},
+        }.items()
+    },
+    ("m100_telemetry_mismatches_total", A1): 17,
+    ("m100_clients", ()): 2,
+    ("m100_client_dropped_messages_total", (("client", "tablet"),)): 19,
+    ("m100_client_dropped_messages_total", (("client", "laptop"),)): 21,
+    ("m100_console_dropped_pictures_total", (("tab", "phone"),)): 22,
+}
+"""By docs/howto/metrics.md; of who is not connected two alone."""
+
+
+def test_each_value_has_its_name_labels_and_unit() -> None:
+    samples = [one for family in told() for one in family.samples]
+    found = {(one.name, tuple(sorted(one.labels.items()))): one.value for one in samples}
+    assert len(found) == len(samples)
+    assert {key: one for key, one in found.items() if not key[0].endswith("_created")} == {
+        (name, tuple(sorted(labels))): pytest.approx(value)
+        for (name, labels), value in VALUES.items()
+    }
+    kinds = {family.name: family.type for family in told()}
+    assert {name for name, kind in kinds.items() if kind == "counter"} == {
+        key[0].removesuffix("_total") for key in VALUES if key[0].endswith("_total")
+    }
+    assert {name for name, kind in kinds.items() if kind == "gauge"} == {
+        *("m100_authority", "m100_agent_loop_lag_seconds", "m100_telemetry_rate_hertz"),
+        "m100_clients",
+    }
+    assert kinds["m100_connection"] == "stateset"
+    assert kinds["m100_link_round_trip_seconds"] == "histogram"
+
+
+PANELS = {
+    "Connection": ("m100_connection", "short"),
+    "Control authority": ("m100_authority", "bool"),
+    "Round trip": ("m100_link_round_trip_seconds_bucket", "s"),
+    "Round trips by class": ("m100_link_round_trip_seconds_bucket", "short"),
+    "Mean round trip": ("m100_link_round_trip_seconds_sum", "s"),
+    "Bytes per second": ("rate(m100_link_bytes_total", "Bps"),
+    "Frames per second": ("rate(m100_link_frames_total", "cps"),
+    "Damage by cause": ("rate(m100_link_discards_total", "cps"),
+    "Bytes that were part of no frame": ("rate(m100_link_discarded_bytes_total", "Bps"),
+    "Repeats, expired requests, unwritten frames": ("rate(m100_link_repeats_total", "cps"),
+    "Acks": ("rate(m100_link_acks_total", "cps"),
+    "Telemetry rates": ("m100_telemetry_rate_hertz", "hertz"),
+    "Telemetry that does not fit the firmware": ("rate(m100_telemetry_mismatches_total", "cps"),
+    "Lag of the process that flies": ("m100_agent_loop_lag_seconds", "s"),
+    "Clients": ("m100_clients", "short"),
+    "What slow clients and tabs lost": ("rate(m100_client_dropped_messages_total", "cps"),
+}
+"""Units by Grafana's names; bytes per second are not bits, times are not milliseconds."""
+
+
+def test_the_dashboard_shows_each_number_in_its_unit() -> None:
+    panels = json.loads(DASHBOARD.read_text(encoding="utf-8"))["panels"]
+    units = {one["title"]: one["fieldConfig"]["defaults"]["unit"] for one in panels}
+    assert units == {title: unit for title, (_, unit) in PANELS.items()}
+    for one in panels:
+        assert PANELS[one["title"]][0] in one["targets"][0]["expr"], one["title"]
+    shares = [target["expr"][:23] for target in panels[2]["targets"]]
+    assert shares == [f"histogram_quantile({share}" for share in ("0.5,", "0.95", "0.99")]
+    assert [one["legendFormat"][-4:] for one in panels[2]["targets"]] == ["50 %", "95 %", "99 %"]
