@@ -215,7 +215,6 @@ TESTED_ELSEWHERE = {
     "aircraft/observer.py": ("log/test_recorder.py", "what it tells is read in the log"),
     "doctor/answers.py": ("doctor/test_diagnosis.py", "stages are seen in a whole diagnosis"),
     "doctor/findings.py": ("doctor/test_diagnosis.py", "names and attributes, nothing to run"),
-    "doctor/line.py": ("doctor/test_diagnosis.py", "stages are seen in a whole diagnosis"),
     "errors/aircraft.py": ("test_errors.py", "names and attributes, nothing to run"),
     "errors/base.py": ("test_errors.py", "the tree is tested as a whole"),
     "errors/line.py": ("test_errors.py", "names and attributes, nothing to run"),

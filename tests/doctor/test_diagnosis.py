@@ -10,13 +10,17 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from m100link import Credentials
 from m100link.cli.doctor import exit_status
 from m100link.doctor import Finding, Stage, Verdict, diagnose
+from m100link.doctor.answers import _firmware
 from m100link.errors import BadURL, UsageError
+from m100link.protocol.firmware import PROFILES
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualAircraft
 from m100link.sim.orders.actions import perform
 from m100link.sim.ports.url import aircraft_of
@@ -156,3 +160,14 @@ async def test_what_is_no_connection_string_is_said_at_once(url: str) -> None:
 async def test_a_firmware_that_does_not_exist_is_said_and_not_taken_for_a_fault() -> None:
     with pytest.raises(UsageError, match="no firmware profile is called '9'"):
         await diagnose("sim://", firmware="9")
+
+
+@pytest.mark.parametrize(("mismatches", "verdict"), [(2, Verdict.GOOD), (3, Verdict.FAILED)])
+def test_three_packages_that_do_not_fit_are_another_firmware(
+    mismatches: int, verdict: Verdict
+) -> None:
+    """Two may be what a line spoils: one in 65,536 damaged frames has a right checksum."""
+    aircraft = SimpleNamespace(firmware=PROFILES["2.3"], telemetry_mismatches=mismatches)
+    version = SimpleNamespace(profile=PROFILES["2.3"])
+    told = _firmware(cast(Any, aircraft), cast(Any, version), is_forced=True)
+    assert (told.stage, told.verdict) == (Stage.FIRMWARE, verdict)

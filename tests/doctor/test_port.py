@@ -143,3 +143,19 @@ def test_an_ftdi_adapter_as_it_comes_is_late(port: Port, machine: FakeMachine) -
     assert (found.stage, found.verdict) == (Stage.LATENCY, Verdict.DOUBTFUL)
     assert "latency timer 16 ms" in found.seen
     assert found.commands[1].endswith(f"/sys/bus/usb-serial/devices/{port.name}/latency_timer")
+
+
+@pytest.mark.parametrize(
+    ("latency", "verdict"),
+    [(1, Verdict.GOOD), (4, Verdict.GOOD), (5, Verdict.DOUBTFUL), (16, Verdict.DOUBTFUL)],
+)
+def test_four_milliseconds_are_the_most_that_an_adapter_may_collect(
+    port: Port, machine: FakeMachine, latency: int, verdict: Verdict
+) -> None:
+    """Setpoints go every 20 ms: a fifth of that is not seen, and 16 ms are what FTDI ships."""
+    machine.plug_in(port.name, latency=latency)
+    found = look_at_latency(port.path, machine)
+    assert (found.verdict, found.seen[: len(f"latency timer {latency} ms")]) == (
+        verdict,
+        f"latency timer {latency} ms",
+    )
