@@ -5,12 +5,15 @@ A file is read only as far as a secret can be long, so that a wrong path costs n
 
 No checksum stands in such a file. So whoever reads one keeps its checksum beside it, with the time
 at which it was written: when it says something else and nobody wrote it, the disk did.
+
+What a program writes in the place of another file goes there by :func:`replace_file`.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import secrets
 import stat
 from pathlib import Path
 from typing import IO
@@ -19,7 +22,14 @@ from zlib import crc32
 from m100link.errors import UsageError
 from m100link.wire.cipher import Key
 
-__all__ = ["MAX_SECRET_SIZE", "read_key", "read_token", "read_watched"]
+__all__ = [
+    "MAX_SECRET_SIZE",
+    "keep_names",
+    "read_key",
+    "read_token",
+    "read_watched",
+    "replace_file",
+]
 
 _logger = logging.getLogger(__name__)
 
@@ -89,6 +99,46 @@ def read_watched(file: IO[bytes], path: Path, size: int = -1) -> bytes:
         except OSError as error:
             _logger.debug("%s is not watched: %s", path, error)
     return data
+
+
+def replace_file(path: Path, data: bytes, *, mode: int = 0o600) -> None:
+    """Put a file in the place of another one; done when the disk has it, and its name.
+
+    A reader sees the one before or this one, whole, also after a loss of power.
+
+    Args:
+        path: Its name.
+        data: What it holds.
+        mode: Its permissions from the first moment on, less the umask.
+
+    Raises:
+        OSError: The disk does not take it; as a rule the one before is there.
+    """
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)  # of a full disk it would take what is left
+        raise
+    keep_names(path.parent)
+
+
+def keep_names(folder: Path) -> None:
+    """Wait until the disk has the names of the files in a folder, as they are now.
+
+    Raises:
+        OSError: It does not take them.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _read(path: Path, what: str) -> bytes:

@@ -1,15 +1,24 @@
-"""Files with a secret: what is read, and what is refused."""
+"""Files with a secret: what is read, what is refused, and what outlives a loss of power."""
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
+import stat
 from pathlib import Path
 
 import pytest
 
 from m100link.errors import BadKey, UsageError
-from m100link.keyfile import MAX_SECRET_SIZE, read_key, read_token, read_watched
+from m100link.keyfile import (
+    MAX_SECRET_SIZE,
+    read_key,
+    read_token,
+    read_watched,
+    replace_file,
+)
+from tests.disk import Disk
 
 KEY = bytes(range(32))
 
@@ -108,3 +117,47 @@ def test_a_file_system_without_attributes_is_read_all_the_same(
     monkeypatch.setattr(os, "setxattr", fail, raising=False)
     path = write(tmp_path / "file", b"x")
     assert not warned(path, caplog)
+
+
+@pytest.mark.parametrize("before", [b"the list of before", None])
+def test_what_is_put_in_the_place_of_a_file_outlives_a_loss_of_power(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bytes | None
+) -> None:
+    path = tmp_path / "revoked.list"
+    if before is not None:
+        path.write_bytes(before)
+    disk = Disk(monkeypatch, tmp_path)
+    replace_file(path, b"anna is revoked")
+    assert disk.files == {"revoked.list": b"anna is revoked"}
+    assert all(one.get("revoked.list") != b"" for one in disk.moments), "never half of one"
+    assert [one.name for one in tmp_path.iterdir()] == ["revoked.list"]
+
+
+def test_nobody_else_may_read_it_at_any_moment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modes: list[int] = []
+    wait = os.fsync
+
+    def look(handle: int) -> None:
+        modes.extend(stat.S_IMODE(one.stat().st_mode) for one in tmp_path.iterdir())
+        wait(handle)
+
+    monkeypatch.setattr(os, "fsync", look)
+    replace_file(tmp_path / "ca.key", b"secret")
+    assert modes == [0o600, 0o600]
+
+
+def test_a_disk_that_does_not_take_it_keeps_the_one_before_and_nothing_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "revoked.list"
+    path.write_bytes(b"before")
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        replace_file(path, b"after")
+    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"before"]

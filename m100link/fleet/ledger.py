@@ -12,7 +12,6 @@ import asyncio
 import fcntl
 import logging
 import os
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -23,6 +22,7 @@ from typing import Any, Protocol
 from m100link.errors import UsageError
 from m100link.fleet.book import KEPT_S
 from m100link.fleet.sealed import Mark, seal, words
+from m100link.keyfile import replace_file
 
 __all__ = [
     "FENCES_AT_ONCE",
@@ -335,7 +335,7 @@ class FileLedger:
             os.fsync(self._lock)
         first = self._newest + 1
         lines = [seal(number, first, one) for number, one in enumerate(self._needed(), first)]
-        self._rewrite("".join(lines).encode())
+        replace_file(self._path, "".join(lines).encode())
         self._first, self._newest = first, first + len(lines) - 1
         self._file, before = os.open(self._path, os.O_RDWR | os.O_CLOEXEC), self._file
         self._size = os.fstat(self._file).st_size
@@ -352,24 +352,6 @@ class FileLedger:
         kept: list[dict[str, Any]] = [{"fence": self._reserved}]
         kept += [_begun(one, boot, at) for one, at in self.begun.items()]
         return [*kept, self._flown] if self._flown else kept
-
-    def _rewrite(self, data: bytes) -> None:
-        folder = self._path.parent
-        handle, name = tempfile.mkstemp(dir=folder)
-        try:
-            with os.fdopen(handle, "wb") as new:
-                new.write(data)
-                new.flush()
-                os.fsync(new.fileno())
-            Path(name).replace(self._path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)  # of a full disk it would take what is left
-            raise
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
     def close(self) -> None:
         """Close the file; another agent may have it then."""

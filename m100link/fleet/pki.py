@@ -7,7 +7,6 @@ is never written over unless somebody says so. Where time comes from is up to th
 from __future__ import annotations
 
 import ipaddress
-import os
 import re
 import secrets
 from collections.abc import Sequence
@@ -32,6 +31,7 @@ from m100link.fleet.identity import Signer
 from m100link.fleet.keys import NAME
 from m100link.fleet.revocations import AUTHORITY, LIST, Revocations
 from m100link.fleet.revoked import Revoked, sign_revoked
+from m100link.keyfile import read_token, replace_file
 
 __all__ = [
     "AUTHORITY_DAYS",
@@ -252,8 +252,6 @@ def _revoked(folder: Path, authority: x509.Certificate) -> Revoked:
 
 
 def _kept(path: Path) -> bytes:
-    from m100link.keyfile import read_token
-
     try:
         return bytes.fromhex(read_token(path))
     except ValueError as error:
@@ -354,12 +352,8 @@ def _write(files: dict[Path, bytes], *, force: bool) -> None:
             remedy="--force makes it anew",
         )
     for path, data in files.items():
-        beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
         try:
             # Nobody else reads it at any moment, and whoever reads it sees all of it.
-            with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as f:
-                f.write(data)
-            beside.replace(path)
+            replace_file(path, data)
         except OSError as error:
-            beside.unlink(missing_ok=True)
             raise BadAuthority(f"{path} cannot be written: {error.strerror}") from error

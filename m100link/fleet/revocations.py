@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import os
-import secrets
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from m100link.fleet.outcome import outcome_of
 from m100link.fleet.payloads import VERSION, Progress, Reply, body, pack
 from m100link.fleet.revoked import LARGEST, BadRevoked, Revoked
 from m100link.fleet.rights import Rights
+from m100link.keyfile import replace_file
 
 __all__ = ["AUTHORITY", "LIST", "RevocationService", "Revocations", "bring"]
 
@@ -180,7 +181,7 @@ class Revocations:
             if path is None or data == self._kept:
                 return
             try:
-                await self._apart(_replace, path, data)
+                await self._apart(partial(replace_file, mode=0o666), path, data)  # no secret
                 self._kept = data
             except OSError as error:
                 raise UsageError(
@@ -188,19 +189,6 @@ class Revocations:
                     cause="the list is in force, and whoever runs this agent next has it no more",
                     remedy="let the folder be written, and bring the list once more",
                 ) from error
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Whoever reads it sees the one before or this one, whole, also after a loss of power."""
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        with beside.open("xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 class RevocationService:

@@ -12,6 +12,7 @@ import pytest
 from m100link.errors import UsageError
 from m100link.fleet.book import KEPT_S
 from m100link.fleet.ledger import FENCES_AT_ONCE, FileLedger, LeftAloft, MemoryLedger, since_boot
+from tests.disk import Disk
 
 pytestmark = pytest.mark.anyio
 
@@ -355,33 +356,51 @@ async def test_one_of_an_older_version_is_read_and_sealed(tmp_path: Path) -> Non
 
 
 @pytest.fixture
-def synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
-    """What the files held each time that the disk was waited for."""
-    found: list[bytes] = []
-    wait = os.fsync
-
-    def fsync(handle: int) -> None:
-        wait(handle)
-        for path in filter(Path.is_file, tmp_path.rglob("*")):
-            if os.path.samestat(path.stat(), os.fstat(handle)):
-                found.append(path.read_bytes())
-
-    monkeypatch.setattr(os, "fsync", fsync)
-    return found
+def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(monkeypatch, tmp_path)
 
 
-async def test_a_word_is_on_the_disk_before_anything_is_done(
-    tmp_path: Path, synced: list[bytes]
-) -> None:
+async def test_a_word_is_on_the_disk_before_anything_is_done(tmp_path: Path, disk: Disk) -> None:
     """Not only with the kernel: the computer on board loses its power in a crash."""
-    ledger = opened(tmp_path / "a1.jsonl", 1000.0, "boot", 50.0)
-    synced.clear()
+    path = tmp_path / "a1.jsonl"
+    ledger = opened(path, 1000.0, "boot", 50.0)
     await ledger.begin("an order")
-    assert [b"an order" in one for one in synced] == [True]
-    synced.clear()
+    assert b"an order" in disk.files["a1.jsonl"]
+    before = disk.files["a1.jsonl"]
     await ledger.granted(ledger.leases_before + FENCES_AT_ONCE + 1)
-    assert synced, "numbers of leases are reserved on the disk as well"
+    assert disk.files["a1.jsonl"] != before, "numbers of leases are reserved on the disk as well"
     ledger.close()
-    again = opened(tmp_path / "a1.jsonl", 1000.0, "boot", 51.0)
+    again = opened(path, 1000.0, "boot", 51.0)
     assert again.begun == {"an order": 50.0}
     again.close()
+
+
+async def test_no_loss_of_power_leaves_a_ledger_that_cannot_tell_whether_words_are_gone(
+    tmp_path: Path, disk: Disk
+) -> None:
+    """The mark of the newest word stands in the file of the lock, and is there before the words.
+
+    What is left at each moment is read by the next agent: it has no damage, and every order that
+    had been begun by then.
+    """
+    board = tmp_path / "a1.jsonl"
+    ledger = opened(board, 1000.0, "boot", 50.0)
+    assert set(disk.files) == {"a1.jsonl", "a1.lock"}
+    assert all(one == (tmp_path / name).read_bytes() for name, one in disk.files.items())
+    await ledger.begin("one")
+    board.unlink()  # it is made again, with what is still needed
+    await ledger.begin("two")
+    ledger.close()
+    written = [one for one in disk.moments if one.get("a1.jsonl")]
+    assert all(one["a1.lock"] for one in written)
+    for number, left in enumerate(written):
+        after = tmp_path / f"after-{number}"
+        after.mkdir()
+        for name, data in left.items():
+            (after / name).write_bytes(data)
+        again = opened(after / "a1.jsonl", 1000.0, "boot", 51.0)
+        assert again.damaged == 0
+        assert {"one", "two"} & again.begun.keys() == {
+            one for one in ("one", "two") if one.encode() in left["a1.jsonl"]
+        }
+        again.close()

@@ -7,7 +7,6 @@ import errno
 import itertools
 import json
 import logging
-import os
 import subprocess
 import sys
 import threading
@@ -23,6 +22,7 @@ from m100link.link import Direction
 from m100link.log import Recorder, read, recorder
 from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX, Told
 from m100link.wire import encode_frame
+from tests.disk import Disk
 from tests.log.flight import APP_ID, KEY, URL, fly
 
 pytestmark = pytest.mark.anyio
@@ -346,8 +346,9 @@ def test_a_process_that_is_killed_loses_a_second_at_most(tmp_path: Path) -> None
         lived = float([*told, *process.stdout.read().split()][-1])
     log = read(path)
     lost = lived - max(chunk.utc for chunk in log.chunks())
-    # On a machine that does other things the thread that writes comes later, too.
-    assert lost < 1.0 + 4.0
+    # What it noted for 0.1 s, and wrote without a flush for 0.5 s. Where the machine keeps the
+    # program from running for longer than that, the test is repeated, or not judged.
+    assert lost < 1.0
     assert not log.summary().is_whole
 
 
@@ -380,14 +381,31 @@ async def test_a_log_is_on_the_disk_as_it_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not only with the kernel: whoever cuts the power after a flight has all of it."""
-    path, found, wait = tmp_path / "flight.mcap", [], os.fsync
+    disk = Disk(monkeypatch, tmp_path)
+    await fly(tmp_path / "flight.mcap")
+    assert disk.content(tmp_path / "flight.mcap") == (tmp_path / "flight.mcap").read_bytes()
 
-    def fsync(handle: int) -> None:
-        wait(handle)
-        if os.path.samestat(path.stat(), os.fstat(handle)):
-            found.append(path.read_bytes())
 
-    monkeypatch.setattr(os, "fsync", fsync)
-    await fly(path)
-    assert found
-    assert found[-1] == path.read_bytes()
+def test_a_computer_that_loses_its_power_loses_five_seconds_of_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the manual says; the thread looks at the time with each batch, here every 0.1 s."""
+    path, now = tmp_path / "flight.mcap", [1000.0]
+    disk = Disk(monkeypatch, tmp_path)
+    with path.open("xb") as stream, monkeypatch.context() as patch:
+        patch.setattr(time, "monotonic", lambda: now[0])
+        scribe = recorder._Scribe(Writer, stream, path, 10.0)
+        lost = []
+        for number in range(130):
+            now[0] += 0.1
+            scribe.write(recorder._Batch([(Direction.SENT, VERSION, now[0])]))
+            scribe.flush_in_time()
+            kept = disk.content(path)
+            if number % 7 == 0 and kept:
+                (tmp_path / "left.mcap").write_bytes(kept)
+                newest = max(one.at for one in read(tmp_path / "left.mcap").chunks())
+                lost.append(now[0] - newest)
+        scribe.close()
+    assert len(lost) > 10
+    assert max(lost) < 5.0 + 0.7  # what waits for its flush comes to that
+    assert len(disk.moments) < 4, "a disk of a small computer has other things to do"

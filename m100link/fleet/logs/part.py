@@ -16,6 +16,7 @@ from io import FileIO
 from pathlib import Path
 
 from m100link.errors import UsageError
+from m100link.keyfile import keep_names
 
 __all__ = ["Part"]
 
@@ -118,12 +119,13 @@ class Part:
                 self._write(block)
 
     def finish(self) -> None:
-        """All of it is there."""
+        """All of it is there; the disk keeps it, for it may be removed where it came from."""
         with self._lock, _telling(self.path):
             os.fsync(self._opened.fileno())
             self.path.replace(self.whole)
             self._opened.close()
             self._file, self.at = None, 0
+            keep_names(self.whole.parent)
 
     def close(self) -> None:
         """Leave it to the next one; where no byte came nothing is left."""

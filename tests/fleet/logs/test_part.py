@@ -13,6 +13,7 @@ import pytest
 
 from m100link.errors import UsageError
 from m100link.fleet.logs.part import Part
+from tests.disk import Disk
 
 
 def opened(folder: Path, size: int = 100) -> Part:
@@ -92,6 +93,20 @@ def test_the_file_of_before_stays_until_the_new_one_is_whole(tmp_path: Path) -> 
     part.finish()
     part.close()
     assert (tmp_path / "a1-x.mcap").read_bytes() == b"abcd"
+
+
+def test_a_log_that_is_there_is_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever has fetched it may remove it on board."""
+    disk = Disk(monkeypatch, tmp_path)
+    part = opened(tmp_path)
+    part.add(b"abc")
+    part.add(b"def")
+    part.finish()
+    part.close()
+    assert disk.content(tmp_path / "a1-x.mcap") == b"abcdef"
+    assert disk.files["a1-x.mcap"] == b"abcdef", "and under its name"
 
 
 def test_a_disk_that_takes_no_more_is_told_and_what_came_stays(tmp_path: Path) -> None:
