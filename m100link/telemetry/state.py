@@ -15,12 +15,17 @@ from m100link.protocol.records import Time
 from m100link.telemetry.integrity import Integrity, IntegrityMonitor
 from m100link.telemetry.sample import Sample
 
-__all__ = ["AircraftState", "ItemStatistics"]
+__all__ = ["AircraftState", "ItemStatistics", "is_finite"]
 
 R = TypeVar("R", bound=tuple[Any, ...])
 
 _WINDOW_S = 2.5  # long enough for the rate of an item at 1 Hz
 _ARRIVALS = 512  # twice what an item at 100 Hz has in that time
+
+
+def is_finite(record: tuple[Any, ...]) -> bool:
+    """Whether there is none of NaN and infinity in it: those are no values, however new."""
+    return all(math.isfinite(one) for one in record if isinstance(one, float))
 
 
 def _told(field: tuple[str, object]) -> str:
@@ -202,6 +207,11 @@ class AircraftState(RecordViews):
         if sample is None or self._clock() - sample.received_at > within:
             return None
         return self.get(record)
+
+    def finite(self, record: type[R], *, within: float) -> R | None:
+        """As :meth:`fresh`; None also where one of its numbers is NaN or infinite."""
+        found = self.fresh(record, within=within)
+        return found if found is not None and is_finite(found) else None
 
     def statistics(self, record: type[Any]) -> ItemStatistics:
         """Measured rate, jitter and longest gap of an item."""

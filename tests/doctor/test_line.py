@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.doctor import line
+from m100link.doctor import answers, line
 from m100link.doctor.findings import Stage, Verdict
 from m100link.doctor.listening import Heard, hear
 from m100link.link.url import parse_url
@@ -98,3 +98,4 @@ def test_how_long_it_is_listened_to() -> None:
     assert 1.0 < line.LISTEN_S < 2.0
     assert 0.2 <= line.ANSWER_S <= 0.5
     assert 0.2 <= line.SCAN_S <= 1.0
+    assert 1.0 < answers.TELEMETRY_S < 2.0

@@ -209,7 +209,7 @@ class Missions:
         index = state.mission_index
         position = None
         if client.telemetry is not None:
-            position = client.telemetry.fresh(Position, within=_FRESH_S)
+            position = client.telemetry.finite(Position, within=_FRESH_S)
         ahead = plan.waypoints[index:] if plan is not None and index >= 0 else ()
         distance = None
         if self.stage is MissionStage.FLYING and ahead and position and position.is_possible:

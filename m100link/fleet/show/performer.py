@@ -286,7 +286,7 @@ class Performer:
         if self.stage is Stage.FLYING:
             return by_track(show.show, track, at, here)
         telemetry = self._client.telemetry
-        speed = None if telemetry is None else telemetry.fresh(Velocity, within=_FRESH_S)
+        speed = None if telemetry is None else telemetry.finite(Velocity, within=_FRESH_S)
         moves = (0.0, 0.0, 0.0)
         if speed is not None:
             moves = speed.north_m_s, speed.east_m_s, speed.up_m_s
@@ -464,7 +464,7 @@ class Performer:
 
     def _heading(self) -> float:
         telemetry = self._client.telemetry
-        found = None if telemetry is None else telemetry.fresh(Attitude, within=_FRESH_S)
+        found = None if telemetry is None else telemetry.finite(Attitude, within=_FRESH_S)
         if found is None:
             raise TelemetryStalled(f"where the nose of {self._name} points is not known")
         return found.yaw_deg

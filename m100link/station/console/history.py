@@ -156,7 +156,7 @@ class History:
             writer.writerow(
                 [
                     stamp.replace("+00:00", "Z"),
-                    *("" if math.isnan(v) else f"{v:.9g}" for v in values),
+                    *(f"{v:.9g}" if math.isfinite(v) else "" for v in values),
                 ]
             )
         return text.getvalue()

@@ -205,7 +205,7 @@ class ClickPart:
     def _take_height(self) -> None:
         """A flight to a point keeps the height that the aircraft has, unless somebody says so."""
         telemetry = self._deck.agent.telemetry
-        position = None if telemetry is None else telemetry.fresh(Position, within=1.0)
+        position = None if telemetry is None else telemetry.finite(Position, within=1.0)
         if position is not None and position.height_m > LOWEST_M:
             self._pointed = self._pointed.changed("height", round(position.height_m))
             self._numbers["height"].set(self._pointed.height)
@@ -215,7 +215,7 @@ class ClickPart:
 
     def _by_distance(self, _: float | None) -> None:
         telemetry = self._deck.agent.telemetry
-        position = None if telemetry is None else telemetry.fresh(Position, within=1.0)
+        position = None if telemetry is None else telemetry.finite(Position, within=1.0)
         distance, bearing = self._distance.value, self._bearing.value
         if position is None or not _is_number(distance) or not _is_number(bearing):
             return

@@ -261,7 +261,7 @@ class PlanPart:
 
     def _here(self) -> Place | None:
         telemetry = self._deck.agent.telemetry
-        position = None if telemetry is None else telemetry.fresh(Position, within=2.0)
+        position = None if telemetry is None else telemetry.finite(Position, within=2.0)
         return None if position is None else (position.latitude_deg, position.longitude_deg)
 
     def _show(self) -> None:

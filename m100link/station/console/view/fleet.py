@@ -46,7 +46,7 @@ def fleet_of(ships: Sequence[Ship]) -> tuple[FleetRow, ...]:
 
 def _row(ship: Ship) -> FleetRow:
     telemetry = ship.telemetry if ship.is_heard else None
-    position = telemetry.fresh(Position, within=_FRESH) if telemetry is not None else None
+    position = telemetry.finite(Position, within=_FRESH) if telemetry is not None else None
     battery = telemetry.fresh(Battery, within=2 * _FRESH) if telemetry is not None else None
     kind, control = _control(ship)
     return FleetRow(

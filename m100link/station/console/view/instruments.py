@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from m100link.protocol.records import (
     AngularVelocity,
@@ -23,7 +22,7 @@ from m100link.protocol.records import (
 from m100link.station.console.view.inputs import Inputs
 from m100link.station.console.view.units import Quantity
 from m100link.station.console.view.words import Text, say
-from m100link.telemetry.state import AircraftState
+from m100link.telemetry.state import AircraftState, is_finite
 
 __all__ = [
     "FIELDS",
@@ -35,9 +34,6 @@ __all__ = [
     "read",
     "seen_from_afar",
 ]
-
-
-R = TypeVar("R", bound=tuple[Any, ...])
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +98,6 @@ def _place(degrees: float) -> Text:
     return say("instruments.degrees", value=f"{degrees:.6f}")
 
 
-def _is_number(record: tuple[Any, ...]) -> bool:
-    """Whether there is none of NaN and infinity in it: those are no values, however new."""
-    return all(math.isfinite(one) for one in record if isinstance(one, float))
-
-
 def _gimbal(gimbal: Gimbal) -> Text:
     roll, pitch, yaw = map(round, (gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg))
     return say("instruments.gimbal_angles", roll=roll, pitch=pitch, yaw=yaw)
@@ -137,7 +128,7 @@ def read(field: Field, telemetry: AircraftState | None) -> Reading:
     if telemetry is None or record is None:
         never = None if telemetry is None else say("instruments.never")
         return Reading(say("instruments.nothing"), is_stale=True, note=never)
-    if not _is_number(record):
+    if not is_finite(record):
         return Reading(say("instruments.nothing"), is_stale=True)
     age = telemetry.age(field.record) or 0.0
     if age <= field.stale_after:
@@ -158,16 +149,10 @@ class Instruments:
     attitude: tuple[float, float, float] | None
 
 
-def _fresh(telemetry: AircraftState, record: type[R]) -> R | None:
-    """A record of the last second whose values are numbers."""
-    found = telemetry.fresh(record, within=1.0)
-    return found if found is not None and _is_number(found) else None
-
-
 def instruments_of(inputs: Inputs) -> Instruments:
     """The instruments as they are now; what an agent told that is not heard any more is old."""
     telemetry = inputs.telemetry
-    attitude = _fresh(telemetry, Attitude) if telemetry is not None else None
+    attitude = telemetry.finite(Attitude, within=1.0) if telemetry is not None else None
     return Instruments(
         {field.name: read(field, telemetry) for field in FIELDS},
         (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg) if attitude is not None else None,
@@ -182,8 +167,8 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     age = state.newest_age
     if age is not None:
         message["age"] = round(age, 3)
-    attitude, position = _fresh(state, Attitude), _fresh(state, Position)
-    velocity, rates = _fresh(state, Velocity), _fresh(state, AngularVelocity)
+    attitude, position = state.finite(Attitude, within=1.0), state.finite(Position, within=1.0)
+    velocity, rates = state.finite(Velocity, within=1.0), state.finite(AngularVelocity, within=1.0)
     rc = state.fresh(RemoteControl, within=1.0)
     status = state.fresh(FlightStatus, within=2.0)
     if status is not None and status.phase is FlightPhase.STANDBY:
@@ -220,7 +205,7 @@ def seen_from_afar(name: str, state: AircraftState | None) -> dict[str, Any]:
     """What the map draws of an aircraft that the page does not show; no place when it is old."""
     message: dict[str, Any] = {"name": name}
     position = state.fresh(Position, within=1.0) if state is not None else None
-    attitude = state.fresh(Attitude, within=1.0) if state is not None else None
+    attitude = state.finite(Attitude, within=1.0) if state is not None else None
     if position is not None and position.is_possible:
         message["pos"] = [
             round(position.latitude_deg, 7),

@@ -112,7 +112,7 @@ def points(
         [
             round(1000.0 * utc),
             *(
-                None if math.isnan(value) else float(f"{factor * value:.6g}")
+                float(f"{factor * value:.6g}") if math.isfinite(value) else None
                 for value, factor in zip(values, factors, strict=True)
             ),
         ]
