@@ -32,10 +32,10 @@ def pushed(firmware: str, sequence: int, **options: Any) -> bytes:
     return raw_frame(PUSH + known.package(firmware, **options), sequence=sequence)
 
 
-def moved(north: float, east: float, up: float, yaw: float) -> bytes:
+def moved(forward: float, right: float, up: float, yaw: float) -> bytes:
     """A movement by velocity with a yaw rate, as firmware 3.1 takes it: up before yaw."""
-    flag = 0x40 | 0x08 | 0x02  # velocities, a yaw rate, ground frame; stable mode is off
-    return b"\x01\x03" + struct.pack("<B4f", flag, north, east, up, yaw)
+    flag = 0x40 | 0x08 | 0x02  # velocities, a yaw rate, body frame; stable mode is off
+    return b"\x01\x03" + struct.pack("<B4f", flag, forward, right, up, yaw)
 
 
 async def write(
