@@ -226,7 +226,7 @@ SETPOINT = Setpoint(
 
 
 def test_a_setpoint_is_proved_and_packed_as_the_page_says() -> None:
-    """Control flag by DJI's document: 0x40 velocities, 0x08 a yaw rate, 0x00 in the ground frame."""
+    """Control flag by DJI's document: 0x40 velocities, 0x08 a yaw rate, and ground frame."""
     flag = 0x48
     data = b"\x01" + struct.pack("<BQddB4d", 1, 17, 40.25, 0.4, flag, 1.25, -2.5, 0.75, -30.0)
     assert len(data) == 59
