@@ -86,7 +86,6 @@ OLDER: dict[str, dict[str, float]] = {
 WIRE: dict[str, str] = {
     **dict.fromkeys(("time.tick", "time.nanoseconds", "time.sync"), ""),
     **{f"quaternion.q{n}": "" for n in range(4)},
-    **{f"magnetometer.{axis}": "" for axis in "xyz"},
     "acceleration.x": "acceleration.north_m_s2",
     "acceleration.y": "acceleration.east_m_s2",
     "acceleration.z": "acceleration.up_m_s2",
@@ -102,6 +101,7 @@ WIRE: dict[str, str] = {
     "position.altitude": "position.altitude_m",
     "position.height": "position.height_m",
     "position.gps_health": "",
+    **{f"magnetometer.{axis}": "" for axis in "xyz"},
     **dict.fromkeys(("rc.roll", "rc.pitch", "rc.yaw", "rc.throttle", "rc.mode", "rc.gear"), ""),
     "gimbal.roll": "gimbal.roll_deg",
     "gimbal.pitch": "gimbal.pitch_deg",

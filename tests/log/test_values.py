@@ -19,6 +19,7 @@ import pytest
 from m100link.cli.log_tables import csv as log_csv
 from m100link.link import Direction
 from m100link.log import read
+from m100link.log.dissector import _Tables
 from m100link.log.drawing import facts
 from m100link.log.parquet import write_parquet
 from m100link.log.pcapng import write_pcapng
@@ -265,3 +266,53 @@ async def test_the_story_has_each_maximum_in_its_unit(
         **{"control_flag": 0x4A, "roll_or_x": 1.0, "pitch_or_y": -2.0},
         **{"throttle_or_z": 0.5, "yaw": -30.0},
     }
+
+
+# -- the dissector --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+def test_wireshark_reads_each_item_where_it_stands(firmware: str) -> None:
+    """The tables of the plugin, on the package; what its Lua does of them is for tshark."""
+    value = known.package(firmware)
+    [flags] = struct.unpack_from("<H", value)
+    at, found = 2, dict[str, float]()
+    for item in _Tables().made()["telemetry"][firmware]:
+        assert flags & item["flag"], item["name"]
+        for part in item["parts"]:
+            prefix, _, name = part["abbreviation"].rpartition(".")
+            assert prefix == f"m100.telemetry.{item['name']}"
+            assert part["size"] == struct.calcsize("<" + part["format"])
+            [found[f"{item['name']}.{name}"]] = struct.unpack_from(
+                "<" + part["format"], value, at + part["offset"]
+            )
+        at += item["size"]
+    assert at == len(value)
+    are(found, on_the_wire(firmware))
+
+
+def test_wireshark_reads_commands_where_their_values_stand() -> None:
+    """By DJI's document: control flag, x, y, then vertical and yaw; a gimbal's yaw is the first."""
+    made = _Tables().made()
+    fields = {one["abbreviation"]: one["kind"] for one in made["fields"]}
+    assert made["push"] == 0x0200
+    assert made["start"] == 0x3AA3
+    move = made["commands"][0x0103]["forms"][17]
+    names = [(one["abbreviation"].rpartition(".")[2], one["offset"]) for one in move]
+    assert names == [("flag", 0), ("x", 1), ("y", 5), ("throttle", 9), ("yaw", 13)]
+    assert list(made["commands"][0x0103]["by_firmware"]) == ["1.0-document"]
+    [document] = made["commands"][0x0103]["by_firmware"].values()
+    names = [(one["abbreviation"].rpartition(".")[2], one["offset"]) for one in document[17]]
+    assert names == [("flag", 0), ("x", 1), ("y", 5), ("yaw", 9), ("throttle", 13)]
+    gimbal = made["commands"][0x011A]["forms"]
+    [speed] = gimbal.values()
+    angles = [
+        (one["abbreviation"].rpartition(".")[2], one["offset"], one["format"]) for one in speed
+    ]
+    assert angles[:3] == [("yaw", 0, "h"), ("roll", 2, "h"), ("pitch", 4, "h")]
+    assert fields["m100.move.yaw"] == "double"
+    assert fields["m100.telemetry.magnetometer.x"] == "double", "3f by the document, 3h as sent"
+    assert fields["m100.telemetry.rc.throttle"] == "int32"
+    assert fields["m100.telemetry.battery.percent"] == "uint32"
+    words = {one["abbreviation"]: one["words"] for one in made["fields"]}
+    assert words["m100.telemetry.battery.percent"] is None
