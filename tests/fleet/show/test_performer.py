@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
 
-from m100link.errors import AuthorityLost, M100Error, NoAuthority, UsageError
+from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer, Stage
 from m100link.fleet.show.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
 from m100link.fleet.show.track import BadShow
+from m100link.protocol.records import Attitude, Velocity
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
+from m100link.telemetry.state import AircraftState
+from tests import known
 from tests.fleet.conftest import OnBoard, Rig, anyio_backend, rig
 from tests.fleet.show.shows import ORIGIN, track
 
@@ -308,3 +313,20 @@ async def test_somebody_who_has_control_keeps_it(stand: Stand) -> None:
         await stand.rig.until(lambda: performer.stage is LEFT)
         assert isinstance(performer.fault, M100Error)
         assert "has control" in performer.fault.seen
+
+
+async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() -> None:
+    """A place of NaN is near to nobody: the others would fly into it."""
+    state = AircraftState(lambda: 0.25)
+    state.update(known.sample(changed=[Attitude(math.nan, 0, 0, 1), Velocity(math.nan, 1, 2, 7)]))
+    client: Any = SimpleNamespace(
+        telemetry=state, now=5.0, on_event=[], on_steer_refused=[], on_authority_taken=[]
+    )
+    performer = Performer(client, "a1")
+    with pytest.raises(TelemetryStalled, match="nose"):
+        performer._heading()
+    performer.track, performer.stage, performer._start_at = FLOWN, LEFT, 0.0
+    performer.neighbours = cast(Any, SimpleNamespace(show="show"))
+    ahead = performer.ahead()
+    assert ahead is not None
+    assert all(math.isfinite(number) for place in ahead.places for number in place)
