@@ -29,6 +29,7 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.station.console.history import LINE_COLUMNS, History
+from m100link.station.console.view.catalogue import CATALOGUE
 from m100link.station.console.view.fleet import FleetRow, fleet_of
 from m100link.station.console.view.inputs import Inputs, Ship
 from m100link.station.console.view.instruments import instruments_of, live, seen_from_afar
@@ -88,6 +89,32 @@ def test_each_instrument_shows_its_value_and_unit() -> None:
         name: tuple(say(one.text) for say in (METRIC, GERMAN, KNOTS))
         for name, one in readings.items()
     } == INSTRUMENTS
+
+
+FRAMES = {
+    # Of the autopilot; the map's "home" is where it stood last.
+    "instruments.height": ("Height above take-off", "Höhe über Start"),
+    # Errata 45: no sea level; on the ground it may say 0.
+    "instruments.altitude": ("Barometric altitude", "Barometerhöhe"),
+    "plots.field.altitude": ("barometric altitude", "Barometerhöhe"),
+    "instruments.speed": ("Ground speed", "Tempo über Grund"),
+    "plots.field.ground_speed": ("ground speed", "über Grund"),
+    # Where the nose points; the way over ground is another one (and "Kurs" would be that).
+    "instruments.heading": ("Heading", "Steuerkurs"),
+    "click.heading": ("Heading", "Steuerkurs"),
+    "click.yaw": ("Heading, °", "Steuerkurs, °"),
+    "plan.heading": ("Heading, °", "Steuerkurs, °"),
+    "click.height_m": ("Height, {unit}", "Höhe, {unit}"),
+    "plan.height": ("Height, {unit}", "Höhe, {unit}"),
+    "link.rate": ("Hz", "Hz"),
+    "link.jitter": ("jitter, ms", "Jitter, ms"),
+    "link.longest_gap": ("longest gap, s", "längste Lücke, s"),
+}
+
+
+@pytest.mark.parametrize("key", FRAMES)
+def test_a_label_says_in_which_frame_and_unit_its_number_is(key: str) -> None:
+    assert CATALOGUE[key] == FRAMES[key]
 
 
 def test_what_goes_down_below_or_the_other_way_has_its_sign() -> None:

@@ -54,7 +54,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "plots.field.yaw_rate": ("yaw rate", "Gierrate"),
     "plots.field.latitude": ("latitude", "Breite"),
     "plots.field.longitude": ("longitude", "Länge"),
-    "plots.field.altitude": ("altitude", "Höhe über Meer"),
+    "plots.field.altitude": ("barometric altitude", "Barometerhöhe"),
     "plots.field.height": ("height", "Höhe"),
     "plots.field.gps_health": ("GPS health", "GPS-Güte"),
     "plots.field.x": ("x", "x"),
