@@ -28,7 +28,7 @@ async def test_each_field_has_its_reading_and_grows_old(rig: Rig) -> None:
     assert isinstance(telemetry, AircraftState)
     shown = instruments_of(Inputs(telemetry=telemetry))
     assert set(shown.readings) == {field.name for field in FIELDS}
-    assert not shown.readings["heading"].is_stale
+    assert shown.readings["heading"].is_stale is False
     attitude = telemetry.get(Attitude)
     assert attitude is not None
     assert shown.attitude == (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
@@ -38,8 +38,10 @@ async def test_the_socket_tells_speed_over_ground_and_where_to(rig: Rig) -> None
     await anyio.sleep(1.5)  # the flight status comes once a second
     told = live(rig.front.telemetry, 1.0)
     assert told["op"] == "live"
-    assert len(told["vel"]) == 4
-    assert told["ground"]  # home is where it stands
+    assert told["vel"] == [0.0, 0.0, 0.0, 0.0]  # it stands; test_numbers.py has it in flight
+    assert told["ground"] is True  # home is where it stands
+    assert told["att"][:2] == [0.0, 0.0]
+    assert told["pos"][2] == 0.0
     assert len(str(told)) < 400  # twenty times a second
 
 

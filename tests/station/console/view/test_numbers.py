@@ -138,6 +138,13 @@ def test_what_goes_down_below_or_the_other_way_has_its_sign() -> None:
     )
 
 
+def test_a_zero_has_no_minus() -> None:
+    state = heard(Velocity(0.0, -0.0, -0.04, 7), known.position(height=-0.04, altitude=-0.0))
+    readings = instruments_of(Inputs(telemetry=state)).readings
+    said = {name: METRIC(readings[name].text) for name in ("speed", "climb", "height", "altitude")}
+    assert said == {"speed": "0.0 m/s", "climb": "+0.0 m/s", "height": "0.0 m", "altitude": "0.0 m"}
+
+
 def test_the_attitude_is_in_degrees_of_roll_pitch_and_yaw() -> None:
     assert instruments_of(Inputs(telemetry=heard())).attitude == pytest.approx((10, -20, -130))
 
