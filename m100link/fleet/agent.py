@@ -267,6 +267,7 @@ class FleetAgent:
             position = client.telemetry.fresh(Position, within=_FRESH_S)
             battery = client.telemetry.fresh(Battery, within=_FRESH_S)
         is_place = position is not None and position.is_possible
+        is_charge = battery is not None and battery.percent <= 100
         phase = self._orders.phase
         return Card(
             name=self._keys.name,
@@ -286,7 +287,7 @@ class FleetAgent:
             height_m=position.height_m if position is not None and is_place else None,
             latitude_deg=position.latitude_deg if position is not None and is_place else None,
             longitude_deg=position.longitude_deg if position is not None and is_place else None,
-            battery_percent=None if battery is None else battery.percent,
+            battery_percent=battery.percent if battery is not None and is_charge else None,
             lost=self._lost_plan.action,
             lost_after=self._lost_plan.after_s,
             version=m100link.__version__,

@@ -49,7 +49,7 @@ from m100link.fleet.payloads import (
 from m100link.fleet.telemetry import FleetTelemetry
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
-from m100link.protocol.records import FlightPhase
+from m100link.protocol.records import Battery, FlightPhase
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -190,6 +190,11 @@ def test_what_is_not_known_is_null_and_the_card_goes_out(
     assert {name for name in (*UNKNOWN, "battery_percent") if told[name] is None} == missing
     of_mission = json.loads(pack(mission(telemetry))[1:])
     assert (of_mission["distance_m"] is None) is bool(missing)
+
+
+@pytest.mark.parametrize(("charge", "told"), [(0, 0), (100, 100), (101, None), (255, None)])
+def test_a_charge_above_a_hundred_is_none(charge: int, told: int | None) -> None:
+    assert card(heard(Battery(charge))).battery_percent == told
 
 
 def test_below_the_ground_is_negative_and_what_nobody_knows_is_null() -> None:

@@ -48,6 +48,8 @@ def _row(ship: Ship) -> FleetRow:
     telemetry = ship.telemetry if ship.is_heard else None
     position = telemetry.finite(Position, within=_FRESH) if telemetry is not None else None
     battery = telemetry.fresh(Battery, within=2 * _FRESH) if telemetry is not None else None
+    if battery is not None and battery.percent > 100:
+        battery = None
     kind, control = _control(ship)
     return FleetRow(
         ship.name,

@@ -82,6 +82,12 @@ def _device(item: ControlDevice) -> Text:
     return Text(f"instruments.device.{device.name.lower()}")
 
 
+def _charge(battery: Battery) -> Text:
+    if battery.percent > 100:
+        return say("instruments.unknown_code", code=battery.percent)
+    return say("unit.percent", percent=battery.percent)
+
+
 def _gps(position: Position) -> Text:
     health = position.gps_health
     if health is None:
@@ -105,7 +111,7 @@ def _gimbal(gimbal: Gimbal) -> Text:
 
 FIELDS: tuple[Field, ...] = (
     Field("flight_status", FlightStatus, _phase, 2.0),
-    Field("battery", Battery, lambda b: say("unit.percent", percent=b.percent), 3.0),
+    Field("battery", Battery, _charge, 3.0),
     Field("gps", Position, _gps),
     Field("height", Position, lambda p: _value(Quantity.length(p.height_m, 1))),
     Field("altitude", Position, lambda p: _value(Quantity.length(p.altitude_m, 1))),

@@ -138,6 +138,12 @@ def test_what_goes_down_below_or_the_other_way_has_its_sign() -> None:
     )
 
 
+@pytest.mark.parametrize(("charge", "said"), [(0, "0 %"), (100, "100 %"), (101, "101?")])
+def test_a_charge_above_a_hundred_is_none(charge: int, said: str) -> None:
+    readings = instruments_of(Inputs(telemetry=heard(Battery(charge)))).readings
+    assert METRIC(readings["battery"].text) == said
+
+
 def test_a_zero_has_no_minus() -> None:
     state = heard(Velocity(0.0, -0.0, -0.04, 7), known.position(height=-0.04, altitude=-0.0))
     readings = instruments_of(Inputs(telemetry=state)).readings
@@ -212,6 +218,7 @@ def test_a_row_of_the_fleet() -> None:
     assert [say(one.flies) for say in (METRIC, GERMAN)] == ["12 m, landing", "40 ft, landing"]
     assert (METRIC(one.battery), one.is_low) == ("63 %", False)
     assert [row(heard(Battery(charge))).is_low for charge in (25, 26)] == [True, False]
+    assert [METRIC(row(heard(Battery(charge))).battery) for charge in (100, 101)] == ["100 %", "–"]
     below = row(heard(known.position(height=-1.75)))
     assert METRIC(below.flies) == "-2 m"
     # Old after 2 s; the charge comes once a second and may miss more.
