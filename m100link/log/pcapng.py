@@ -20,6 +20,7 @@ LINKTYPE = 147  # DLT_USER0
 _SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
 _NAME, _DESCRIPTION, _RESOLUTION, _FLAGS = 2, 3, 9, 2
 _INBOUND, _OUTBOUND = 1, 2
+_LAST_NS = (1 << 64) - 1
 
 
 def write_pcapng(
@@ -146,7 +147,8 @@ def _plain(piece: bytes, cipher: Cipher) -> Iterator[bytes]:
 
 
 def packet(interface: int, data: bytes, at_ns: int, direction: Direction) -> bytes:
-    """A packet of an interface at a POSIX time, ns."""
+    """A packet of an interface at a POSIX time, ns; times have 64 bits."""
+    at_ns = min(at_ns, _LAST_NS)
     flag = _INBOUND if direction is Direction.RECEIVED else _OUTBOUND
     head = pack("<IIIII", interface, at_ns >> 32, at_ns & 0xFFFFFFFF, len(data), len(data))
     options = _option(_FLAGS, pack("<I", flag)) + _option(0, b"")

@@ -43,6 +43,8 @@ _logger = logging.getLogger(__name__)
 
 _APART_S = 1.0  # at most between the two directions of one time in a file
 
+_MOST_TOLD = 10**9  # µs after a message, or bytes in it: far more than a recorder writes
+
 _AT = itemgetter(1)
 
 
@@ -373,7 +375,7 @@ def _tells_chunks(told: dict[str, Any]) -> bool:
         and isinstance(offsets, list)
         and isinstance(lengths, list)
         and len(offsets) == len(lengths)
-        and all(type(one) is int for one in (*offsets, *lengths))
+        and all(type(one) is int and 0 <= one <= _MOST_TOLD for one in (*offsets, *lengths))
     )
 
 

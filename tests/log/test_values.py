@@ -204,6 +204,16 @@ def test_a_capture_is_what_the_specification_of_pcapng_says() -> None:
         assert options(body[20 + padded :]) == {2: struct.pack("<I", direction)}
 
 
+def test_a_time_beyond_64_bits_is_the_last_one() -> None:
+    """A log's own times have 64 bits of ns; as a float they may be more."""
+    heard = [Chunk(RX, 0.0, (2**64 - 1) / 1e9, b"hello")]
+    log = cast(Any, SimpleNamespace(firmware=None, chunks=lambda: iter(heard)))
+    stream = io.BytesIO()
+    assert write_pcapng(log, stream) == 1
+    (_, body) = blocks(stream.getvalue())[-1]
+    assert struct.unpack_from("<3I", body) == (0, 2**32 - 1, 2**32 - 1)
+
+
 # -- the story ------------------------------------------------------------------------------------
 
 
