@@ -115,7 +115,7 @@ def _unit(value: float | None, unit: str, digits: int = 1) -> str | None:
 
 def clock(seconds: float) -> str:
     """A time as people say it: ``38.8 s``, ``2:05``, ``1:02:05``."""
-    if seconds < 60:
+    if round(seconds, 1) < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
