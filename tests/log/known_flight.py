@@ -24,7 +24,7 @@ UTC = 1_795_420_800.0
 """2026-11-23 08:00:00 UTC, when the clock of the event loop stood at 40 s."""
 
 PUSH = b"\x02\x00"
-SINKING = Velocity(3.21, -1.57, -0.84, 7)
+SINKING = Velocity(3.21, -1.57, -0.62, 7)
 
 
 def pushed(firmware: str, sequence: int, **options: Any) -> bytes:
