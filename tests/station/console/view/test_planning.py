@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -30,6 +31,8 @@ def said(draft: Draft, speaker: Speaker = SAY) -> str:
 def test_a_draft_in_one_line() -> None:
     assert said(Draft()) == "No points yet"
     assert said(DRAFT) == "2 waypoints, 112 m, 20 m to 30 m; 0:26 min, 3 % of a battery"
+    # At 1 m/s nearly two minutes: the way alone takes 112 s.
+    assert re.search(r"; 1:5\d min, 1\d % of", said(replace(DRAFT, speed=1.0)))
     feet = Speaker(Language.GERMAN, Units(LengthUnit.FOOT))
     assert said(DRAFT, feet).startswith("2 Wegpunkte, 367 ft, 66 ft bis 98 ft; 0:26 min")
     assert said(replace(DRAFT, speed=0.0)).endswith("as fast as the pilot's stick")
