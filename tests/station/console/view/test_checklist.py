@@ -13,7 +13,6 @@ from m100link.sim.vehicle.missions.settings import MissionSettings
 from m100link.station.console.view.catalogue import CATALOGUE
 from m100link.station.console.view.checklist import (
     ENOUGH_BATTERY,
-    FREE_FOR_S,
     ITEMS,
     Check,
     Checklist,
@@ -148,7 +147,8 @@ def test_that_the_place_is_free_is_said_by_the_operator_and_holds_for_a_while() 
     desk = ChecklistDesk()
     assert check(desk.look(READY), Item.FREE).state is W
     desk.say_free(READY.now, is_free=True)
-    later = replace(READY, now=READY.now + FREE_FOR_S, telemetry_at=READY.now + FREE_FOR_S)
+    at = READY.now + 5 * 60.0  # the page and the manual say five minutes
+    later = replace(READY, now=at, telemetry_at=at)
     assert desk.look(later).is_green
     assert not desk.look(replace(later, now=later.now + 0.5)).is_free_said
     desk.say_free(later.now, is_free=True)
