@@ -221,6 +221,9 @@ class FileLedger:
             else:
                 self.damaged += 1
                 self._is_sure_who_flew = False
+        if self._flown and not self._is_sure_who_flew:
+            # A later word is lost. The next start reads no damage, and must not be surer than this.
+            self._flown = {"flies": self._flown["flies"]}
         # It rises by a thousand with each start, and so stays behind the calendar.
         return begun, max(fence, int(self._utc())) if self.damaged else fence
 
@@ -231,14 +234,12 @@ class FileLedger:
             return None
         boot, seconds = self._up()
         up = _up_of(kept, boot)
-        if not self._is_sure_who_flew:
-            return LeftAloft(fence, None)  # a later word is lost: nobody is landed for this one
         if up is not None:
             ago = seconds - up
         elif isinstance(at, int | float):
             ago = self._utc() - at  # the computer began anew: its calendar is all there is
         else:
-            return LeftAloft(fence, None)
+            return LeftAloft(fence, None)  # nobody is landed for this one
         return LeftAloft(fence, ago if ago >= 0 else None)
 
     # -- in the event loop -------------------------------------------------------------------------

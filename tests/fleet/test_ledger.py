@@ -6,6 +6,7 @@ import errno
 import os
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 
@@ -404,3 +405,24 @@ async def test_no_loss_of_power_leaves_a_ledger_that_cannot_tell_whether_words_a
             one for one in ("one", "two") if one.encode() in left["a1.jsonl"]
         }
         again.close()
+
+
+def test_a_start_after_damage_is_no_surer_who_flew_than_the_start_before(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    # Sealed, by hand: {"flies": 7, …} is number 1, and the mark says that a number 2 is lost.
+    word = '1 1 {"flies": 7, "at": 1000.0, "boot": "boot", "up": 6.0}'
+    path.write_text(f"{crc32(word.encode()):08x} {word}\n")
+    mark = f"{2:018d} {1:018d}"
+    path.with_suffix(".lock").write_text(f"{crc32(mark.encode()):08x} {mark}\n")
+    for _ in range(3):
+        ledger = opened(path, 1004.0, "boot", 10.0)
+        assert ledger.aloft == LeftAloft(7, None)
+        ledger.close()
+
+
+def test_a_number_that_no_float_holds_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    path.write_text('{"flies": 7, "at": 1' + "0" * 400 + "}\n")
+    ledger = opened(path, 1004.0, "boot", 10.0)
+    assert ledger.damaged == 1
+    ledger.close()
