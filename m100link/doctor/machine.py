@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from m100link.errors.texts import read_path
+
 __all__ = ["Adapter", "Machine", "Permission", "Process"]
 
 _TTY_MASTER = "/dev/ptmx"
@@ -92,7 +94,7 @@ class Machine:
 
     def device(self, path: str) -> Path:
         """The device behind a name: links are followed."""
-        return Path(os.path.realpath(Path(path).expanduser()))
+        return Path(os.path.realpath(read_path(path)))
 
     def permission(self, path: str) -> Permission:
         """Who may open it.
@@ -148,7 +150,7 @@ class Machine:
         """Whether the kernel writes its messages to it."""
         name = self.device(path).name
         try:
-            lines = (self._root / "proc/consoles").read_text(encoding="utf-8").splitlines()
+            lines = (self._root / "proc/consoles").read_text("utf-8", "replace").splitlines()
         except OSError:
             return False
         return any(line.split()[:1] == [name] for line in lines)
@@ -165,7 +167,7 @@ class Machine:
         try:
             state = Path(path).stat()
             numbers = f"c{os.major(state.st_rdev)}:{os.minor(state.st_rdev)}"
-            told = (self._root / "run/udev/data" / numbers).read_text(encoding="utf-8")
+            told = (self._root / "run/udev/data" / numbers).read_text("utf-8", "replace")
         except OSError:
             return False
         return "E:ID_MM_DEVICE_IGNORE=1" in told.splitlines()
@@ -180,10 +182,7 @@ class Machine:
             return set()  # gone meanwhile, or not ours to look into
 
     def _name(self, process: Path) -> str:
-        try:
-            return (process / "comm").read_text(encoding="utf-8").strip()
-        except OSError:
-            return ""
+        return _text(process / "comm")
 
     def _words(self, process: Path) -> list[str]:
         try:

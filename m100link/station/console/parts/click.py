@@ -197,7 +197,9 @@ class ClickPart:
         """A handle on the map was let go: the radius of a circle, or a heading."""
         found = event.args if isinstance(event.args, dict) else {}
         name, value = found.get("name"), found.get("value")
-        if name in _DRAGGED and _is_number(value) and self._is_open and self._deck.tab.has_lease:
+        if not isinstance(name, str) or name not in _DRAGGED:
+            return
+        if _is_number(value) and self._is_open and self._deck.tab.has_lease:
             self._pointed = self._pointed.changed(name, round(value, _DRAGGED[name]))
             self._problem = None
             self._numbers[name].set(getattr(self._pointed, name))
