@@ -20,6 +20,7 @@ from typing import IO
 from zlib import crc32
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_path
 from m100link.wire.cipher import Key
 
 __all__ = [
@@ -142,7 +143,7 @@ def keep_names(folder: Path) -> None:
 
 
 def _read(path: Path, what: str) -> bytes:
-    place = path.expanduser()
+    place = read_path(path)
     try:
         with place.open("rb") as file:
             # The open file is looked at, not the path: that may lead elsewhere by now.

@@ -19,6 +19,7 @@ from m100link.agent.codec import MAX_BYTES, BadValue, Fields
 from m100link.agent.fault import MessageError
 from m100link.agent.messages import Message, Steer, Telemetry
 from m100link.agent.possible import require_possible
+from m100link.errors.texts import read_json
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -147,8 +148,8 @@ def decode(data: bytes) -> Message:
 
 def _from_json(data: bytes) -> Message:
     try:
-        value = json.loads(data, parse_constant=_refuse)
-    except (ValueError, RecursionError):
+        value = read_json(data, constant=_refuse)
+    except ValueError:
         raise MessageError("not a message: this is not JSON") from None
     name = value.pop("kind", None) if isinstance(value, dict) else None
     kind = _KINDS.get(name) if isinstance(name, str) else None

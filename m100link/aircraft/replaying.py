@@ -9,6 +9,7 @@ from urllib.parse import parse_qsl, unquote
 
 from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import BadURL, UsageError
+from m100link.errors.texts import read_path
 from m100link.flight.authority import TRANSITIONS, Authority, AuthorityInput, AuthorityState
 from m100link.link import Tap
 from m100link.link.tap import Listener
@@ -56,9 +57,9 @@ def parse_replay(url: str) -> ReplayURL:
         name, options = target, ""
     if not name:
         raise _bad(url, "names no file")
-    path = Path(name).expanduser()
+    path = read_path(name)
     if "%" in name and not path.exists():
-        path = Path(unquote(name)).expanduser()
+        path = read_path(unquote(name))
     values: dict[str, float] = {}
     for option, text in parse_qsl(options, keep_blank_values=True):
         if option not in _OPTIONS:

@@ -9,7 +9,6 @@ here blocks those threads, and a flood costs the oldest.
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -29,6 +28,7 @@ from m100link.bus.network import (
 )
 from m100link.bus.waiting import AT_ONCE, Bundle, Looks, Patient, Queue, Ring
 from m100link.errors import UsageError
+from m100link.errors.texts import read_json
 
 if TYPE_CHECKING:
     import zenoh
@@ -389,7 +389,7 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
             remedy=f"pip install '.[{opening.extra}]' in a clone of m100link",
         ) from None
     config = _config(opening)
-    mode = str(json.loads(config.get_json("mode") or "null") or "peer")
+    mode = str(read_json(config.get_json("mode") or "null") or "peer")
     is_told = False
     clock = asyncio.get_running_loop().time
     until = clock() + opening.patience_s

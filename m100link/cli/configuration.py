@@ -12,7 +12,6 @@ import os
 import re
 import stat
 import sys
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link.errors import BadURL, UsageError
+from m100link.errors.texts import read_path, read_toml
 from m100link.keyfile import read_watched
 from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
@@ -145,10 +145,10 @@ def read_configuration(path: Path | None = None) -> Configuration:
     try:
         with path.open("rb") as file:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-            tables = tomllib.loads(read_watched(file, path).decode())
+            tables = read_toml(read_watched(file, path))
     except FileNotFoundError:
         return Configuration(path=path)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else str(error)
         raise UsageError(f"{shown(path)} cannot be read: {why}") from error
     if mode & stat.S_IWOTH:
@@ -241,7 +241,7 @@ def _table(path: Path, where: str, table: Any, known: Iterable[str] | None) -> d
         if why := _wrong(name, value):
             raise UsageError(f"{shown(path)} [{where}]: {name} cannot be {value!r}", remedy=why)
         if name in _PATHS and isinstance(value, str):
-            value = path.parent / Path(value).expanduser()
+            value = path.parent / read_path(value)
         made[str(_CALLED.get(name, name))] = value
     return made
 

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_json
 from m100link.fleet.keys import check_name
 from m100link.log.folder import state_folder
 
@@ -64,7 +65,7 @@ def borrowed(site: str, name: str) -> tuple[int, str]:
     """
     path = lease_file(site, name)
     try:
-        found = json.loads(path.read_text(encoding="ascii"))
+        found = read_json(path.read_bytes())
         return int(found["fence"]), str(found["token"])
     except FileNotFoundError:
         raise UsageError(
@@ -73,5 +74,5 @@ def borrowed(site: str, name: str) -> tuple[int, str]:
             remedy=f"m100link fleet lease {name}, or fleet mission fly {name} FILE, in another "
             f"shell; m100link fleet stop {name} needs no lease",
         ) from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise UsageError(f"{path} cannot be read: {error}", remedy="remove it") from error

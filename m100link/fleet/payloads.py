@@ -20,6 +20,7 @@ from m100link.agent.codec import BadValue, Fields
 from m100link.agent.fault import Fault, MessageError
 from m100link.agent.message_bytes import decode, encode
 from m100link.agent.messages import Message, Steer
+from m100link.errors.texts import read_json
 from m100link.fleet.missions.stages import MissionStage
 from m100link.fleet.outcome import Outcome
 
@@ -281,10 +282,10 @@ def unpack(kind: type[Any], payload: bytes) -> Any:
     """
     text = body(payload)
     try:
-        return _FIELDS[kind].read(json.loads(text))
+        return _FIELDS[kind].read(read_json(text))
     except BadValue as error:
         raise MessageError(f"not a {kind.__name__}: {error}") from None
-    except (ValueError, RecursionError):
+    except ValueError:
         raise MessageError(f"not a {kind.__name__}: this is not JSON") from None
 
 

@@ -9,18 +9,18 @@ Pure logic.
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.hashes import SHA256
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_json
 from m100link.fleet.keys import NAME
 
 __all__ = ["LARGEST", "BadRevoked", "Revoked", "Since", "nobody", "sign_revoked"]
@@ -74,13 +74,13 @@ class Revoked:
         line, _, signature = data[: LARGEST + 1].partition(b"\n")
         if len(data) > LARGEST:
             raise BadRevoked(f"more than {LARGEST} bytes are no list of revoked names")
-        key = authority.public_key()
         try:
+            key = authority.public_key()
             if not isinstance(key, ec.EllipticCurvePublicKey):
                 raise BadRevoked("the authority has no key that signs lists of revoked names")
             signed = base64.b64decode(signature.strip(), validate=True)
             key.verify(signed, line + b"\n", ec.ECDSA(SHA256()))
-        except (InvalidSignature, binascii.Error, ValueError) as error:
+        except (InvalidSignature, UnsupportedAlgorithm, ValueError) as error:
             if isinstance(error, BadRevoked):
                 raise
             raise BadRevoked(
@@ -116,7 +116,7 @@ def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePri
 def _read(line: bytes) -> tuple[int, dict[str, str]]:
     """Number and names of a line that the authority has signed."""
     try:
-        found: Any = json.loads(line)
+        found: Any = read_json(line)
         number, names = found["number"], found["names"]
         if found["m100link"] != _KIND:
             raise ValueError(f"it is {found['m100link']!r}")
@@ -125,7 +125,7 @@ def _read(line: bytes) -> tuple[int, dict[str, str]]:
         for name, since in names.items():
             if not NAME.fullmatch(name) or type(since) is not str or len(since) > _MOST_DATE:
                 raise ValueError(f"{name!r} is no name")
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise BadRevoked(
             f"a list of revoked names says what this release cannot read: {error}",
             cause="the authority has a newer release, or signed something else",

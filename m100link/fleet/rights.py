@@ -15,7 +15,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_toml
 from m100link.fleet.keys import NAME
 from m100link.keyfile import read_watched
 
@@ -144,8 +144,8 @@ class Rights:
             BadRights: It says what cannot be.
         """
         try:
-            found = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+            found = read_toml(text)
+        except ValueError as error:
             raise BadRights(f"the file of rights is not TOML: {error}") from error
         _refuse_unknown(found, ("site", "aircraft", "identity"), "the file")
         site = found.get("site", "site")

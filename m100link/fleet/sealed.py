@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any
 from zlib import crc32
 
+from m100link.errors.texts import read_json
+
 __all__ = ["Mark", "Words", "seal", "words"]
 
 _LINE = re.compile(r"([0-9a-f]{8}) ((\d{1,18}) (\d{1,18}) (\{.*\}))", re.DOTALL)
@@ -127,7 +129,7 @@ def _unsealed(line: str) -> tuple[int, int, dict[str, Any]] | None:
 
 def _json(line: str) -> dict[str, Any] | None:
     try:
-        content = json.loads(line)
-    except (ValueError, RecursionError):
+        content = read_json(line)
+    except ValueError:
         return None
     return content if isinstance(content, dict) else None

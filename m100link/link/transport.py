@@ -30,6 +30,7 @@ from m100link.errors import (
     PortNotFound,
     PortPermissionDenied,
 )
+from m100link.errors.texts import read_path
 from m100link.link.gate import GUARDIAN_NAME
 from m100link.link.serial_transport import HIGH_WATER, PORT_GONE, SerialTransport
 from m100link.link.url import EXAMPLES, ConnectionString
@@ -180,9 +181,8 @@ def _close_opened(opening: asyncio.Future[serial.Serial]) -> None:
 def _expanded(path: str) -> str:
     if not path.startswith("~"):
         return path
-    from pathlib import Path
 
-    return str(Path(path).expanduser())
+    return str(read_path(path))
 
 
 def _keep(device: str, transport: SerialTransport) -> None:
@@ -285,7 +285,9 @@ def port_owners(device: str) -> tuple[tuple[int, str], ...]:
         try:
             held = any(os.path.realpath(fd) == wanted for fd in (process / "fd").iterdir())
             if held:
-                owners.append((int(process.name), (process / "comm").read_text().strip()))
+                owners.append(
+                    (int(process.name), (process / "comm").read_text("utf-8", "replace").strip())
+                )
         except OSError:
             continue  # gone meanwhile, or not ours to look into
     return tuple(owners)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from m100link.errors import M100Error, UsageError
+from m100link.errors.texts import read_path
 from m100link.log.recorder import Recorder, is_being_written
 from m100link.log.records import MAGIC, Header, records
 
@@ -36,7 +37,7 @@ def state_folder(environment: Mapping[str, str] | None = None) -> Path:
         environment: Instead of the one of this process.
     """
     named = (os.environ if environment is None else environment).get("XDG_STATE_HOME", "")
-    base = Path(named) if Path(named).is_absolute() else Path("~/.local/state").expanduser()
+    base = Path(named) if Path(named).is_absolute() else read_path("~/.local/state")
     return base / "m100link"
 
 
@@ -73,7 +74,7 @@ class Flights:
         keep_mb: int = 0,
         tell: Callable[[str, str], None],
     ) -> None:
-        self.folder = folder.expanduser()
+        self.folder = read_path(folder)
         self._keep = keep
         self._keep_bytes = keep_mb * 1_000_000
         self._tell = tell

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 from bisect import bisect_left, insort
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from m100link.errors import LayoutMismatch, UsageError
+from m100link.errors.texts import read_json, read_path
 from m100link.link import Direction
 from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX
 from m100link.log.damage import Damage, Losses
@@ -70,7 +70,7 @@ class Message(NamedTuple):
             UsageError: It is not JSON, or not an object: another program wrote it.
         """
         try:
-            content = json.loads(self.data)
+            content = read_json(self.data)
         except ValueError:
             content = None
         if not isinstance(content, dict):
@@ -315,7 +315,7 @@ def read(path: str | os.PathLike[str]) -> FlightLog:
     Raises:
         UsageError: There is no such file, it is not an MCAP file, or the extra ``log`` is missing.
     """
-    place = Path(path).expanduser()
+    place = read_path(path)
     try:
         with place.open("rb") as stream:
             is_mcap = stream.read(len(MAGIC)) == MAGIC or holds_parts(stream)
@@ -345,7 +345,7 @@ def recover(path: str | os.PathLike[str], target: str | os.PathLike[str]) -> int
     """
     source = read(path)
     try:
-        stream = Path(target).expanduser().open("xb")
+        stream = read_path(target).open("xb")
     except OSError as error:
         raise UsageError(
             f"{target} cannot be written: {error.strerror}", remedy="name a new file"

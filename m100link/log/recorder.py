@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_path
 from m100link.link import Direction, Link
 from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Told
 from m100link.log.records import PART_SIZE, mcap_module, registered
@@ -102,7 +103,7 @@ class Recorder:
         if not 0 <= rate_hz < math.inf:
             raise UsageError(f"{rate_hz} Hz is not a rate", remedy="0 for every package")
         writer = mcap_module("writer").Writer
-        self.path, stream = _new_file(Path(path).expanduser())
+        self.path, stream = _new_file(read_path(path))
         self.dropped = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._look: Callable[[], Iterable[Told]] = tuple

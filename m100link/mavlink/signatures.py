@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
+from m100link.errors.texts import read_json
 from m100link.mavlink.codec import LAST_SIGNATURE, NEW_WITHIN, Sender, Signer
 
 __all__ = ["AHEAD", "SignatureMemory", "Snapshot"]
@@ -70,7 +71,7 @@ class SignatureMemory:
             found = _read(self.path)
         except FileNotFoundError:
             return ""
-        except (OSError, ValueError, RecursionError) as error:
+        except (OSError, ValueError) as error:
             self._signer.oldest = now
             return f"{self.path} cannot be read: {error}"
         self._signer.sent = max(self._signer.sent, found.sent)
@@ -107,7 +108,7 @@ class SignatureMemory:
         """
         self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         newest, sent = dict(snapshot.newest), snapshot.sent
-        with contextlib.suppress(OSError, ValueError, RecursionError):
+        with contextlib.suppress(OSError, ValueError):
             # Another bridge with this key may keep its senders here.
             kept = _read(self.path)
             sent = max(sent, kept.sent)
@@ -141,7 +142,7 @@ def _read(path: Path) -> Snapshot:
         data = file.read(_LONGEST + 1)
     if len(data) > _LONGEST:
         raise ValueError("it is too long")
-    told: Any = json.loads(data)
+    told: Any = read_json(data)
     if not (isinstance(told, dict) and isinstance(told.get("newest"), dict)):
         raise ValueError("it is not a memory of signatures")
     # A version before this one wrote no checksum; under any other name it is damaged.

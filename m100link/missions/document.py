@@ -13,6 +13,7 @@ from enum import IntEnum
 from typing import Any
 
 from m100link.errors import BadPlan
+from m100link.errors.texts import read_json
 from m100link.missions.waypoint import (
     AtEnd,
     GimbalPitch,
@@ -108,14 +109,12 @@ def load_object(text: str | bytes) -> dict[str, Any]:
     """
     try:
         decoded = text.decode("utf-8-sig") if isinstance(text, bytes) else text.lstrip("\ufeff")
-        value = json.loads(decoded, object_pairs_hook=_object)
+        value = read_json(decoded, pairs=_object)
     except UnicodeDecodeError as error:
         raise BadPlan(
             f"the file is not text: byte {error.start} is not UTF-8",
             remedy="give a plan as JSON, or a .plan of QGroundControl",
         ) from None
-    except RecursionError:
-        raise BadPlan("the JSON is nested too deeply to be a plan") from None
     except BadPlan:
         raise
     except ValueError as error:

@@ -20,6 +20,7 @@ from typing import Any
 
 from m100link.agent.fault import Fault
 from m100link.errors import M100Error
+from m100link.errors.texts import read_json
 from m100link.station.log_output import LogOutput, in_force, writing_log
 
 __all__ = [
@@ -127,7 +128,7 @@ class Child:
 
     def _take_answer(self, line: bytes) -> None:
         try:
-            answer = json.loads(line)
+            answer = read_json(line)
         except ValueError:
             raise M100Error(
                 f"{self._called}: the process ended before it served",

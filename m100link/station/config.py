@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import re
 import secrets
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_path, read_toml
 from m100link.keyfile import read_key, read_token, read_watched
 from m100link.protocol.commands.activation import Credentials
 from m100link.station.launch import read_launch
@@ -349,21 +349,21 @@ def _is_shadowed(name: str, values: Mapping[str, Any]) -> bool:
 
 def _read_toml(path: Path) -> Mapping[str, Any]:
     try:
-        with path.expanduser().open("rb") as file:
-            table = tomllib.loads(read_watched(file, path).decode())
+        with read_path(path).open("rb") as file:
+            table = read_toml(read_watched(file, path))
     except OSError as error:
         raise UsageError(
             f"{path} cannot be read: {error.strerror}", remedy="check the path, and who may read it"
         ) from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except ValueError as error:
         raise UsageError(f"{path} cannot be read: {error}") from error
     table = table.get("station", table)
+    if not isinstance(table, dict):
+        raise UsageError(f"{path}: station is no table", remedy="[station] on a line of its own")
     for name in table:
         if name not in _KINDS:
             known = ", ".join(_KINDS)
             raise UsageError(f"{path}: there is no setting {name!r}", remedy=f"there are: {known}")
-    if not isinstance(table, dict):
-        raise UsageError(f"{path}: station is a table")
     return table
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import json
 import os
 import signal
 import socket
@@ -22,6 +21,7 @@ from typing import Any
 from m100link.agent.carriers.unix import connect_unix
 from m100link.agent.fault import Fault
 from m100link.errors import M100Error
+from m100link.errors.texts import read_json
 from m100link.station.child import answer, end_with_parent, leave_what_stays, logging_as_told
 from m100link.station.config import resolve
 from m100link.station.console.orders import orders_by_socket
@@ -76,7 +76,7 @@ async def _until_ended(ended: asyncio.Event, fronts: Fronts, parent_ended: async
 
 def main() -> int:
     """Serve until told to end."""
-    request = json.loads(sys.stdin.readline())
+    request = read_json(sys.stdin.readline())
     try:
         with logging_as_told(request):
             asyncio.run(_serve(request))

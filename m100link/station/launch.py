@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_path
 
 __all__ = ["LAUNCH_NAMES", "read_launch"]
 
@@ -36,7 +37,7 @@ def read_launch(path: Path) -> tuple[dict[str, str | int], list[str]]:
             roslaunch to be understood.
     """
     try:
-        text = path.expanduser().read_bytes()
+        text = read_path(path).read_bytes()
     except OSError as error:
         raise UsageError(
             f"the launch file cannot be read: {path}: {error.strerror}",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import json
 import signal
 import sys
 from contextlib import AsyncExitStack
@@ -20,6 +19,7 @@ from m100link.agent.carriers.unix import serve_unix
 from m100link.agent.fault import Fault
 from m100link.agent.journal import JOURNAL_LOG
 from m100link.errors import M100Error
+from m100link.errors.texts import read_json
 from m100link.sim.orders.ctl import CtlServer
 from m100link.station.child import answer, end_with_parent, leave_what_stays, logging_as_told
 from m100link.station.config import resolve
@@ -62,7 +62,7 @@ async def _own(request: dict[str, Any]) -> None:
 
 def main() -> int:
     """Own the aircraft until told to end."""
-    request = json.loads(sys.stdin.readline())
+    request = read_json(sys.stdin.readline())
     try:
         with logging_as_told(request):
             asyncio.run(_own(request))

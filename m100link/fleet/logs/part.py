@@ -17,6 +17,7 @@ from pathlib import Path
 
 from m100link.errors import UsageError
 from m100link.keyfile import keep_names
+from m100link.errors.texts import read_path
 
 __all__ = ["Part"]
 
@@ -40,7 +41,7 @@ class Part:
     """
 
     def __init__(self, folder: Path, name: str) -> None:
-        self.whole = folder.expanduser() / name
+        self.whole = read_path(folder) / name
         self.path = self.whole.with_name(f"{name}.part")
         self.at = 0
         self._file: FileIO | None = None

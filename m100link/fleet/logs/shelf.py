@@ -17,6 +17,7 @@ from io import FileIO
 from pathlib import Path
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_path
 from m100link.fleet.logs.words import LogEntry
 from m100link.log.folder import is_log_name
 from m100link.log.recorder import is_being_written
@@ -36,7 +37,7 @@ class Shelf:
     """
 
     def __init__(self, folder: Path | None) -> None:
-        self._folder = None if folder is None else folder.expanduser()
+        self._folder = None if folder is None else read_path(folder)
 
     def entries(self) -> list[LogEntry]:
         """The logs, the newest first."""

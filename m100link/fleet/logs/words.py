@@ -13,6 +13,7 @@ from typing import Any
 
 from m100link.agent.codec import BadValue, Fields
 from m100link.agent.fault import Fault, MessageError
+from m100link.errors.texts import read_json
 from m100link.fleet.outcome import Outcome
 from m100link.fleet.payloads import VERSION, body
 from m100link.log.folder import is_log_name
@@ -193,8 +194,8 @@ def unpack_entries(data: bytes) -> list[LogEntry]:
 
 def _json(data: bytes, what: str) -> object:
     try:
-        return json.loads(data)
-    except (ValueError, RecursionError):
+        return read_json(data)
+    except ValueError:
         raise MessageError(f"this is no {what}: it is not JSON") from None
 
 

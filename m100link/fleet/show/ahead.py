@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Self
 
+from m100link.errors.texts import read_json
 from m100link.fleet.show.distance import apart
 from m100link.fleet.show.silence import RestOfTrack, nearest
 from m100link.fleet.show.track import BadShow, TimedTrack, Vector
@@ -109,10 +110,10 @@ class Ahead:
         try:
             if len(data) > _MOST_BYTES:
                 raise ValueError("too long")
-            show, name, at, down_from, places = json.loads(data)
+            show, name, at, down_from, places = read_json(data)
             found = tuple((float(n), float(e), float(h)) for n, e, h in places)
             times = float(at), float(down_from)
-        except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             raise BadShow(f"where an aircraft will be cannot be read: {error}") from None
         numbers = [*times, *(one for place in found for one in place)]
         if not found or not all(abs(one) <= _MOST_M for one in numbers):  # NaN is no number

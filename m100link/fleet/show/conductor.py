@@ -20,6 +20,7 @@ from typing import Any
 from m100link.agent.fault import MessageError
 from m100link.bus.network import Bus
 from m100link.errors import M100Error, Unreachable
+from m100link.errors.texts import read_json
 from m100link.fleet.answers import believed
 from m100link.fleet.asking import Sign
 from m100link.fleet.keys import Keys, session_in
@@ -296,12 +297,19 @@ class Conductor:
 
 
 def _part(reply: Reply) -> Part:
-    told = json.loads(reply.text)
-    return Part(
-        reply.name,
-        Stage(told["stage"]),
-        str(told["digest"]),
-        float(told["farthest_m"]),
-        str(told["why"]),
-        reply.clock,
-    )
+    try:
+        told = read_json(reply.text)
+        return Part(
+            reply.name,
+            Stage(told["stage"]),
+            str(told["digest"]),
+            float(told["farthest_m"]),
+            str(told["why"]),
+            reply.clock,
+        )
+    except (ValueError, TypeError, KeyError) as error:
+        raise MessageError(
+            f"where {reply.name} stands in the show cannot be read: {error!r}",
+            cause="its agent has another release",
+            remedy="install the same release on both",
+        ) from error

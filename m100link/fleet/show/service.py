@@ -16,6 +16,7 @@ from m100link.agent.client import AgentClient
 from m100link.agent.fault import MessageError, fault_of
 from m100link.bus.network import Bus, Question
 from m100link.errors import M100Error, NotAllowed
+from m100link.errors.texts import read_json
 from m100link.fleet.agent import Verify
 from m100link.fleet.keys import Keys, name_in
 from m100link.fleet.namesake import Namesakes
@@ -245,8 +246,8 @@ def _read(message: bytes) -> dict[str, Any]:
     if not message.startswith(SHOW):
         raise MessageError("an order came where shows are asked, and is about none")
     try:
-        found = json.loads(message[len(SHOW) :])
-    except (ValueError, RecursionError) as error:
+        found = read_json(message[len(SHOW) :])
+    except ValueError as error:
         raise MessageError("an order to a show is not JSON") from error
     if not isinstance(found, dict):
         raise MessageError("an order to a show is no object")

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from m100link.errors import M100Error, UsageError
+from m100link.errors.texts import read_json
 from m100link.sim.orders.actions import perform, status
 from m100link.sim.ports.tcp import stop_listening
 
@@ -102,7 +103,7 @@ class CtlServer:
     def answer(self, line: bytes) -> dict[str, Any]:
         """Carry out one request."""
         try:
-            request = json.loads(line)
+            request = read_json(line)
             index, order = request.get("aircraft", 0), request["order"]
             aircraft = self._aircraft[index]
             perform(aircraft, order)
@@ -145,7 +146,7 @@ def send_order(
             request = {"aircraft": aircraft, "order": order}
             connection.sendall(json.dumps(request).encode() + b"\n")
             with connection.makefile("rb") as answers:
-                answer: dict[str, Any] = json.loads(answers.readline(_LIMIT))
+                answer: dict[str, Any] = read_json(answers.readline(_LIMIT))
         except (OSError, ValueError) as error:
             raise NoSimulator(
                 f"the simulator at {path} does not answer: {error}",

@@ -19,18 +19,20 @@ TOML, one table per step, in any order; the words are those of :mod:`m100link.si
 from __future__ import annotations
 
 import math
-import tomllib
+import re
 from bisect import insort
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_toml
 from m100link.sim.orders.actions import ACTIONS, perform
 from m100link.sim.virtual import VirtualAircraft
 
 __all__ = ["Scenario", "Step"]
 
+_WAYPOINT = re.compile(r"[0-9]{1,6}")
 _EVENT = "waypoint"
 
 
@@ -69,10 +71,10 @@ class Scenario:
             UsageError: It is not there, is not TOML, or a step cannot be one.
         """
         try:
-            content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            content = read_toml(Path(path).read_bytes())
         except OSError as error:
             raise UsageError(f"{path}: {error.strerror}") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except ValueError as error:
             raise UsageError(f"{path} is not TOML: {error}") from error
         steps = content.get("step", [])
         if not isinstance(steps, list) or set(content) - {"step"}:
@@ -136,7 +138,7 @@ def _read_step(table: Any, place: str) -> list[Step]:
     at, waypoint = _time(table.get(name, 0.0), name, place), None
     if "when" in keys:
         words = str(table["when"]).split()
-        if len(words) != 2 or words[0] != _EVENT or not words[1].isdecimal():
+        if len(words) != 2 or words[0] != _EVENT or not _WAYPOINT.fullmatch(words[1]):
             raise UsageError(f"{place}: 'when' is \"waypoint 3\", not {table['when']!r}")
         waypoint = int(words[1])
     orders = table["do"]

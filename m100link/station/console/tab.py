@@ -13,7 +13,6 @@ nobody steers by a picture that is old.
 from __future__ import annotations
 
 import asyncio
-import json
 import math
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeGuard
@@ -30,6 +29,7 @@ from m100link.agent.way_time import (
     WayTime,
 )
 from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NotObserved
+from m100link.errors.texts import read_json
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
@@ -464,8 +464,8 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
     if len(text) > MAX_BEAT:
         return None
     try:
-        message = json.loads(text)
-    except (ValueError, RecursionError):
+        message = read_json(text)
+    except ValueError:
         return None
     if not isinstance(message, dict) or message.get("op") not in ("beat", "rest", "alive", "stop"):
         return None

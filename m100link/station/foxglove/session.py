@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from m100link.errors.texts import read_json
 from m100link.station.ros.allowance import Allowance
 
 __all__ = ["SUBPROTOCOLS", "Channel", "Viewer"]
@@ -107,7 +108,7 @@ class Viewer:
             self._warn("nothing can be published here")
             return
         try:
-            message = json.loads(frame)
+            message = read_json(frame)
             operation = message["op"]
             if operation == "subscribe":
                 for one in message["subscriptions"]:
@@ -117,7 +118,7 @@ class Viewer:
                     self._unsubscribe(number)
             else:
                 self._warn(f"{str(operation)[:40]} cannot be done here: this server is for looking")
-        except (ValueError, LookupError, TypeError, RecursionError):
+        except (ValueError, LookupError, TypeError):
             self._warn("a message that was not understood")
 
     def _subscribe(self, number: object, channel: object) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from m100link.errors.texts import read_json
 from m100link.station.ros.allowance import Allowance
 from m100link.station.ros.encoding import Reassembly, to_cbor, to_png
 from m100link.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
@@ -207,8 +208,8 @@ class Client:
         if len(frame) > self.limits.message_size:
             raise _Fault(f"a frame has at most {self.limits.message_size} bytes")
         try:
-            message = json.loads(frame, parse_constant=_refuse_constant)
-        except (ValueError, RecursionError) as error:
+            message = read_json(frame, constant=_refuse_constant)
+        except ValueError as error:
             raise _Fault(f"this is not JSON: {str(error)[:200]}") from None
         if not isinstance(message, dict):
             raise _Fault("a frame is a JSON object")
@@ -380,7 +381,7 @@ class Client:
         size, compression = packing
         text = _response(name, identity, values, result)
         if compression in ("cbor", "cbor-raw"):
-            self._answer(to_cbor(json.loads(text)))
+            self._answer(to_cbor(read_json(text)))
             return
         if compression == "png":
             text = to_png(text)

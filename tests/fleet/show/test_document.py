@@ -104,7 +104,7 @@ POINT = ("aircraft", 1, "waypoints", 2)
         (at(*POINT, "height")(True), "a2, point 2: height is true"),
         (at(*POINT, "north")(math.nan), "a2, point 2: north is NaN"),
         (at(*POINT, "at")(12), "a2: point 2 is at 12 s, the one before at 12 s"),
-        (at(*POINT, "at")(10**400), "a2, point 2: at is 1000"),
+        (at(*POINT, "at")(10**400), "an integer of 401 digits"),
         (
             at(*POINT)({"at": 24, "latitude_deg": 95, "longitude_deg": 4, "height": 5}),
             "a2, point 2 is at 95° 4°",

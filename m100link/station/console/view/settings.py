@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
 
+from m100link.errors.texts import read_json
 from m100link.station.console.view.units import Language, LengthUnit, SpeedUnit, Units
 from m100link.station.console.view.words import Speaker
 
@@ -69,8 +70,8 @@ class Settings:
         if not isinstance(text, str) or len(text) > _MAX_TEXT:
             return cls()
         try:
-            kept = json.loads(text)
-        except (ValueError, RecursionError):
+            kept = read_json(text)
+        except ValueError:
             return cls()
         if not isinstance(kept, dict):
             return cls()

@@ -1,0 +1,97 @@
+"""Read JSON, TOML and paths of others: whatever is wrong with a text is one ValueError.
+
+The parsers of Python raise RecursionError for deep nesting, pass integers on that no float holds,
+and return halves of characters, which no file and no socket takes. A home folder of nobody is a
+RuntimeError. So nothing else in the package calls them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+__all__ = ["read_json", "read_path", "read_toml"]
+
+_MOST_DIGITS = 300
+"""Digits of an integer: a float holds up to 308."""
+
+_MANY_DIGITS = re.compile(rf"[0-9]{{{_MOST_DIGITS}}}")
+_HALF = re.compile(r"\\u[dD][89a-fA-F]")
+
+
+def read_json(
+    text: str | bytes,
+    *,
+    constant: Callable[[str], Any] | None = None,
+    pairs: Callable[[list[tuple[str, Any]]], Any] | None = None,
+) -> Any:
+    """Return the value of a JSON text in UTF-8.
+
+    Args:
+        text: The text.
+        constant: Called with ``NaN``, ``Infinity`` and ``-Infinity``; by default they are numbers.
+        pairs: Makes each object of its names and values; by default a dict.
+
+    Raises:
+        ValueError: The text is not JSON or not UTF-8, is nested too deeply, has an integer of more
+            than 300 digits, or half of a surrogate pair.
+    """
+    decoded = text if isinstance(text, str) else text.decode()
+    if isinstance(text, str) and not text.isascii():
+        text.encode()
+    whole = _whole if _MANY_DIGITS.search(decoded) else None
+    try:
+        value = json.loads(
+            decoded, parse_int=whole, parse_constant=constant, object_pairs_hook=pairs
+        )
+        if _HALF.search(decoded):
+            json.dumps(value, ensure_ascii=False, default=repr).encode()
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    return value
+
+
+def read_toml(text: str | bytes) -> dict[str, Any]:
+    """Return the tables of a TOML text in UTF-8.
+
+    Raises:
+        ValueError: The text is not TOML or not UTF-8, is nested too deeply, or has an integer that
+            no float holds.
+    """
+    decoded = text if isinstance(text, str) else text.decode()
+    try:
+        tables = tomllib.loads(decoded)
+        _check_integers(tables)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    return tables
+
+
+def read_path(text: str | os.PathLike[str]) -> Path:
+    """Return a path with the home folder for its ``~``; one of an unknown user stays as it is."""
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:
+        return Path(text)
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > _MOST_DIGITS:
+        raise ValueError(f"an integer of {len(digits)} digits")
+    return int(digits)
+
+
+def _check_integers(value: object) -> None:
+    if isinstance(value, Mapping):
+        for one in value.values():
+            _check_integers(one)
+    elif isinstance(value, list):
+        for one in value:
+            _check_integers(one)
+    elif isinstance(value, int) and value.bit_length() > 3 * _MOST_DIGITS:
+        raise ValueError("an integer that is far too large")

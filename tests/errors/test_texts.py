@@ -1,0 +1,85 @@
+"""Texts of others: whatever is wrong with one is a ValueError."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from m100link.errors.texts import read_json, read_path, read_toml
+from tests.test_house import PACKAGE, ROOT
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 100_000,
+        '{"a":' * 100_000,
+        "9" * 301,
+        "9" * 5000,
+        '{"a": -' + "9" * 400 + "}",
+        '"\\ud800"',
+        '{"\\uDC00": 1}',
+        "\ud800",
+        '"\ud800"',
+        b'"\xed\xa0\x80"',
+        b"\xff",
+        b"\xff\xfe1\x00",  # JSON is UTF-8 (RFC 8259, 8.1)
+        "",
+        "{",
+    ],
+)
+def test_what_is_wrong_with_json_is_a_value_error(text: str | bytes) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        read_json(text)
+
+
+def test_json_is_read_as_it_is_meant() -> None:
+    whole = "9" * 300
+    assert read_json(b'{"a": [1, 2.5, null, true], "b": "\xc3\xa4"}') == {
+        "a": [1, 2.5, None, True],
+        "b": "ä",
+    }
+    assert read_json(whole) == int(whole)
+    assert read_json('"\\ud83d\\ude00"') == "\U0001f600"
+    assert read_json('"' + "9" * 500 + '"') == "9" * 500
+    assert read_json('[{"a": 1}]', pairs=tuple) == [(("a", 1),)]
+    assert read_json("NaN", constant=lambda name: name) == "NaN"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 5000,
+        "a = " + "{b=" * 5000,
+        "a = " + "9" * 5000,
+        "a = 0x" + "f" * 400,
+        "a = [{b = 0x" + "f" * 400 + "}]",
+        "a",
+        b"a = '\xff'",
+    ],
+)
+def test_what_is_wrong_with_toml_is_a_value_error(text: str | bytes) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        read_toml(text)
+
+
+def test_toml_is_read_as_it_is_meant() -> None:
+    assert read_toml(b'a = 0x10\n[b]\nc = [1.5, "\xc3\xa4"]') == {"a": 16, "b": {"c": [1.5, "ä"]}}
+
+
+def test_a_home_of_nobody_stays_as_it_is() -> None:
+    assert read_path("~nobody_of_that_name/x") == Path("~nobody_of_that_name/x")
+    assert read_path("~/x") == Path.home() / "x"
+
+
+def test_nothing_else_in_the_package_parses_texts() -> None:
+    """Each place that did forgot one of the errors."""
+    words = ("json.loads", "json.load(", "tomllib", ".expanduser(", "JSONDecoder")
+    found = {
+        f"{path.relative_to(ROOT)}: {word}"
+        for path in PACKAGE.rglob("*.py")
+        for word in words
+        if word in path.read_text(encoding="utf-8") and path.name != "texts.py"
+    }
+    assert found == set()
