@@ -527,7 +527,7 @@ def orders(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def fuzz(session: nox.Session) -> None:
-    """Mutated inputs for whatever reads bytes of others; half an hour. `-- --engine atheris`."""
+    """Mutated inputs for whatever reads bytes of others; an hour. `-- --engine atheris`."""
     install(session, PACKAGE, *group("test"))
     if "atheris" in session.posargs:
         session.install("atheris>=3")  # in no group: it has wheels for few systems

@@ -7,12 +7,13 @@ from random import Random
 
 __all__ = ["MOST", "changed"]
 
-MOST = 4096
+MOST = 8192
 """Longest input, bytes."""
 
 _INTERESTING = (
     *(b"\0", b"\xff", b"\x7f", b"\x80", b"\xaa", b"\xff\xff", b"\x0c\x00", b"\xff\x03"),
     *(b'"', b"{", b"}", b"[", b"]", b"\\u0000", b"NaN", b"1e999", b"-1", b"null", b"99999999999"),
+    *(b"[" * 3000, b'{"a":' * 1000, b"9" * 400, b"9" * 4400, b"\\ud800", b"1e400"),
     *(b"<", b"&", b"<!", b"$(", b"\n", b"=", b"'''", b"\xef\xbb\xbf", b"\xed\xa0\x80"),
 )
 

@@ -65,7 +65,8 @@ def execute(name: str, target: Target, executions: int, seed: int) -> Told:
         Finding: With the input.
     """
     dice, seeds, told = Random(f"{seed} {name}"), target.seeds(), Told()
-    for one in seeds:
+    target.begin()
+    for one in seeds[:: max(1, len(seeds) // max(1, executions))]:
         target.read(one)
     settled = sys.getallocatedblocks()
     for number in range(executions):
@@ -76,7 +77,7 @@ def execute(name: str, target: Target, executions: int, seed: int) -> Told:
         except target.refuses:
             told.refused += 1
         except Exception as error:
-            raise Finding(f"{name}, seed {seed}: {error!r} for {data!r}") from error
+            raise Finding(f"{name}, seed {seed}, {number}: {error!r} for {data!r}") from error
         cost = time.thread_time() - begin
         if cost > told.slowest:
             # By itself: what the processor did for others, and garbage, come by chance.
@@ -89,6 +90,7 @@ def execute(name: str, target: Target, executions: int, seed: int) -> Told:
             settled = sys.getallocatedblocks()
     gc.collect()
     told.executions = executions
+    target.begin()
     told.stayed = sys.getallocatedblocks() - settled
     if told.stayed > _BLOCKS_KEPT + _BLOCKS_PER_EXECUTION * executions:
         raise Finding(f"{name}, seed {seed}: {told.stayed} blocks of memory stayed")

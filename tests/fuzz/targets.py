@@ -7,8 +7,6 @@ the bytes were cut, answers that JSON can carry, one typed error and no other.
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,9 +18,11 @@ from m100link.agent.fault import MessageError
 from m100link.agent.message_bytes import decode as decode_message
 from m100link.agent.message_bytes import encode as encode_message
 from m100link.agent.messages import Event, Hello, LeaseChanged, State
+from m100link.aircraft.replaying import parse_replay
 from m100link.cli.configuration import read_configuration
 from m100link.cli.decode import decode_stream
 from m100link.errors import BadPlan, BadURL, LayoutMismatch, M100Error, UsageError
+from m100link.fleet.rights import Rights
 from m100link.link.url import parse_url
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.command import plain
@@ -30,11 +30,15 @@ from m100link.protocol.commands.registry import COMMANDS, parse_command
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.packet import TelemetryPacket
 from m100link.sim.orders.scenario import Scenario
+from m100link.sim.ports.url import aircraft_of, speed_of
 from m100link.station.launch import read_launch
 from m100link.station.ros.client import Client
 from m100link.station.ros.graph import Graph
 from m100link.station.ros.rosapi import add_rosapi
 from m100link.wire import Cipher, FrameDecoder
+from tests.fleet.show.shows import FIVE
+from tests.fuzz import files, worlds
+from tests.fuzz.worlds import World
 
 __all__ = ["TARGETS", "Target"]
 
@@ -59,6 +63,11 @@ class Target:
     refuses: tuple[type[Exception], ...] = ()
     tokens: tuple[bytes, ...] = ()
     share: int = 10
+
+    def begin(self) -> None:
+        """Forget what was read before: what follows depends on its inputs alone."""
+        if isinstance(self.read, World):
+            self.read.begin()
 
 
 def _vectors(name: str, field: str) -> list[bytes]:
@@ -182,23 +191,6 @@ _MESSAGES = (
 )
 
 
-@cache
-def _place() -> Path:
-    """A file of this process, in memory where the system has a place for that."""
-    memory = Path("/dev/shm")
-    where = memory if os.access(memory, os.W_OK) else None
-    return Path(tempfile.mkdtemp(prefix="m100link-fuzz-", dir=where)) / "input"
-
-
-def _of_file(read: Callable[[Path], object]) -> Callable[[bytes], object]:
-    def work(data: bytes) -> object:
-        path = _place()
-        path.write_bytes(data)
-        return read(path)
-
-    return work
-
-
 _OPERATIONS = [
     '{"op":"subscribe","topic":"/height","throttle_rate":50,"queue_length":3,"id":"a"}',
     """{"op":"advertise","topic":"/joy","type":"sensor_msgs/Joy"}
@@ -253,6 +245,82 @@ def _plans() -> list[bytes]:
     return [plan.to_json().encode(), plan.to_qgroundcontrol().encode()]
 
 
+def _shows() -> list[bytes]:
+    whole = json.loads(FIVE.read_text("utf-8"))
+    whole["aircraft"] = [one | {"waypoints": one["waypoints"][:3]} for one in whole["aircraft"][:2]]
+    return [json.dumps(whole).encode()]
+
+
+def _read_plan(data: bytes) -> None:
+    plan = WaypointPlan.parse(data)
+    assert WaypointPlan.parse(plan.to_json()) == plan
+    plan.to_wire()
+    with suppress(BadPlan):  # it cannot say everything
+        WaypointPlan.parse(plan.to_qgroundcontrol())
+
+
+def _read_url(data: bytes) -> None:
+    text = data.decode("utf-8", "replace")
+    if text.startswith("replay:"):
+        parse_replay(text)
+    elif text.startswith("sim:"):
+        aircraft_of(text)
+        speed_of(text)
+    else:
+        parse_url(text)
+
+
+_SIGNATURES = b'{"sent": 900, "newest": {"255.190.1": 800}}'
+_EVENTS = [
+    b'{"press": 3, "at": 12.5, "shown": "fly"}',
+    b'{"view": "fly", "place": [52.1, 4.3], "index": 1, "kind": "corner"}',
+    b'{"view": "plan", "place": [52.1, 4.3], "index": 1, "text": "{}"}',
+    b'{"name": "radius", "value": 12.0}',
+    b'{"language": "en", "length": "m", "speed": "m/s", "sound": true, "name": "anna"}',
+    b'"start"',
+]
+_TOKENS = [
+    b"@ros2_lv/0/0123456789abcdef/0/0/NN/%/%/m100",
+    b"@ros2_lv/0/0123456789abcdef/0/1/MP/%/%/m100/%m100%imu/sensor_msgs::msg::dds_::Imu_/x/::,10",
+    b"m100/field/a1/cmd",
+]
+_FOXGLOVE = [
+    b'{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 2}]}',
+    b'{"op": "unsubscribe", "subscriptionIds": [1]}',
+    b'{"op": "advertise"}',
+]
+_REQUESTS = [
+    b"/console/?token=0123456789abcdefXY&a=b\nhost: 127.0.0.1\norigin: http://127.0.0.1",
+    b"/?code=1\nhost: station\ncookie: m100link=1\nauthorization: Bearer 0123456789abcdefXY",
+    b"/\nhost: [::1]:9090\nsec-fetch-site: cross-site\nsec-fetch-mode: navigate",
+]
+_REQUESTS.append(_REQUESTS[2] + b"\nsec-fetch-dest: document")
+_ORDERS = [
+    b'{"aircraft": 0, "order": ["rc-mode", "P"]}',
+    b'{"aircraft": 0, "order": ["faults", "loss=0.2", "delay=0.05"]}',
+    b'{"aircraft": 0, "order": ["battery", "12"]}',
+    b'{"aircraft": 0, "order": ["message", "hex=0a0b"]}',
+    b'{"order": ["status"]}',
+]
+_RIGHTS = """site = "field"
+[aircraft.a1]
+[aircraft.a2]
+common_name = "board-7"
+[identity.anna]
+public_key = "{}"
+fly = ["a1"]
+stop = ["*"]
+""".format("0a" * 32)
+_STATION = """[station]
+port = 9090
+app_id = 0x10
+timeout = 2.0
+sim = true
+allow_host = ["station"]
+key_file = "key"
+"""
+
+
 TARGETS: dict[str, Target] = {
     "frames": Target(_read_frames, _streams, share=330),
     "frames with a key": Target(lambda d: _read_frames(d, _cipher()), _streams, share=200),
@@ -267,24 +335,86 @@ TARGETS: dict[str, Target] = {
         _message, lambda: [encode_message(one) for one in _MESSAGES], (MessageError,), share=20
     ),
     "launch file": Target(
-        _of_file(read_launch), lambda: [_LAUNCH.encode()], (UsageError,), (b"<param ", b"<!DOCTYPE")
+        files.of_file(read_launch),
+        lambda: [_LAUNCH.encode()],
+        (UsageError,),
+        (b"<param ", b"<!DOCTYPE"),
     ),
     "scenario": Target(
-        _of_file(Scenario.read), lambda: [_SCENARIO.encode()], (UsageError,), (b"[[step]]", b"at =")
+        files.of_file(Scenario.read),
+        lambda: [_SCENARIO.encode()],
+        (UsageError,),
+        (b"[[step]]", b"at ="),
     ),
     "configuration": Target(
-        _of_file(read_configuration),
+        files.of_file(read_configuration),
         lambda: [_CONFIGURATION.encode()],
         (UsageError, BadURL),
         (b"[aircraft.", b"url ="),
     ),
-    "plan": Target(WaypointPlan.parse, _plans, (BadPlan,), (b'"command":', b"SimpleItem"), share=3),
+    "plan": Target(_read_plan, _plans, (BadPlan,), (b'"command":', b"SimpleItem"), share=10),
     "URL": Target(
-        lambda data: parse_url(data.decode("utf-8", "replace")),
-        lambda: [b"/dev/ttyUSB0@230400", b"sim://?speed=2&seed=7", b"tcp://127.0.0.1:5760"],
+        _read_url,
+        lambda: [
+            b"/dev/ttyUSB0@230400",
+            b"sim://?speed=2&seed=7&loss=0.1&wind-north=3",
+            b"tcp://127.0.0.1:5760",
+            b"replay://flight.mcap?speed=2&from=3",
+        ],
         (BadURL, UsageError),
-        (b"://", b"?", b"&", b"@", b"[::1]"),
-        share=2,
+        (b"://", b"?", b"&", b"@", b"[::1]", b"~"),
+    ),
+    "MAVLink frames": Target(files.mavlink, files.frames_seeds),
+    "MAVLink bridge": Target(World(worlds.on_bridge), worlds.datagrams, share=1),
+    "MAVLink signatures": Target(files.read_signatures, lambda: [_SIGNATURES]),
+    "agent's socket": Target(World(worlds.on_socket), worlds.agent_seeds, share=2),
+    "console's socket": Target(World(worlds.on_console), worlds.page_seeds, share=4),
+    "console's events": Target(files.events, lambda: _EVENTS, (ValueError, RecursionError)),
+    "rosbridge with an aircraft": Target(
+        World(worlds.on_rosbridge), worlds.rosbridge_seeds, tokens=(b'"op":', b"\n\n"), share=4
+    ),
+    "ROS 2 node": Target(World(worlds.on_node), worlds.ros2_seeds, share=4),
+    "ROS 2 tokens": Target(files.tokens, lambda: _TOKENS, tokens=(b"/", b"%", b"@ros2_lv")),
+    "CDR": Target(files.read_cdr, files.cdr_seeds, (ValueError,)),
+    "fleet on board": Target(World(worlds.on_board), worlds.fleet_seeds, share=1),
+    "fleet's pilot": Target(
+        World(worlds.on_pilot),
+        lambda: worlds.pilot_seeds(_vectors("telemetry", "value")),
+        share=1,
+    ),
+    "fleet's values": Target(files.fleet_values, files.value_seeds, (M100Error,)),
+    "fleet's answers": Target(
+        files.answers,
+        lambda: [b"\n".join((one[1:], one[1:])) for one in files.value_seeds()[1:2]],
+        (M100Error,),
+    ),
+    "ledger": Target(files.ledger, files.ledger_seeds, (UsageError,), share=2),
+    "rights": Target(files.of_file(Rights.read), lambda: [_RIGHTS.encode()], (UsageError,)),
+    "revoked names": Target(files.revoked, files.revoked_seeds, (UsageError,), share=2),
+    "shared lease": Target(
+        files.read_lease_file, lambda: [b'{"fence": 3, "token": "0a"}'], (UsageError,)
+    ),
+    "show": Target(files.read_show, _shows, (M100Error,)),
+    "key file": Target(files.of_file(files.keys), lambda: [b"0a" * 32 + b"\n"], (M100Error,)),
+    "flight log": Target(
+        files.logs, lambda: files.log_seeds(tuple(_streams()[:2])), (UsageError,), share=1
+    ),
+    "foxglove": Target(files.foxglove, lambda: _FOXGLOVE, tokens=(b'"op":', b"\n\n")),
+    "gate": Target(files.gate, lambda: _REQUESTS, tokens=(b"token=", b"code=", b"\nhost: ")),
+    "simulator's socket": Target(files.sim_orders, lambda: _ORDERS, share=2),
+    "machine": Target(files.machine, lambda: [b"python\0-m\0m100link\0", b"ttyS0 -W- (EC p)\n"]),
+    "plot": Target(files.read_plot, lambda: [b"received_at,height\n1.0,2.0\n1.1,2.1\n"]),
+    "line in a log": Target(files.witnessed, _streams, share=50),
+    "hex": Target(
+        files.hex_lines,
+        lambda: [b"aa 10:00 0x00", *(one.hex().encode() for one in _streams()[:30])],
+        (UsageError,),
+    ),
+    "station's file": Target(
+        files.of_file(files.station_file), lambda: [_STATION.encode()], (UsageError,)
+    ),
+    "station's environment": Target(
+        files.station_environment, lambda: [b"9090", b"0x10", b"/dev/ttyUSB0"]
     ),
 }
-"""By name; the shares add up to a thousand."""
+"""By name; a share is that of a reader among all, so that cheap ones have more executions."""

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.util
 import subprocess
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 from random import Random
+from types import FrameType
 
 import pytest
 
+from m100link.agent.background import BackgroundTasks
 from tests.fuzz import run
 from tests.fuzz.guided import quoted
 from tests.fuzz.mutation import MOST, changed
+from tests.fuzz.readers import WITHOUT, readers
 from tests.fuzz.run import Finding, execute
 from tests.fuzz.targets import TARGETS, Target
+from tests.fuzz.worlds import Take, World
+from tests.test_house import PACKAGE
 
 SEED = 20151121
 
@@ -20,8 +30,96 @@ SEED = 20151121
 @pytest.mark.parametrize("name", TARGETS)
 def test_no_input_raises_what_is_not_promised(name: str) -> None:
     target = TARGETS[name]
-    told = execute(name, target, 150, SEED)
-    assert told.refused < 150, "every input was refused: the seeds are not inputs"
+    # What has an aircraft behind it costs a hundred times as much.
+    executions = 15 if isinstance(target.read, World) else 150
+    told = execute(name, target, executions, SEED)
+    assert told.refused < executions, "every input was refused: the seeds are not inputs"
+
+
+def test_every_reader_is_run_by_the_seeds_of_a_target_or_says_why_not() -> None:
+    found = {" ".join(one) for one in readers()}
+    assert WITHOUT.keys() <= found, "no such reader is there any more"
+    ran = set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            ran.add(frame.f_code)
+
+    before = sys.getprofile()
+    for target in TARGETS.values():
+        target.begin()
+        for one in target.seeds():
+            sys.setprofile(note)
+            try:
+                with suppress(*target.refuses):
+                    target.read(one)
+            finally:
+                sys.setprofile(before)
+        target.begin()
+    places = ((Path(one.co_filename), one.co_qualname) for one in ran)
+    known = {
+        f"{path.relative_to(PACKAGE)} {name}"
+        for path, name in places
+        if path.is_relative_to(PACKAGE)
+    }
+    assert found - known - WITHOUT.keys() == set(), "give it a target: its bytes are others'"
+
+
+# Each of them raised something else than what its reader promises.
+ONCE = [
+    ("scenario", b"[[step]]\nat = 1\ndo = " + b"[" * 3000),
+    ("scenario", b"[[step]]\nat = 1\ndo = " + b"9" * 4400),
+    ("scenario", b'[[step]]\nwhen = "waypoint ' + b"9" * 4400 + b'"\ndo = "status"'),
+    ("configuration", b"[defaults]\ntimeout = " + b"[" * 3000),
+    ("rights", b"site = " + b"9" * 4400),
+    ("rights", b"site = " + b"[" * 3000),
+    ("station's file", b"station = 1"),
+    ("station's file", b"[station]\ntimeout = " + b"9" * 400),
+    ("URL", b"replay://~nobody_of_that_name/flight.mcap"),
+    ("console's events", b'{"name": [], "value": 1}'),
+    ("fleet's values", None),
+    ("ledger", bytes(47) + b'{"flies": 7, "at": 1' + b"0" * 400 + b"}\n"),
+    ("shared lease", b"[" * 3000),
+    ("shared lease", b'{"fence": 1e400, "token": "a"}'),
+    ("simulator's socket", b'{"order": ' + b"[" * 3000),
+    ("machine", b"\x86"),
+    ("rosbridge", b'{"op":"call_service","service":"x","id":"\\ud800","compression":"cbor"}'),
+]
+
+
+@pytest.mark.parametrize(("name", "data"), ONCE)
+def test_what_was_found_once_is_refused_as_promised(name: str, data: bytes | None) -> None:
+    target = TARGETS[name]
+    if data is None:  # a reply that tells another stage
+        data = target.seeds()[1].replace(b"flying", b"filing")
+    with suppress(*target.refuses):
+        target.read(data)
+
+
+def test_an_error_in_a_world_is_found_wherever_it_was() -> None:
+    @asynccontextmanager
+    async def running() -> AsyncIterator[Take]:
+        async def take(data: bytes) -> None:
+            if data == b"task":
+                BackgroundTasks().spawn(_fail(), "a task")
+            elif data == b"loop":
+                asyncio.get_running_loop().call_soon(int, "x")
+            elif data == b"here":
+                raise KeyError(data)
+            await asyncio.sleep(0.01)
+
+        yield take
+
+    world = World(running)
+    for data in (b"task", b"loop", b"here"):
+        with pytest.raises((KeyError, ValueError)):
+            world(data)
+        world(b"another")
+    world.begin()
+
+
+async def _fail() -> None:
+    raise KeyError("in a task")
 
 
 def test_an_error_that_is_not_promised_is_found_with_its_input() -> None:

@@ -1,0 +1,130 @@
+"""Where bytes and texts of others come in, found in the source: a reader is a function that parses.
+
+A function that calls one of :data:`PARSERS`, by its own name or by an alias of its module, is a
+reader. The seeds of some target have to run it, or :data:`WITHOUT` says why none does.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.test_house import PACKAGE, tree
+
+__all__ = ["PARSERS", "WITHOUT", "readers"]
+
+PARSERS = frozenset(
+    {
+        *("read_json", "read_toml", "fromhex", "b64decode", "decode", "decompress"),
+        *("from_bytes", "unpack", "unpack_from", "iter_unpack"),
+        *("parse_qs", "parse_qsl", "fromstring", "DictReader", "ElementTree", "XMLParser"),
+        *("read_bytes", "read_text", "readline", "readexactly", "read_watched", "getxattr"),
+        *("recv", "recvfrom", "recv_into", "pread", "data_received", "datagram_received"),
+        *("load_pem_x509_certificate", "load_pem_private_key"),
+    }
+)
+"""What turns bytes or texts into values, or brings them."""
+
+_REASONS: dict[str, tuple[str, ...]] = {
+    "a pipe or memory to a process of ours": (
+        "flight/guardian.py Guardian._on_word",
+        "flight/guardian_process.py Watch._refresh",
+        "flight/guardian_process.py Watch._word",
+        "flight/guardian_process.py opened",
+        "station/child.py Child._ask",
+        "station/child.py Child._take_answer",
+        "station/front.py main",
+        "station/owner.py main",
+    ),
+    "hands bytes on as they are, to readers that have targets": (
+        "aircraft/replaying.py open_replay",
+        "cli/fleet_pki.py push",
+        "link/serial_transport.py SerialTransport._deliver",
+        "link/tap.py TappedProtocol.data_received",
+        "log/player.py Player._take",
+        "mavlink/udp.py _Datagrams.datagram_received",
+        "sim/orders/ctl.py CtlServer._serve",
+        "station/mavlink.py _drain",
+        "station/web/intake.py Metered.step",
+        "station/web/protocol.py WebSocketConnection.data_received",
+    ),
+    "a file of the installation, or what the kernel tells": (
+        "cli/manual.py _Page.text",
+        "cli/manual.py _unfenced",
+        "fleet/ledger.py since_boot",
+        "log/dissector.py dissector",
+        "sim/ports/pty.py PtyPort.unread",
+        "station/console/policy.py _rules",
+        "station/web/metrics.py metrics_app.<locals>.dashboard",
+    ),
+    "writes or compares what is ours": (
+        "bus/session.py open_session",
+        "cli/fleet_lease.py shared",
+        "fleet/pki.py _authority",
+        "fleet/pki.py _kept",
+        "fleet/pki.py listed",
+        "protocol/items.py ItemLayout.__post_init__",
+        "wire/crc.py _sequence_crc16",
+    ),
+    "a bare conversion that cannot fail, or as another reader that has a target": (
+        "cli/terminal.py read_line",
+        "doctor/listening.py _length",
+        "doctor/listening.py _text",
+        "doctor/machine.py Machine.is_left_alone",
+        "link/transport.py port_owners",
+    ),
+    "the simulator's answer, which the account that asks runs": ("sim/orders/ctl.py send_order",),
+}
+
+WITHOUT: dict[str, str] = {name: why for why, names in _REASONS.items() for name in names}
+"""Readers without a target, as module and function, and why."""
+
+
+def readers() -> Iterator[tuple[str, str]]:
+    """Module, as a path from the package, and qualified name of each reader."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        yield from ((str(path.relative_to(PACKAGE)), name) for name in _in(path))
+
+
+def _in(path: Path) -> list[str]:
+    program = tree(path)
+    aliases = {
+        target.id
+        for one in program.body
+        if isinstance(one, ast.Assign) and _parses(one.value, frozenset())
+        for target in one.targets
+        if isinstance(target, ast.Name)
+    }
+    found: list[str] = []
+
+    def look(node: ast.AST, names: tuple[str, ...], *, is_function: bool) -> None:
+        for inner in ast.iter_child_nodes(node):
+            if isinstance(inner, ast.FunctionDef | ast.AsyncFunctionDef):
+                own = (*names, inner.name)
+                if any(_parses(one, aliases) for one in _body(inner)):
+                    found.append(".".join(own))
+                look(inner, (*own, "<locals>"), is_function=True)
+            elif isinstance(inner, ast.ClassDef):
+                look(inner, (*names, inner.name), is_function=False)
+            elif is_function or not isinstance(inner, ast.expr):
+                look(inner, names, is_function=is_function)
+
+    look(program, (), is_function=False)
+    return found
+
+
+def _body(function: ast.AST) -> Iterator[ast.AST]:
+    """What runs in a function itself, not in those that are defined in it."""
+    for inner in ast.iter_child_nodes(function):
+        if not isinstance(inner, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield inner
+            yield from _body(inner)
+
+
+def _parses(node: ast.AST, aliases: set[str] | frozenset[str]) -> bool:
+    if isinstance(node, ast.Attribute):
+        return node.attr in PARSERS
+    if isinstance(node, ast.Name):
+        return node.id in aliases or node.id in PARSERS
+    return isinstance(node, ast.Call) and _parses(node.func, aliases)
