@@ -74,6 +74,14 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "doctor/machine.py Machine.is_left_alone",
         "link/transport.py port_owners",
     ),
+    "no seed reaches it yet: only tests of its own do": (
+        "log/thinning.py Thinning.hear",
+        "mavlink/parameters.py Parameters._is_same",
+        "protocol/packet.py TelemetryPacket._layouts",
+        "station/ros/messages.py _base64",
+        "station/ros/messages.py _read_bytes",
+        "wire/hunt.py _all_right",
+    ),
     "the simulator's answer, which the account that asks runs": ("sim/orders/ctl.py send_order",),
 }
 
