@@ -5,19 +5,23 @@
     nox -s mutation -- wire session link flight
     nox -s mutation -- flight --module guards.py
     nox -s mutation -- flight --sample 100 --seed 7
+    nox -s mutation -- sim/vehicle geodesy
 
-The code of a room is changed in one place at a time, and the tests that run the changed line are
-run against it, those of the mirrored test file first. Changes that no test notices are survivors.
-Those that cannot matter stand with their reason in ``tests/mutation_survivors.toml``; any other
-fails the session, and so does a reason that explains nothing any more.
+A room is a folder of the package, with all below it, or a file that stands in no folder. Its code
+is changed in one place at a time, and the tests that run the changed line are run against it, those
+of the mirrored test file first. Changes that no test notices are survivors. Those that cannot
+matter stand with their reason in ``tests/mutation_survivors.toml``; any other fails the session,
+and so does a reason that explains nothing any more.
 
-cosmic-ray makes the changes; no file is written. Tests that start programs of their own see no
-change: those marked ``pty`` are left out, but for the link's.
+cosmic-ray makes the changes; no file is written. Programs and browsers that tests start see no
+change: those tests are left out, but for the link's, and counted. A sample leaves out the slow
+tests, too: what it counts as noticed, `nox` notices.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import random
 import resource
@@ -26,32 +30,92 @@ import tempfile
 import tomllib
 from collections import Counter
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from hypothesis import Phase, settings
 
+from tests import speeds
 from tests.mutation_changes import ROOT, Change, changes_of, text_of
-from tests.mutation_trials import Trials
+from tests.mutation_trials import ELSEWHERE, Trials, mirrored
+from tests.test_house import PACKAGE, programs
 
 EXPLAINED = Path(__file__).with_name("mutation_survivors.toml")
 
-FLIGHT = (
-    "control steering block lifecycle setpoints signals stop_path cancellation watchdog orbit "
-    "pacing guards known handover authority tasks loops path"
-)
+# -- rooms -----------------------------------------------------------------------------------------
 
 
-def files_of(room: str) -> tuple[str, ...]:
-    """The code of a whole room."""
-    found = (ROOT / "m100link" / room).glob("*.py")
-    return tuple(sorted(str(path.relative_to(ROOT)) for path in found if path.stem != "__init__"))
+@dataclass(frozen=True)
+class Room:
+    """Code that is changed, and its tests.
+
+    Attributes:
+        name: Its path in the package, without ``.py``.
+    """
+
+    name: str
+
+    @cached_property
+    def modules(self) -> tuple[str, ...]:
+        """Its files."""
+        place = PACKAGE / self.name
+        found = sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
+        return tuple(str(path.relative_to(ROOT)) for path in found)
+
+    @cached_property
+    def tests(self) -> tuple[str, ...]:
+        """Folders and files of tests: the folder of its name, and what stands elsewhere."""
+        own = f"tests/{self.name}"
+        folder = {own} if (ROOT / own).is_dir() else set()
+        files = {mirrored(module) for module in self.modules} - {""}
+        unseeing = tuple(f"tests/{folder}/" for folder in ELSEWHERE)
+        return tuple(
+            sorted(folder | {n for n in files if not n.startswith((f"{own}/", *unseeing))})
+        )
+
+    @cached_property
+    def elsewhere(self) -> list[str]:
+        """Files whose own tests need a browser, or programs of others."""
+        unseeing = tuple(f"tests/{folder}/" for folder in ELSEWHERE)
+        return [module for module in self.modules if mirrored(module).startswith(unseeing)]
 
 
-ROOMS: dict[str, tuple[str, ...]] = {
-    **{room: files_of(room) for room in ("wire", "session", "link")},
-    "flight": tuple(f"m100link/flight/{name}.py" for name in FLIGHT.split()),
-}
-"""Room: the code that is changed. Its tests are those of the folder of the same name."""
+def rooms() -> dict[str, Room]:
+    """Every room of the package by name; those inside another one have a slash in theirs."""
+    paths = [path.relative_to(PACKAGE) for path in programs("m100link")]
+    folders = {str(parent) for path in paths for parent in path.parents} - {"."}
+    loose = {path.stem for path in paths if len(path.parts) == 1}
+    return {name: Room(name) for name in sorted(folders | loose)}
+
+
+ROOMS = rooms()
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of the changes of a room.
+
+    Attributes:
+        room: Its name.
+        made: Changes that were tried.
+        survived: Those that no test noticed.
+        unrun: Those of them that no test runs in this process.
+        explained: Survivors that the list explains.
+        vain: Entries of the list that explain nothing.
+    """
+
+    room: str
+    made: int
+    survived: int
+    unrun: int
+    explained: int
+    vain: int
+
+    @property
+    def share(self) -> float:
+        """Share of the changes that are noticed, of those that no reason explains."""
+        return (self.made - self.survived) / max(1, self.made - self.explained)
+
 
 # -- what is explained -----------------------------------------------------------------------------
 
@@ -87,9 +151,10 @@ class Explanation:
         return any(line.strip() == self.source for line in text_of(self.module).splitlines())
 
 
-def explanations(room: str) -> list[Explanation]:
+def explanations(room: Room) -> list[Explanation]:
     """The list of a room, one per line of code."""
     table = tomllib.loads(EXPLAINED.read_text(encoding="utf-8"))
+    entries = [entry for found in table.values() for entry in found]
     return [
         Explanation(
             entry["module"],
@@ -98,7 +163,8 @@ def explanations(room: str) -> list[Explanation]:
             tuple(entry.get("operators", ())),
             entry["reason"],
         )
-        for entry in table.get(room, [])
+        for entry in entries
+        if entry["module"] in room.modules
         for source in entry["lines"]
     ]
 
@@ -106,15 +172,17 @@ def explanations(room: str) -> list[Explanation]:
 # -- the whole -------------------------------------------------------------------------------------
 
 
-def run(room: str, arguments: argparse.Namespace) -> bool:
-    """Try a room and say what was seen. Returns whether nothing is left to explain."""
-    modules = [name for name in ROOMS[room] if arguments.module in name]
+def run(room: Room, arguments: argparse.Namespace) -> Result:
+    """Try a room and say what was seen."""
+    modules = [name for name in room.modules if arguments.module in name]
     changes = [change for module in modules for change in changes_of(module)]
-    print(f"{room}: {len(changes)} changes", end="")
+    print(f"{room.name}: {len(changes)} changes", end="")
     if arguments.sample:
         changes = random.Random(arguments.seed).sample(changes, min(arguments.sample, len(changes)))
         print(f", {len(changes)} of them chosen by seed {arguments.seed}", end="")
     print(flush=True)
+    if room.elsewhere:
+        print(f"  tested in a browser, or by programs of others: {', '.join(room.elsewhere)}")
     known = explanations(room)
     survivors: list[Change] = []
 
@@ -124,27 +192,31 @@ def run(room: str, arguments: argparse.Namespace) -> bool:
             if not any(explanation.fits(change) for explanation in known):
                 print(f"unexplained: {change}", flush=True)
 
+    if not changes or not room.tests:
+        for change in changes:
+            on_end(change, was_noticed=False)
+        return report(room.name, changes, survivors, [], known, is_whole=not arguments.sample)
     with tempfile.TemporaryDirectory() as folder:
-        trials = Trials(f"tests/{room}", Path(folder))
-        kept = f"{arguments.record}-{room}.json" if arguments.record else f"{folder}/record"
-        trials.record(ROOMS[room], Path(kept))
+        trials = Trials(room.tests, Path(folder), is_quick=bool(arguments.sample))
+        name = room.name.replace("/", "-")
+        kept = f"{arguments.record}-{name}.json" if arguments.record else f"{folder}/record"
+        trials.record(room.modules, Path(kept))
         trials.try_all(changes, on_end)
-    return report(room, changes, survivors, known, is_whole=not arguments.sample)
+        unrun = [change for change in survivors if not trials.tests_of(change)]
+    return report(room.name, changes, survivors, unrun, known, is_whole=not arguments.sample)
 
 
 def report(
     room: str,
     tried: list[Change],
     survivors: list[Change],
+    unrun: list[Change],
     known: list[Explanation],
     *,
     is_whole: bool,
-) -> bool:
+) -> Result:
     """The figures of a room, and what its list says in vain."""
-    unexplained = [
-        change for change in survivors if not any(reason.fits(change) for reason in known)
-    ]
-    modules = {change.module for change in tried}
+    explained = [change for change in survivors if any(reason.fits(change) for reason in known)]
     vain = 0
     for reason in known:
         if not reason.stands():
@@ -156,23 +228,27 @@ def report(
         vain += 1
     counts = Counter(change.module for change in tried)
     lived = Counter(change.module for change in survivors)
-    for module in sorted(modules):
+    for module in sorted(counts):
         print(f"  {module}: {counts[module]} tried, {lived[module]} survived")
-    killed = len(tried) - len(survivors)
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
-    print(
-        f"{room}: {killed} of {len(tried)} changes noticed ({killed / max(1, len(tried)):.1%}), "
-        f"{len(survivors)} survived, {len(unexplained)} of them unexplained; "
-        f"{spent.ru_utime + spent.ru_stime:.0f} s of the processor so far",
-        flush=True,
-    )
-    return not unexplained and not vain
+    print(f"{room}: {spent.ru_utime + spent.ru_stime:.0f} s of the processor so far", flush=True)
+    return Result(room, len(tried), len(survivors), len(unrun), len(explained), vain)
+
+
+def print_table(results: list[Result]) -> None:
+    """A line for each room; the percentage leaves out what is explained."""
+    names = ("room", "made", "caught", "survived", "not run", "explained", "percent")
+    print(f"{names[0]:24}" + "".join(f"{name:>10}" for name in names[1:]))
+    for each in results:
+        figures = (each.made, each.made - each.survived, each.survived, each.unrun, each.explained)
+        print(f"{each.room:24}" + "".join(f"{n:10}" for n in figures) + f"{each.share:10.1%}")
 
 
 def prepare() -> None:
     """Import what every try needs but the project, and make chance repeat itself."""
     for name in ("anyio", "cryptography.hazmat.primitives.ciphers", "serial_asyncio", "uvicorn"):
         __import__(name)
+    speeds.SHARED = math.inf  # what a test costs here says nothing about the test
     # No test may pass by luck where it failed before, and a failure need not be made small.
     phases = (Phase.explicit, Phase.generate)
     settings.register_profile(
@@ -185,17 +261,24 @@ def prepare() -> None:
 def main() -> int:
     """Run the rooms named, all by default."""
     parser = argparse.ArgumentParser(prog="nox -s mutation --", description=__doc__)
-    parser.add_argument("rooms", nargs="*", choices=[*ROOMS, []], help="all by default")
+    parser.add_argument(
+        "rooms", nargs="*", choices=[*ROOMS, []], help="all by default", metavar="room"
+    )
     parser.add_argument("--module", default="", help="only files whose path contains this")
-    parser.add_argument("--sample", type=int, default=0, help="try so many changes per room")
+    parser.add_argument(
+        "--sample", type=int, default=0, help="try so many changes per room, by tests not slow"
+    )
     parser.add_argument("--seed", type=int, default=0, help="which ones a sample has")
     parser.add_argument(
         "--record", help="keep at this path, for the next run of the same code, what runs what"
     )
     arguments = parser.parse_args()
     prepare()
-    results = [run(room, arguments) for room in arguments.rooms or ROOMS]
-    return 0 if all(results) else 1
+    print(f"seed {arguments.seed}")
+    names = arguments.rooms or [name for name in ROOMS if "/" not in name]
+    results = [run(ROOMS[name], arguments) for name in names]
+    print_table(results)
+    return 0 if all(each.survived == each.explained and not each.vain for each in results) else 1
 
 
 if __name__ == "__main__":

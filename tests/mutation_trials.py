@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from importlib.abc import MetaPathFinder
@@ -24,12 +25,15 @@ import coverage
 import pytest
 
 from tests.mutation_changes import ROOT, Change, statement, text_of
+from tests.test_house import PACKAGE, TESTED_ELSEWHERE
+from tests.test_house import mirrored as place_of_test
 
-__all__ = ["Trials"]
+__all__ = ["ELSEWHERE", "Trials", "mirrored"]
 
 ENOUGH_S = 12.0
 """Of tests for one change, beside the mirrored ones, as long as they take while coverage is
-recorded (a third without): lines that every flight runs would take the whole suite otherwise."""
+recorded (a third without): lines that every flight runs would take the whole suite otherwise. For a
+sample, a third of it."""
 
 PARTNERS = {
     "block": ("by_hand", "handover", "signals", "stop_path"),
@@ -51,8 +55,20 @@ UNSEEN = {
 IN_THIS_PROCESS = ("tests/link",)
 """Folders whose tests marked ``pty`` start no program of their own, and so see a change."""
 
+ELSEWHERE = ("browser", "interop")
+"""Marks of tests that start a browser or a program of others, which see no change."""
+
 Place = tuple[str, int]
 """Qualified name and first line of a function."""
+
+
+def mirrored(module: str) -> str:
+    """The test file of a module, or the one that the rule of the house names; "" if none."""
+    path = ROOT / module
+    found, elsewhere = place_of_test(path), TESTED_ELSEWHERE.get(str(path.relative_to(PACKAGE)))
+    if elsewhere:
+        found = ROOT / "tests" / elsewhere[0]
+    return str(found.relative_to(ROOT)) if found.exists() else ""
 
 
 class Trials:
@@ -63,13 +79,19 @@ class Trials:
     tried in a copy of one that has imported nothing of the project yet.
 
     Args:
-        folder: The tests.
+        tests: Files and folders of tests.
         scratch: A folder for output.
+        is_quick: Whether slow tests are left out.
     """
 
-    def __init__(self, folder: str, scratch: Path) -> None:
-        self._folder = folder
+    def __init__(self, tests: Sequence[str], scratch: Path, *, is_quick: bool) -> None:
+        self._tests = tests
         self._scratch = scratch
+        self._enough_s = ENOUGH_S / 3 if is_quick else ENOUGH_S
+        left_out = list(ELSEWHERE) if set(tests) & set(IN_THIS_PROCESS) else ["pty", *ELSEWHERE]
+        if is_quick and "pty" in left_out:
+            left_out.append("slow")
+        self._marks = " and ".join(f"not {mark}" for mark in left_out)
         self._took: dict[str, float] = {}  # test, seconds of the processor; the fastest first
         # Module, line, tests that run it; "" is the import.
         self._lines: dict[str, dict[int, list[str]]] = {}
@@ -91,20 +113,24 @@ class Trials:
             module: {int(line): names for line, names in lines.items()}
             for module, lines in seen["lines"].items()
         }
+        left_out = ", ".join(f"{count} {mark}" for mark, count in seen["left out"].items())
+        print(f"  {len(took)} tests, not {left_out or 'one left out'}", flush=True)
         if is_first:
             chosen = self._of_each_family(set(self._took))
             self._run_unchanged(Selection({name: self._took[name] for name in chosen}))
 
     def _run_unchanged(self, plugin: object) -> None:
-        if status := self._run([self._folder], plugin, name="unchanged"):
+        status = self._run(self._tests, plugin, name="unchanged")
+        if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
             text = (self._scratch / "unchanged").read_text(encoding="utf-8")
-            sys.exit(f"{self._folder} fails unchanged ({status}):\n{text}")
+            sys.exit(f"{' '.join(self._tests)} fails unchanged ({status}):\n{text}")
 
     def try_all(self, changes: Sequence[Change], on_end: Callable[[Change, bool], None]) -> None:
         """Try each; ``on_end`` is called with each and whether a test noticed it."""
         results = self._scratch / "results"
         results.touch()
-        if status := self._run([self._folder], Bodies(changes, self, results), name="bodies"):
+        status = self._run(self._tests, Bodies(changes, self, results), name="bodies")
+        if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
             sys.exit((self._scratch / "bodies").read_text(encoding="utf-8") + str(status))
         ended = dict(json.loads(line) for line in results.read_text().splitlines())
         for place, change in enumerate(changes):
@@ -131,23 +157,22 @@ class Trials:
     def chosen(self, change: Change) -> dict[str, float]:
         """Tests to run and their times: the mirrored ones first, then the fastest."""
         names = self.tests_of(change)
-        stem = Path(change.module).stem
-        mirrored = tuple(
-            f"{self._folder}/test_{name}.py" for name in (stem, *PARTNERS.get(stem, ()))
-        )
+        stem, test = Path(change.module).stem, Path(mirrored(change.module))
+        partners = (str(test.with_name(f"test_{name}.py")) for name in PARTNERS.get(stem, ()))
+        first = (f"{test}::", *partners)
         if "" in names:
             every = self._lines[change.module].values()
             # A module of declarations alone is run by no test and used by any; a table may be read
             # by a test that runs nothing.
             names = {name for found in every for name in found} - {""} or set(self._took)
-            names |= {name for name in self._took if name.startswith(mirrored)}
+            names |= {name for name in self._took if name.startswith(first)}
         if stem in UNSEEN:
             names |= {name for name in self._took if name.startswith(UNSEEN[stem])}
-        own = [name for name in names if name.startswith(mirrored)]
+        own = [name for name in names if name.startswith(first)]
         chosen, spent = sorted(own, key=self._took.__getitem__), 0.0
         for name in self._of_each_family(names.difference(own)):
             spent += self._took[name]
-            if spent <= ENOUGH_S:
+            if spent <= self._enough_s:
                 chosen.append(name)
         return {name: self._took[name] for name in chosen}
 
@@ -170,7 +195,7 @@ class Trials:
             if finder is not None:
                 sys.meta_path.insert(0, finder)
             options = ["-qxs", "-p", "no:cacheprovider"]
-            options += [] if self._folder in IN_THIS_PROCESS else ["-m", "not pty"]
+            options += ["-m", self._marks]
             options += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]
             return int(pytest.main([*options, *files], plugins=[plugin]))
 
@@ -239,6 +264,12 @@ class Recorder:
         self._coverage.start()
         self._tracer = sys.gettrace()
         self._took: dict[str, float] = {}
+        self._left_out: list[str] = []
+
+    def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
+        for item in items:
+            marks = [mark for mark in ("pty", *ELSEWHERE) if item.get_closest_marker(mark)]
+            self._left_out.append(marks[0] if marks else "slow")
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -254,7 +285,8 @@ class Recorder:
         self._coverage.stop()
         data = self._coverage.get_data()
         lines = {module: data.contexts_by_lineno(str(ROOT / module)) for module in self._modules}
-        self._path.write_text(json.dumps({"took": self._took, "lines": lines}), encoding="utf-8")
+        seen = {"took": self._took, "lines": lines, "left out": Counter(self._left_out)}
+        self._path.write_text(json.dumps(seen), encoding="utf-8")
 
 
 class Selection:
