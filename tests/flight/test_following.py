@@ -32,6 +32,7 @@ class Stand:
         north, east, up: Velocity, m/s; None: the item is not sent.
         roll, pitch, yaw: Attitude, °; None: the item is not sent.
         moved: Metres to the north.
+        place: Latitude and longitude of the position without that, rad.
     """
 
     def __init__(self) -> None:
@@ -42,6 +43,7 @@ class Stand:
         self.phase: FlightPhase | None = FlightPhase.IN_AIR
         self.height = 10.0
         self.moved = 0.0
+        self.place = 0.4, 2.0
         self.check = FollowCheck(cast(AircraftState, self), lambda: self.setpoint, lambda: self.now)
 
     def fresh(self, record: type[Any], *, within: float) -> Any:
@@ -53,7 +55,8 @@ class Stand:
         if record is Attitude:
             return None if self.attitude is None else attitude(*self.attitude)
         assert record is Position
-        return Position(0.4 + self.moved / 6_378_137.0, 2.0, 400.0, self.height, 5)
+        latitude, longitude = self.place
+        return Position(latitude + self.moved / 6_378_137.0, longitude, 400.0, self.height, 5)
 
     def fly(self, seconds: float) -> str:
         """What does not follow within that time; empty: nothing."""
@@ -140,6 +143,192 @@ def test_what_follows_or_need_not_is_no_fault(
     for name, value in change.items():
         setattr(stand, name, value)
     assert stand.fly(10.0) == ""
+
+
+def tilted(degrees: float, to: float, heading: float) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of an aircraft that leans to a bearing: nose down flies forward, °."""
+    forward, right = cis(math.radians(to - heading))
+    return degrees * right, -degrees * forward, heading
+
+
+def along(bearing: float, size: float) -> tuple[float, float]:
+    north, east = cis(math.radians(bearing))
+    return north * size, east * size
+
+
+def asked_for(kind: str, bearing: float, heading: float) -> Setpoint:
+    """3 m/s, or 6 m, to a bearing, in one of the frames."""
+    way = along(bearing, 3.0 if "velocity" in kind else 6.0)
+    if "body" in kind:
+        way = along(bearing - heading, math.hypot(*way))
+    names = ("forward", "right") if "body" in kind else ("north", "east")
+    make: Any = Setpoint.velocity if "velocity" in kind else Setpoint.position_offset
+    made: Setpoint = make(**dict(zip(names, way, strict=True)), up=0.0, yaw_rate_deg_s=0.0)
+    return made
+
+
+@pytest.mark.parametrize("kind", ["velocity", "body velocity", "offset", "body offset"])
+def test_each_bearing_counts_from_north_at_each_heading(kind: str) -> None:
+    """A quarter of the speed follows: of 3 m/s, and of the 1.5 m/s of an offset."""
+    seed = random.randrange(1 << 32)
+    chance, quarter = random.Random(seed), 0.75 if "velocity" in kind else 0.375
+    for _ in range(12):
+        bearing, heading = chance.uniform(-180, 180), chance.uniform(-180, 180)
+        off = chance.choice([90.0, 180.0, 270.0])
+        for to, speed, lean, is_followed in [
+            (bearing, quarter + 0.05, 0.0, True),
+            (bearing, quarter - 0.05, 0.0, False),
+            (bearing + off, 2.0, 0.0, False),
+            (bearing, 0.0, 8.2, True),  # the wind is in the way
+            (bearing, 0.0, 7.8, False),
+            (bearing + off, 0.0, 12.0, False),
+        ]:
+            stand = Stand()
+            stand.setpoint = asked_for(kind, bearing, heading)
+            stand.velocity = *along(to, speed), 0.0
+            stand.attitude = tilted(lean, to, heading)
+            found = stand.fly(FOLLOW_S + 0.2)
+            case = f"seed {seed}, to {bearing} at heading {heading}: {to}, {speed}, {lean}"
+            assert (found == "") is is_followed, case
+
+
+def test_leaning_more_than_before_is_a_begin_at_each_heading() -> None:
+    """Three degrees, towards what is asked for; away from it, or less, is none."""
+    seed = random.randrange(1 << 32)
+    chance = random.Random(seed)
+    for _ in range(12):
+        bearing, heading = chance.uniform(-180, 180), chance.uniform(-180, 180)
+        for more, is_begun in [(3.3, True), (2.7, False), (-3.3, False)]:
+            stand = Stand()
+            stand.setpoint = asked_for("velocity", bearing, heading)
+            stand.attitude = tilted(-4.0, bearing, heading)
+            assert stand.fly(1.0) == ""
+            stand.attitude = tilted(-4.0 + more, bearing, heading)
+            case = f"seed {seed}, to {bearing} at heading {heading}: {more}° more"
+            assert (stand.fly(1.1) == "") is is_begun, case
+
+
+def test_a_tilt_counts_along_its_own_direction() -> None:
+    seed = random.randrange(1 << 32)
+    chance = random.Random(seed)
+    for _ in range(12):
+        to = chance.uniform(-180, 180)
+        for turned, degrees, is_followed in [(0, 2.6, True), (0, 2.4, False), (90, 10, False)]:
+            stand = Stand()
+            pitch, roll = along(to, 10.0)
+            stand.setpoint = Setpoint.tilt(roll_deg=roll, pitch_deg=pitch, up=0, yaw_rate_deg_s=0)
+            pitch, roll = along(to + turned, degrees)
+            stand.attitude = roll, pitch, chance.uniform(-180, 180)
+            case = f"seed {seed}, tilt to {to}: {degrees}° at {turned}°"
+            assert (stand.fly(FOLLOW_S + 0.2) == "") is is_followed, case
+
+
+def heading_of(degrees: float) -> Setpoint:
+    return Setpoint.velocity(north=0, east=0, up=0, yaw_deg=degrees)
+
+
+def offset(north: float) -> Setpoint:
+    return Setpoint.position_offset(north=north, east=0, up=0, yaw_rate_deg_s=0)
+
+
+def tilt(roll: float) -> Setpoint:
+    return Setpoint.tilt(roll_deg=roll, pitch_deg=0, up=0, yaw_rate_deg_s=0)
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "change", "is_judged"),
+    [
+        (velocity(north=0.95, east=0.0), {}, False),  # from 1 m/s on
+        (velocity(north=0.0, east=-1.05), {}, True),
+        (velocity(north=0.0, east=0.0, up=0.45), {}, False),  # from 0.5 m/s on
+        (velocity(north=0.0, east=0.0, up=0.55), {}, True),
+        (velocity(north=0.0, east=0.0, up=2.0), {"velocity": (0.0, 0.0, 0.45)}, True),
+        (velocity(north=0.0, east=0.0, up=2.0), {"velocity": (0.0, 0.0, 0.55)}, False),
+        (velocity(north=0.0, east=0.0, up=-1.0), {"height": 2.9}, False),  # above 3 m
+        (velocity(north=0.0, east=0.0, up=-1.0), {"height": 3.1}, True),
+        (velocity(north=0.0, east=0.0, yaw_rate_deg_s=-9.5), {}, False),  # from 10 °/s on
+        (velocity(north=0.0, east=0.0, yaw_rate_deg_s=-10.5), {}, True),
+        (heading_of(90), {"attitude": (0.0, 0.0, 109.5)}, False),  # from 20° on
+        (heading_of(90), {"attitude": (0.0, 0.0, 110.5)}, True),
+        (heading_of(-170), {"attitude": (0.0, 0.0, 170.5)}, False),  # across the south
+        (heading_of(-170), {"attitude": (0.0, 0.0, 169.0)}, True),
+        (offset(2.9), {}, False),  # from 3 m on
+        (offset(-3.1), {}, True),
+        (tilt(4.9), {}, False),  # from 5° on
+        (tilt(-5.1), {}, True),
+    ],
+    ids=str,
+)
+def test_what_is_too_small_to_judge(
+    setpoint: Setpoint, change: dict[str, Any], is_judged: bool
+) -> None:
+    stand = Stand()
+    stand.setpoint = setpoint
+    for name, value in change.items():
+        setattr(stand, name, value)
+    assert (stand.fly(FOLLOW_S + 0.2) != "") is is_judged
+
+
+@pytest.mark.parametrize(("gained", "is_begun"), [(1.0, False), (2.0, True)])
+def test_a_begin_is_a_quarter_of_what_is_missing(gained: float, is_begun: bool) -> None:
+    """Flying at 3 m/s the other way 6 m/s are missing."""
+    stand = Stand()
+    stand.setpoint, stand.attitude = NORTH, None
+    stand.velocity = -3.0, 0.0, 0.0
+    assert stand.fly(0.6) == ""
+    stand.velocity = -3.0 + gained, 0.0, 0.0
+    assert (stand.fly(1.1) == "") is is_begun
+
+
+@pytest.mark.parametrize(("turn", "is_ignored"), [(80.0, True), (100.0, False)])
+def test_a_direction_that_goes_back_has_its_time_anew(turn: float, is_ignored: bool) -> None:
+    seed = random.randrange(1 << 32)
+    chance = random.Random(seed)
+    for _ in range(8):
+        stand, bearing, found = Stand(), chance.uniform(-180, 180), ""
+        for number in range(5):
+            stand.setpoint = asked_for("velocity", bearing + number % 2 * turn, 0.0)
+            found = found or stand.fly(0.5)
+        assert (found != "") is is_ignored, f"seed {seed}"
+
+
+@pytest.mark.parametrize("place", [(0.4, 2.0), (-1.0472, 0.5), (1.0472, math.pi)])
+@pytest.mark.parametrize(("apart_m", "is_still"), [(0.45, True), (0.55, False)])
+def test_without_a_velocity_half_a_metre_to_any_side_is_a_move(
+    place: tuple[float, float], apart_m: float, is_still: bool
+) -> None:
+    """On both hemispheres, and across the line of the date."""
+    latitude, longitude = place
+    for north, east in [(1, 0), (0, 1), (0, -1), (0.6, 0.8), (-0.6, -0.8)]:
+        stand, found = Stand(), ""
+        stand.setpoint, stand.velocity = NORTH, None
+        for step in range(16):
+            moved = apart_m * (step % 2) / 6_378_137.0
+            there = longitude + moved * east / math.cos(latitude)
+            stand.place = latitude + moved * north, math.remainder(there, 2 * math.pi)
+            found = found or stand.fly(0.25)
+        assert (found != "") is is_still, (north, east)
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "seconds"),
+    [
+        (velocity(north=10.0, east=0.0), 2.5),  # 10 m, and not before 2.5 s
+        (velocity(north=0.0, east=-2.0), 5.0),
+        (velocity(forward=1.2, right=-1.6), 5.0),
+        (offset(4.0), 5.0),  # it may be flown at half of it per second
+        (Setpoint.position_offset(north=0, east=-5, up=0, yaw_rate_deg_s=0), 4.0),
+    ],
+    ids=str,
+)
+def test_without_a_velocity_10_m_are_flown_before_it_is_said(
+    setpoint: Setpoint, seconds: float
+) -> None:
+    stand = Stand()
+    stand.setpoint, stand.velocity = setpoint, None
+    began = stand.now
+    assert "did not change" in stand.fly(8.0)
+    assert stand.now - began == pytest.approx(seconds, abs=0.12)
 
 
 def test_one_that_is_slow_begins() -> None:
