@@ -5,7 +5,7 @@
     nox -s mutation -- wire session link flight
     nox -s mutation -- flight --module guards.py
     nox -s mutation -- flight --sample 100 --seed 7
-    nox -s mutation -- sim/vehicle geodesy
+    nox -s mutation -- sim/vehicle geodesy --own --sample 60
 
 A room is a folder of the package, with all below it, or a file that stands in no folder. Its code
 is changed in one place at a time, and the tests that run the changed line are run against it, those
@@ -29,6 +29,7 @@ import sys
 import tempfile
 import tomllib
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -37,10 +38,13 @@ from hypothesis import Phase, settings
 
 from tests import speeds
 from tests.mutation_changes import ROOT, Change, changes_of, text_of
-from tests.mutation_trials import ELSEWHERE, Trials, mirrored
+from tests.mutation_trials import ELSEWHERE, Trials, mirrored, own_files
 from tests.test_house import PACKAGE, programs
 
 EXPLAINED = Path(__file__).with_name("mutation_survivors.toml")
+
+UNSEEING = tuple(f"tests/{folder}/" for folder in ELSEWHERE)
+"""Folders of tests that see no change."""
 
 # -- rooms -----------------------------------------------------------------------------------------
 
@@ -67,17 +71,20 @@ class Room:
         """Folders and files of tests: the folder of its name, and what stands elsewhere."""
         own = f"tests/{self.name}"
         folder = {own} if (ROOT / own).is_dir() else set()
-        files = {mirrored(module) for module in self.modules} - {""}
-        unseeing = tuple(f"tests/{folder}/" for folder in ELSEWHERE)
         return tuple(
-            sorted(folder | {n for n in files if not n.startswith((f"{own}/", *unseeing))})
+            sorted(folder | {n for n in own_tests(self.modules) if not n.startswith(f"{own}/")})
         )
 
     @cached_property
     def elsewhere(self) -> list[str]:
         """Files whose own tests need a browser, or programs of others."""
-        unseeing = tuple(f"tests/{folder}/" for folder in ELSEWHERE)
-        return [module for module in self.modules if mirrored(module).startswith(unseeing)]
+        return [module for module in self.modules if mirrored(module).startswith(UNSEEING)]
+
+
+def own_tests(modules: Iterable[str]) -> set[str]:
+    """Test files of the modules themselves."""
+    found = {name for module in modules for name in own_files(module)}
+    return {name for name in found if not name.startswith(UNSEEING)}
 
 
 def rooms() -> dict[str, Room]:
@@ -192,12 +199,15 @@ def run(room: Room, arguments: argparse.Namespace) -> Result:
             if not any(explanation.fits(change) for explanation in known):
                 print(f"unexplained: {change}", flush=True)
 
-    if not changes or not room.tests:
+    tests = room.tests
+    if arguments.own:
+        tests = tuple(sorted(own_tests({change.module for change in changes})))
+    if not changes or not tests:
         for change in changes:
             on_end(change, was_noticed=False)
         return report(room.name, changes, survivors, [], known, is_whole=not arguments.sample)
     with tempfile.TemporaryDirectory() as folder:
-        trials = Trials(room.tests, Path(folder), is_quick=bool(arguments.sample))
+        trials = Trials(tests, Path(folder), is_quick=bool(arguments.sample))
         name = room.name.replace("/", "-")
         kept = f"{arguments.record}-{name}.json" if arguments.record else f"{folder}/record"
         trials.record(room.modules, Path(kept))
@@ -269,6 +279,9 @@ def main() -> int:
         "--sample", type=int, default=0, help="try so many changes per room, by tests not slow"
     )
     parser.add_argument("--seed", type=int, default=0, help="which ones a sample has")
+    parser.add_argument(
+        "--own", action="store_true", help="only by the tests of each module itself: far sooner"
+    )
     parser.add_argument(
         "--record", help="keep at this path, for the next run of the same code, what runs what"
     )

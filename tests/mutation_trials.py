@@ -18,6 +18,7 @@ from functools import partial
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import spec_from_file_location
+from itertools import accumulate
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 
@@ -28,12 +29,12 @@ from tests.mutation_changes import ROOT, Change, statement, text_of
 from tests.test_house import PACKAGE, TESTED_ELSEWHERE
 from tests.test_house import mirrored as place_of_test
 
-__all__ = ["ELSEWHERE", "Trials", "mirrored"]
+__all__ = ["ELSEWHERE", "Trials", "mirrored", "own_files"]
 
 ENOUGH_S = 12.0
 """Of tests for one change, beside the mirrored ones, as long as they take while coverage is
-recorded (a third without): lines that every flight runs would take the whole suite otherwise. For a
-sample, a third of it."""
+recorded (a third without): lines that every flight runs would take the whole suite otherwise. A
+sample has a third of it, and so much for the mirrored ones."""
 
 PARTNERS = {
     "block": ("by_hand", "handover", "signals", "stop_path"),
@@ -71,6 +72,15 @@ def mirrored(module: str) -> str:
     return str(found.relative_to(ROOT)) if found.exists() else ""
 
 
+def own_files(module: str) -> tuple[str, ...]:
+    """The mirrored test file of a module, first, and its partners."""
+    stem, test = Path(module).stem, mirrored(module)
+    if not test:
+        return ()
+    partners = (Path(test).with_name(f"test_{name}.py") for name in PARTNERS.get(stem, ()))
+    return test, *(str(path) for path in partners if (ROOT / path).exists())
+
+
 class Trials:
     """The tests of a room, run against one change after the other.
 
@@ -87,8 +97,13 @@ class Trials:
     def __init__(self, tests: Sequence[str], scratch: Path, *, is_quick: bool) -> None:
         self._tests = tests
         self._scratch = scratch
+        self._is_quick = is_quick
         self._enough_s = ENOUGH_S / 3 if is_quick else ENOUGH_S
-        left_out = list(ELSEWHERE) if set(tests) & set(IN_THIS_PROCESS) else ["pty", *ELSEWHERE]
+        left_out = (
+            list(ELSEWHERE)
+            if all(test.startswith(IN_THIS_PROCESS) for test in tests)
+            else ["pty", *ELSEWHERE]
+        )
         if is_quick and "pty" in left_out:
             left_out.append("slow")
         self._marks = " and ".join(f"not {mark}" for mark in left_out)
@@ -115,7 +130,7 @@ class Trials:
         }
         left_out = ", ".join(f"{count} {mark}" for mark, count in seen["left out"].items())
         print(f"  {len(took)} tests, not {left_out or 'one left out'}", flush=True)
-        if is_first:
+        if is_first and not self._is_quick:
             chosen = self._of_each_family(set(self._took))
             self._run_unchanged(Selection({name: self._took[name] for name in chosen}))
 
@@ -157,9 +172,8 @@ class Trials:
     def chosen(self, change: Change) -> dict[str, float]:
         """Tests to run and their times: the mirrored ones first, then the fastest."""
         names = self.tests_of(change)
-        stem, test = Path(change.module).stem, Path(mirrored(change.module))
-        partners = (str(test.with_name(f"test_{name}.py")) for name in PARTNERS.get(stem, ()))
-        first = (f"{test}::", *partners)
+        stem = Path(change.module).stem
+        first = tuple(f"{name}::" for name in own_files(change.module))
         if "" in names:
             every = self._lines[change.module].values()
             # A module of declarations alone is run by no test and used by any; a table may be read
@@ -168,13 +182,16 @@ class Trials:
             names |= {name for name in self._took if name.startswith(first)}
         if stem in UNSEEN:
             names |= {name for name in self._took if name.startswith(UNSEEN[stem])}
-        own = [name for name in names if name.startswith(first)]
-        chosen, spent = sorted(own, key=self._took.__getitem__), 0.0
-        for name in self._of_each_family(names.difference(own)):
-            spent += self._took[name]
-            if spent <= self._enough_s:
-                chosen.append(name)
+        own = sorted((n for n in names if n.startswith(first)), key=self._took.__getitem__)
+        if self._is_quick:
+            own = self._up_to_enough(own)
+        chosen = own + self._up_to_enough(self._of_each_family(names.difference(own)))
         return {name: self._took[name] for name in chosen}
+
+    def _up_to_enough(self, names: Sequence[str]) -> list[str]:
+        """As many of the first ones as the time for a change allows."""
+        spent = accumulate(self._took[name] for name in names)
+        return [name for name, so_far in zip(names, spent, strict=True) if so_far <= self._enough_s]
 
     def _of_each_family(self, names: set[str]) -> list[str]:
         """The fastest of each family of parameters, which says more than many of one family."""
