@@ -25,9 +25,13 @@ class Flight:
     """An aircraft as a source of packages; whatever is set is told from the next one on.
 
     Attributes:
-        north, height: Where it is, m; moved by the velocities.
-        speed, climb: To the north and up, m/s.
-        offset: Of the place that it tells, m north.
+        bearing: Which way it flies, and says that it does, rad clockwise from north. By default
+            neither of its parts is 0, and they have different signs and sizes.
+        latitude, longitude: Of where it began, rad; by default in the south, before the line of
+            the date.
+        way, height: How far it is, m; moved by the velocities.
+        speed, climb: To that bearing and up, m/s.
+        offset: Of the place that it tells, m to that bearing.
         told_speed, told_climb: What it tells, where that is not so.
         rates: Packages between two of an item.
     """
@@ -39,7 +43,11 @@ class Flight:
     vouches: bool = True
     health: int = 5
     status: int | None = FLYING
-    north: float = 0.0
+    bearing: float = 2.2
+    told_bearing: float | None = None
+    latitude: float = -0.7
+    longitude: float = math.pi - 1e-6
+    way: float = 0.0
     height: float = 20.0
     speed: float = 0.0
     climb: float = 0.0
@@ -69,10 +77,15 @@ class Flight:
         if self.has_velocity:
             told = self.speed if self.told_speed is None else self.told_speed
             climb = self.climb if self.told_climb is None else self.told_climb
-            velocity = told, 0.0, climb
+            to = self.bearing if self.told_bearing is None else self.told_bearing
+            velocity = told * math.cos(to), told * math.sin(to), climb
             items["velocity"] = velocity if self.firmware == "1.0" else (*velocity, self.vouches)
-        place = 0.4 + (self.north + self.offset) / EARTH_M, 2.0, 400.0, self.height, self.health
-        items["position"] = place
+        north = (self.way + self.offset) * math.cos(self.bearing)
+        east = (self.way + self.offset) * math.sin(self.bearing)
+        latitude = self.latitude + north / EARTH_M
+        longitude = self.longitude + east / (EARTH_M * math.cos(self.latitude))
+        longitude = math.remainder(longitude, 2 * math.pi) if math.isfinite(east) else east
+        items["position"] = latitude, longitude, 400.0, self.height, self.health
         if self.status is not None:
             items["flight_status"] = (self.status,)
         self.count += 1
@@ -86,7 +99,7 @@ class Flight:
     def move(self) -> None:
         self.now += self.step_s
         self.device += self.step_s * self.tick_rate
-        self.north += self.speed * self.step_s
+        self.way += self.speed * self.step_s
         self.height += self.climb * self.step_s
 
     def fly(self, seconds: float) -> Integrity:
@@ -297,6 +310,30 @@ def test_a_way_without_a_velocity_is_noticed(speed: float, within: float) -> Non
     assert flight.until(S.INCONSISTENT) <= within
 
 
+def test_a_way_to_another_side_than_the_velocity_says_is_noticed() -> None:
+    """The same speed to a wrong side: 6 m/s and 0.7 rad off is a lie of 4.1 m/s."""
+    seed = random.randrange(1 << 32)
+    chance = random.Random(seed)
+    for _ in range(12):
+        bearing, latitude = chance.uniform(-3.1, 3.1), chance.uniform(-1.2, 1.2)
+        off = chance.choice([-1.0, 1.0]) * chance.uniform(0.7, 3.1)
+        flight = Flight(bearing=bearing, latitude=latitude, speed=6.0)
+        assert flight.fly(5.0).state is S.GOOD, f"seed {seed}"
+        flight.told_bearing = bearing + off
+        assert flight.until(S.INCONSISTENT) <= 1.2, f"seed {seed}: {bearing}, {latitude}, {off}"
+
+
+@pytest.mark.parametrize(("off", "found"), [(2.4, S.GOOD), (3.2, S.JUMPED)])
+def test_a_place_may_be_off_by_the_gate_to_any_side(off: float, found: IntegrityState) -> None:
+    """25 m/s fly half a metre between two packages."""
+    for bearing in (0.0, 1.5, 2.5, -2.5, -1.5):
+        for latitude in (-1.2, 0.0, 1.2):
+            flight = Flight(bearing=bearing, latitude=latitude, has_velocity=False)
+            flight.fly(5.0)
+            flight.offset = off
+            assert flight.fly(0.02).state is found, (bearing, latitude)
+
+
 def test_a_height_that_stands_while_it_climbs_is_noticed() -> None:
     flight = Flight(climb=2.0)
     flight.fly(5.0)
@@ -331,7 +368,7 @@ def test_the_same_package_for_ever_is_a_clock_that_stands() -> None:
     assert found.state is S.CLOCK_STOPPED
     assert "has not advanced for 1." in found.seen
     flight.device += 1.2
-    flight.north += 6.0
+    flight.way += 6.0
     assert flight.fly(0.1).state is S.GOOD, "it was the line, and that is over"
 
 
@@ -385,9 +422,9 @@ def test_what_stays_wrong_is_not() -> None:
 
 @pytest.mark.parametrize("place", [math.nan, math.inf, 2.0])
 def test_what_is_no_place_is_no_fault_of_this_kind(place: float) -> None:
-    flight = Flight()
+    flight = Flight(bearing=0.0, latitude=0.0)
     flight.fly(5.0)
-    flight.north = place * EARTH_M
+    flight.way = place * EARTH_M
     assert flight.fly(0.1).state is S.UNKNOWN
 
 
