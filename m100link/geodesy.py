@@ -6,8 +6,8 @@ the wire has radians, and the telemetry layout converts them.
 
 Three answers of different worth:
 
-* :class:`LocalFrame`: a tangent plane on the WGS84 ellipsoid around one point. Within a fraction
-  of a millimetre at 1 km and a centimetre at 5 km, up to 80 degrees of latitude.
+* :class:`LocalFrame`: metres north and east of one point along the WGS84 ellipsoid. Within 0.01 mm
+  at 1 km and 3 mm at 5 km, up to 80 degrees of latitude.
 * :func:`geodesic`: length and bearing of the shortest line on the ellipsoid, any two points.
 * :func:`dji_offset`: the sphere that DJI's sample programs use. Up to 0.7 % wrong (7 m in a
   kilometre) but it is what those programs compute, so it has a name.
@@ -113,7 +113,7 @@ class LocalFrame:
         self._nee = -to_degrees * (1.0 + 3.0 * tangent * tangent) / (6.0 * along * across * across)
         # Longitude: meridians close up towards the pole (ne, nne), so does the east axis (eee).
         self._longitude_e = to_degrees / (across * cosine)
-        self._longitude_ne = to_degrees * tangent / (along * across * cosine)
+        self._longitude_ne = to_degrees * tangent / (across * across * cosine)
         third = to_degrees / (across**3 * cosine)
         self._longitude_nne = third * (1.0 + 3.0 * tangent * tangent) / 3.0
         self._eee = -third * tangent * tangent / 3.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 from geographiclib.geodesic import Geodesic
@@ -37,7 +38,7 @@ def tangent_plane(origin: tuple[float, float], point: tuple[float, float]) -> tu
 
 
 @pytest.mark.parametrize("latitude", LATITUDES)
-@pytest.mark.parametrize(("distance", "tolerance"), [(100, 1e-5), (1000, 3e-4), (5000, 8e-3)])
+@pytest.mark.parametrize(("distance", "tolerance"), [(100, 1e-6), (1000, 1e-5), (5000, 3e-3)])
 def test_local_frame_agrees_with_the_geodesic(
     latitude: float, distance: float, tolerance: float
 ) -> None:
@@ -50,6 +51,21 @@ def test_local_frame_agrees_with_the_geodesic(
         along, bearing = line["s12"], math.radians(line["azi1"])
         assert along * math.cos(bearing) == pytest.approx(north, abs=tolerance)
         assert along * math.sin(bearing) == pytest.approx(east, abs=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "tolerance"),
+    [(-60.0, 2e-3), (-33.0, 1e-3), (0.0, 1e-3), (22.5, 1e-3), (60.0, 2e-3)],
+)
+def test_each_term_of_the_third_order_shows_at_20_km(latitude: float, tolerance: float) -> None:
+    """A term that is off by a third of itself would be a centimetre."""
+    frame = LocalFrame(latitude, 113.9)
+    for azimuth in range(0, 360, 15):
+        turn = math.radians(azimuth)
+        found = frame.to_geodetic(20_000 * math.cos(turn), 20_000 * math.sin(turn))
+        line = Geodesic.WGS84.Direct(latitude, 113.9, azimuth, 20_000)
+        off = Geodesic.WGS84.Inverse(*found, line["lat2"], line["lon2"])["s12"]
+        assert off < tolerance, azimuth
 
 
 @pytest.mark.parametrize("latitude", LATITUDES)
@@ -135,6 +151,46 @@ def test_geodesic_agrees_with_geographiclib(a: tuple[float, float], b: tuple[flo
     if line["s12"] > 1000:
         turn = geodesy.normalize_degrees(bearing - line["azi1"])
         assert abs(turn) < 1e-5
+
+
+def test_geodesic_agrees_to_a_tenth_of_a_millimetre_over_long_lines() -> None:
+    """What each term of its series says shows there and nowhere else."""
+    chance = random.Random(5)
+    lines = 0
+    while lines < 100:
+        ends = [chance.uniform(-89, 89), chance.uniform(-180, 180)]
+        ends += [chance.uniform(-89, 89), chance.uniform(-180, 180)]
+        line = Geodesic.WGS84.Inverse(*ends)
+        if line["a12"] > 170:
+            continue
+        lines += 1
+        distance, bearing = geodesic(*ends)
+        assert distance == pytest.approx(line["s12"], abs=1e-4), ends
+        assert abs(geodesy.normalize_degrees(bearing - line["azi1"])) < 1e-8, ends
+
+
+def test_along_the_equator_it_is_an_arc_of_the_semi_major_axis() -> None:
+    for degrees in (1.0, -90.0, 150.0):
+        arc = 6_378_137.0 * math.radians(abs(degrees))
+        assert geodesic(0.0, 10.0, 0.0, 10.0 + degrees) == pytest.approx(
+            (arc, math.copysign(90.0, degrees)), abs=1e-4
+        )
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [
+        (10.0, 0.0, -9.9, 179.9),
+        (-10.0, 0.0, 9.9, -179.9),
+        (0.0, 0.0, 0.3, 179.7),
+        (30.0, 20.0, -29.8, -160.4),
+    ],
+)
+def test_of_nearly_opposite_points_the_great_circle_of_the_mean_sphere_counts(
+    ends: tuple[float, float, float, float],
+) -> None:
+    line = Geodesic(6_371_008.7714, 0.0).Inverse(*ends)  # the mean radius of WGS84, R1
+    assert geodesic(*ends) == pytest.approx((line["s12"], line["azi1"]), abs=1e-3)
 
 
 def test_a_point_is_no_distance_from_itself() -> None:
