@@ -167,8 +167,6 @@ class Setpoint(Movement):
         BadSetpoint: A value is not finite or outside its range, or the mode is not in the table.
     """
 
-    EXPERT_FLAG: ClassVar[int] = -1
-
     ADDRESS: ClassVar[Address] = Move.ADDRESS
     NAME: ClassVar[str] = Move.NAME
     LEVEL: ClassVar[int] = Move.LEVEL

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -181,6 +183,20 @@ def test_a_value_that_no_32_bit_float_holds_is_refused(name: str) -> None:
     build(OFFSET, HEIGHT, Yaw.RATE, **only(name, 3e38))
     with pytest.raises(BadSetpoint, match="1e\\+39"):
         build(OFFSET, HEIGHT, Yaw.RATE, **only(name, 1e39))
+
+
+def test_the_largest_value_is_that_of_ieee_754_single_precision() -> None:
+    (largest,) = struct.unpack("<f", b"\xff\xff\x7f\x7f")
+    for name in ("x", "y", "z"):
+        build(OFFSET, HEIGHT, Yaw.RATE, **only(name, largest))
+        with pytest.raises(BadSetpoint, match="outside"):
+            build(OFFSET, HEIGHT, Yaw.RATE, **only(name, math.nextafter(largest, math.inf)))
+
+
+def test_a_setpoint_that_was_checked_is_not_changed_behind_the_check() -> None:
+    setpoint = build(VELOCITY, CLIMB, Yaw.RATE)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setpoint.x = 99.0  # type: ignore[misc]  # that is the test
 
 
 SETPOINTS = st.one_of(
