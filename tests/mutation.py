@@ -181,7 +181,11 @@ def explanations(room: Room) -> list[Explanation]:
 
 def run(room: Room, arguments: argparse.Namespace) -> Result:
     """Try a room and say what was seen."""
-    modules = [name for name in room.modules if arguments.module in name]
+    modules = [
+        name
+        for name in room.modules
+        if not arguments.module or any(part in name for part in arguments.module)
+    ]
     changes = [change for module in modules for change in changes_of(module)]
     print(f"{room.name}: {len(changes)} changes", end="")
     if arguments.sample:
@@ -274,7 +278,9 @@ def main() -> int:
     parser.add_argument(
         "rooms", nargs="*", choices=[*ROOMS, []], help="all by default", metavar="room"
     )
-    parser.add_argument("--module", default="", help="only files whose path contains this")
+    parser.add_argument(
+        "--module", action="append", help="only files whose path contains this, or another one"
+    )
     parser.add_argument(
         "--sample", type=int, default=0, help="try so many changes per room, by tests not slow"
     )
