@@ -21,6 +21,7 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.geodesy import destination
+from m100link.missions.estimate import PlanEstimate
 from m100link.missions.waypoint import WaypointAction
 
 HOME = 52.1, 4.31
@@ -78,6 +79,15 @@ def test_turns_go_round_as_the_waypoint_says() -> None:
     assert with_actions(TurnTo(90), turn_clockwise=False) == pytest.approx(6, abs=0.01)
     corner = [at(0), at(100), at(100, 100)]
     assert seconds(waypoints=corner) == pytest.approx(SECONDS + 2, abs=0.01)
+    southward = [at(200), at(100, -20), at(0)]  # courses of -169 and 169°: the short way round
+    turn = 2 * math.degrees(math.atan2(20, 100)) / 45
+    way = 2 * math.hypot(100, 20) / 5 + 2 * STOP_S
+    assert seconds(waypoints=southward) == pytest.approx(way + turn, abs=0.01)
+    assert with_actions(TurnTo(-90), TurnTo(-90)) == pytest.approx(6, abs=0.01)
+    named = [at(0), at(100, heading_deg=90, actions=[TurnTo(45)]), at(200)]
+    assert seconds(waypoints=named, heading=Heading.BY_WAYPOINT) == pytest.approx(
+        SECONDS + 315 / 45, abs=0.01
+    )
     assert seconds(waypoints=corner, heading=Heading.BY_RC) == pytest.approx(SECONDS, abs=0.01)
     assert seconds(waypoints=corner, heading=Heading.BY_WAYPOINT) == pytest.approx(
         SECONDS, abs=0.01
@@ -90,6 +100,41 @@ def test_a_second_run_begins_where_the_first_began() -> None:
     assert again.duration_s == pytest.approx(2 * SECONDS + 200 / 5 + STOP_S, abs=0.1)
     back = replace(PLAN, at_end=AtEnd.FIRST_POINT).estimate()
     assert back.length_m == pytest.approx(400, abs=0.1)
+    assert back.duration_s == pytest.approx(SECONDS + 200 / 5 + STOP_S, abs=0.1)
+    both = replace(PLAN, repeat=2, at_end=AtEnd.FIRST_POINT).estimate()
+    assert both.length_m == pytest.approx(800, abs=0.2)
+    assert both.duration_s == pytest.approx(2 * (SECONDS + 200 / 5 + STOP_S), abs=0.2)
+
+
+@pytest.mark.parametrize(("first", "last"), [(30, 70), (70, 30)])
+def test_the_way_back_to_the_first_point_is_as_long_as_it_climbs(first: int, last: int) -> None:
+    """3-4-5: 30 m by 40 m; the climb takes longer than the way."""
+    rising = WaypointPlan(
+        [at(0, height=first), at(30, height=last)], speed=5, at_end=AtEnd.FIRST_POINT
+    ).estimate()
+    assert rising.length_m == pytest.approx(50 + 50, abs=0.05)
+    assert rising.duration_s == pytest.approx(2 * (40 / 3 + STOP_S), abs=0.05)
+
+
+def test_a_landing_below_the_take_off_point_takes_as_long_as_one_above() -> None:
+    for height in (20, -20):
+        landing = WaypointPlan(
+            [at(0, height=height), at(50, height=height)], speed=5, at_end=AtEnd.LAND
+        ).estimate(home=HOME)
+        assert landing.length_m == pytest.approx(20 + 50 + 20, abs=0.05)
+        assert landing.duration_s == pytest.approx(
+            20 / 3 + STOP_S + 50 / 5 + STOP_S + 20 / 1.5, abs=0.05
+        )
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "said"),
+    [(59.4, "59 s"), (59.6, "1:00 min"), (65, "1:05 min"), (600, "10:00 min")],
+)
+def test_seconds_are_said_as_minutes_from_60_on(duration_s: float, said: str) -> None:
+    assert str(PlanEstimate(7.4, duration_s, 49.6, 17)) == (
+        f"7 m in {said}, 50 % of a battery that hovers for 17 min"
+    )
 
 
 def test_the_ways_from_and_to_home_count_when_home_is_known() -> None:
@@ -98,7 +143,12 @@ def test_the_ways_from_and_to_home_count_when_home_is_known() -> None:
     assert without.length_m == pytest.approx(100 + 30, abs=0.1)  # it lands
     made = plan.estimate(home=HOME)
     assert made.length_m == pytest.approx(30 + 100 + 100 + 200 + 30, abs=0.2)
-    assert made.duration_s > without.duration_s + 100 / 5 + 200 / 8
+    # The landing with 1.5 m/s; before that the climb with 3 m/s, and the way home with 8 m/s.
+    assert without.duration_s == pytest.approx(100 / 5 + STOP_S + 30 / 1.5, abs=0.05)
+    around = 30 / 3 + 100 / 5 + STOP_S + 200 / 8 + 2
+    assert made.duration_s == pytest.approx(without.duration_s + around, abs=0.05)
+    # DJI: 17 minutes with 500 g.
+    assert made.battery_percent == pytest.approx(100 * made.duration_s / (17 * 60), abs=0.01)
     landing = replace(plan, at_end=AtEnd.LAND).estimate(home=HOME)
     assert landing.length_m == pytest.approx(30 + 100 + 100 + 30, abs=0.2)
 
