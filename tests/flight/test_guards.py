@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import math
+import random
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import pytest
 
@@ -26,7 +28,9 @@ from m100link import (
     UsageError,
 )
 from m100link.flight.guards import GuardKeeper
+from m100link.geodesy import LocalFrame
 from m100link.sim import AssistantSettings
+from m100link.telemetry.state import AircraftState
 from tests.rig import NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -526,6 +530,211 @@ async def test_envelope_off_by_its_name() -> None:
 def test_an_envelope_that_allows_nothing_is_no_envelope(name: str, value: float) -> None:
     with pytest.raises(UsageError, match=name):
         Envelope(**{name: value})
+
+
+class Stand:
+    """What an aircraft tells, by plain numbers: the guards alone, without one.
+
+    Attributes:
+        place: From where control began, m north and east.
+        heading: Of the nose, °.
+        height: Above the take-off point, m.
+        percent: Charge.
+    """
+
+    def __init__(self, guards: Guards) -> None:
+        self.start = LocalFrame(-33.0, 151.2)
+        self.place, self.heading, self.height, self.percent = (0.0, 0.0), 0.0, 5.0, 90
+        self.keeper = GuardKeeper(guards, cast(AircraftState, self), self.start)
+
+    def fresh(self, record: type[Any], *, within: float) -> Any:
+        del within
+        if record is Battery:
+            return Battery(self.percent)
+        if record is Attitude:
+            half = math.radians(self.heading) / 2
+            return Attitude(math.cos(half), 0.0, 0.0, math.sin(half))
+        assert record is Position
+        place = map(math.radians, self.start.to_geodetic(*self.place))
+        return Position(*place, 400.0, self.height, 5)
+
+    def is_refused(self, check: Callable[[], None]) -> bool:
+        try:
+            check()
+        except GuardRefused:
+            return True
+        return False
+
+
+def along(bearing: float, size: float) -> tuple[float, float]:
+    return size * math.cos(math.radians(bearing)), size * math.sin(math.radians(bearing))
+
+
+def towards(kind: str, bearing: float, heading: float) -> Setpoint:
+    """One that leads to a bearing; an offset by 20 m."""
+    rest: dict[str, Any] = {"up": 0, "yaw_rate_deg_s": 0}
+    ground, body = along(bearing, 1.0), along(bearing - heading, 1.0)
+    match kind:
+        case "velocity":
+            return Setpoint.velocity(north=ground[0], east=ground[1], **rest)
+        case "body velocity":
+            return Setpoint.velocity(forward=body[0], right=body[1], **rest)
+        case "offset":
+            return Setpoint.position_offset(north=20 * ground[0], east=20 * ground[1], **rest)
+        case "body offset":
+            return Setpoint.position_offset(forward=20 * body[0], right=20 * body[1], **rest)
+        case "tilt":  # rolls to the right, and flies forward with the nose down
+            return Setpoint.tilt(roll_deg=9 * body[1], pitch_deg=-9 * body[0], **rest)
+    frame = ReferenceFrame.GROUND
+    return Setpoint.tilt(roll_deg=9 * ground[1], pitch_deg=-9 * ground[0], frame=frame, **rest)
+
+
+KINDS = ["velocity", "body velocity", "offset", "body offset", "tilt", "ground tilt"]
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "sticks"])
+def test_the_radius_holds_on_every_bearing_at_every_heading(kind: str) -> None:
+    """Outside, whatever leads away is refused, and whatever leads back is not."""
+    seed = random.randrange(1 << 32)
+    chance = random.Random(seed)
+    for _ in range(40):
+        stand = Stand(Guards(envelope=Envelope(max_radius_m=50)))
+        where, stand.heading = chance.uniform(-180, 180), chance.uniform(-180, 180)
+        stand.place = along(where, 60.0)
+        # An offset of 20 m leads away from 60 m unless it turns back by more than 99.6°.
+        half = 99.6 if "offset" in kind else 90.0
+        off = chance.choice([-1, 1]) * chance.uniform(1.0, 179.0)
+        if abs(abs(off) - half) < 1.0:
+            continue
+        if kind == "sticks":
+            pitch, roll = along(where + off - stand.heading, 0.5)
+            check = partial(stand.keeper.check_sticks, roll, pitch, 0.0, 0.0)
+        else:
+            check = partial(stand.keeper.check, towards(kind, where + off, stand.heading))
+        ends = math.dist(along(where, 60.0), along(where + off, -20.0))
+        is_away = ends > 60.0 if "offset" in kind else abs(off) < 90.0
+        case = f"seed {seed}: at {where}, {off} off, heading {stand.heading}"
+        assert stand.is_refused(check) is is_away, case
+        stand.place = along(where, 25.0)
+        assert not stand.is_refused(check), case
+
+
+@pytest.mark.parametrize("kind", ["offset", "body offset"])
+def test_an_offset_counts_to_where_it_ends(kind: str) -> None:
+    seed = random.randrange(1 << 32)
+    chance = random.Random(seed)
+    for _ in range(20):
+        where, off, heading = (chance.uniform(-180, 180) for _ in range(3))
+        north, east = along(where, 35.0)
+        ends = math.hypot(north + along(where + off, 20.0)[0], east + along(where + off, 20.0)[1])
+        for limit in (ends - 0.1, ends + 0.1):
+            stand = Stand(Guards(envelope=Envelope(max_radius_m=limit)))
+            stand.place, stand.heading = (north, east), heading
+            check = partial(stand.keeper.check, towards(kind, where + off, heading))
+            is_refused = ends > limit and ends >= 35.0
+            assert stand.is_refused(check) is is_refused, f"seed {seed}: {where}, {off}, {limit}"
+
+
+@pytest.mark.parametrize(
+    ("sticks", "measured"),
+    [
+        ((0.3, 0.5, 0.0, 0.0), None),  # 0.583 of 17 m/s: 9.9
+        ((-0.5, -0.32, 0.0, 0.0), 10.09),
+        ((0.0, 0.6, 0.0, 0.0), 10.2),
+        ((0.6, 0.0, 0.0, 0.0), 10.2),
+        ((1.0, -1.0, 0.0, 0.0), 24.04),
+        ((0.0, 0.0, 1.0, -1.0), None),
+    ],
+)
+def test_sticks_may_fly_17_m_s(
+    sticks: tuple[float, float, float, float], measured: float | None
+) -> None:
+    """The fastest that the maker says, 61 km/h; both axes together."""
+    stand = Stand(Guards())
+    if measured is None:
+        stand.keeper.check_sticks(*sticks)
+        return
+    with pytest.raises(GuardRefused, match="deflection") as caught:
+        stand.keeper.check_sticks(*sticks)
+    assert caught.value.measured == pytest.approx(measured, abs=0.01)
+    assert caught.value.limit == 10.0
+
+
+def test_sticks_climb_and_descend_as_setpoints_do() -> None:
+    stand = Stand(Guards())
+    stand.height = 51.0
+    assert stand.is_refused(partial(stand.keeper.check_sticks, 0.0, 0.0, 0.1, 0.0))
+    stand.keeper.check_sticks(0.0, 0.0, -0.1, 0.0)
+    stand.keeper.check_sticks(0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "refused"),
+    [
+        ({"height": 54.9}, None),  # 5 m beyond each limit
+        ({"height": 55.1}, (55.1, 50.0)),
+        ({"place": along(130.0, 154.9)}, None),
+        ({"place": along(130.0, 155.1)}, (155.1, 150.0)),
+        ({"percent": 20}, None),
+        ({"percent": 19}, (19, 20)),
+    ],
+    ids=str,
+)
+def test_a_mission_is_ended_5_m_beyond_the_envelope(
+    change: dict[str, Any], refused: tuple[float, float] | None
+) -> None:
+    stand = Stand(Guards())
+    for name, value in change.items():
+        setattr(stand, name, value)
+    if refused is None:
+        stand.keeper.check_mission("the mission")
+        return
+    with pytest.raises(GuardRefused, match="the mission") as caught:
+        stand.keeper.check_mission("the mission")
+    assert (caught.value.measured, caught.value.limit) == pytest.approx(refused, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("target", "measured"),
+    [
+        ({"far": 149.9}, None),
+        ({"far": 150.1}, 150.1),
+        ({"far": 140.0, "radius": 9.9}, None),
+        ({"far": 140.0, "radius": 10.1}, 150.1),
+        ({"height": 50.0}, None),
+        ({"height": 50.1}, 50.1),
+        ({"height": -20.0}, None),
+        ({"speed": 10.0}, None),
+        ({"speed": 10.1}, 10.1),
+    ],
+    ids=str,
+)
+def test_a_target_is_measured_from_where_control_began(
+    target: dict[str, float], measured: float | None
+) -> None:
+    stand = Stand(Guards())
+    stand.place = along(20.0, 100.0)  # where it is does not count
+    values = dict(target)
+    far = values.pop("far", None)
+    place = None if far is None else stand.start.to_geodetic(*along(215.0, far))
+    check = partial(stand.keeper.check_target, "a flight", place, **values)
+    if measured is None:
+        check()
+        return
+    with pytest.raises(GuardRefused) as caught:
+        check()
+    assert caught.value.measured == pytest.approx(measured, abs=0.01)
+
+
+def test_the_fastest_setpoint_is_that_of_the_envelope_and_of_the_document() -> None:
+    for limit, fastest in [(4.0, 4.0), (10.0, 10.0), (25.0, 10.0)]:
+        assert Stand(Guards(envelope=Envelope(max_speed_m_s=limit))).keeper.fastest_m_s == fastest
+    assert Stand(Guards(envelope=None)).keeper.fastest_m_s == 10.0
+
+
+def test_the_usual_envelope_is_50_m_high_150_m_wide_and_10_m_s_fast() -> None:
+    """As docs/explanation/safety.md says, with a battery of 20 % and telemetry of a second."""
+    assert Guards() == Guards(True, Envelope(50.0, 150.0, 10.0), 20, 1.0, True)
 
 
 # -- what is being sent is asked about again ------------------------------------------------------
