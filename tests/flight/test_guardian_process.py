@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -151,6 +151,301 @@ def test_a_changed_half_does_not_count() -> None:
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="do not fit"):
         page.sealed(1, 600, [(LAST, 0, 1, bytes(1000))] * 20)
+
+
+# -- the watch, in this process, by a clock of the test --------------------------------------------
+
+
+class Watched:
+    """A watch whose clock and whose waiting are the test's.
+
+    Attributes:
+        now: Milliseconds.
+        waits: For how long it listened, in order, ms.
+        events: What happens when it listens for the nth time.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, is_waiting: bool = True) -> None:
+        self.aircraft, line = socket.socketpair()
+        line.setblocking(False)
+        self.aircraft.setblocking(False)
+        self.program, other = socket.socketpair()
+        self.page = os.memfd_create("test")
+        os.ftruncate(self.page, page.PAGE_SIZE)
+        self.now = 5_000
+        self.waits: list[float] = []
+        self.events: dict[int, Callable[[], object]] = {}
+        self.ends = line, other
+        monkeypatch.setattr(page, "milliseconds", lambda: self.now & 0xFFFFFFFF)
+        self.watch = page.Watch(line.fileno(), other.fileno(), self.page, os.getppid())
+        self.listen, self.let_pass = self.watch._listen, self.watch._pass
+        if is_waiting:
+            monkeypatch.setattr(self.watch, "_listen", self._wait)
+        monkeypatch.setattr(self.watch, "_pass", lambda seconds: self._wait(1000 * seconds))
+
+    def _wait(self, timeout_ms: float) -> None:
+        self.waits.append(timeout_ms)
+        assert len(self.waits) < 100
+        self.now += round(timeout_ms)
+        self.events.get(len(self.waits), lambda: None)()
+
+    def set(self, word: int, value: int) -> None:
+        os.pwrite(self.page, (value & 0xFFFFFFFF).to_bytes(4, "little"), 4 * word)
+
+    def word(self, which: int) -> int:
+        return int.from_bytes(os.pread(self.page, 4, 4 * which), "little")
+
+    def publish(self, generation: int, *, patience: int = 700, half: int | None = None) -> None:
+        data = page.sealed(generation, patience, STEPS)
+        number = generation % 2 if half is None else half
+        os.pwrite(self.page, data, page.HALVES_AT + number * page.HALF_SIZE)
+
+    def end(self) -> None:
+        self.watch._is_over = True
+
+    def close(self) -> None:
+        for one in (self.aircraft, self.program, *self.ends):
+            one.close()
+        os.close(self.page)
+        if self.watch._process >= 0:
+            os.close(self.watch._process)
+
+    def received(self) -> bytes:
+        with contextlib.suppress(BlockingIOError):
+            return self.aircraft.recv(1 << 20)
+        return b""
+
+
+STEPS = [(STALLED, 0, 1, b"n"), (STALLED, 20, 2, b"N"), (LAST, 0, 1, b"l"), (LAST, 50, 2, b"L")]
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
+    with contextlib.closing(Watched(monkeypatch)) as there:
+        yield there
+
+
+@pytest.fixture
+def listening(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
+    """One that really listens."""
+    with contextlib.closing(Watched(monkeypatch, is_waiting=False)) as there:
+        yield there
+
+
+def test_a_setpoint_is_abandoned_after_300_ms_and_a_flight_after_its_patience(
+    watched: Watched,
+) -> None:
+    watched.publish(1)
+    watched.set(page.TOKEN, 5_000)
+    watched.watch.run()
+    # To 300 ms; its three frames, 40 ms; to 700 ms; and the last three with 50 ms between.
+    assert watched.waits == [300, 0, 20, 20, 360, 0, 50, 50]
+    assert watched.received() == b"nNNlLL"
+    assert watched.word(page.HOLD) == page.TAKEN
+
+
+def test_a_program_that_lives_is_left_alone_and_one_that_is_done_ends_it(watched: Watched) -> None:
+    watched.publish(1)
+    watched.set(page.TOKEN, 5_000)
+    for number in range(1, 5):
+        watched.events[number] = lambda: watched.set(page.TOKEN, watched.now - 100)
+    watched.events[5] = watched.end
+    watched.watch.run()
+    assert watched.waits == [300, 200, 200, 200, 200]
+    assert watched.received() == b""
+    assert watched.word(page.HOLD) == page.FREE
+
+
+def test_without_a_plan_it_looks_once_a_minute_and_ends_with_the_program(watched: Watched) -> None:
+    watched.set(page.TOKEN, 5_000)
+    watched.events[3] = lambda: setattr(watched.watch, "_is_dead", True)
+    watched.watch.run()
+    assert watched.waits == [60_000, 60_000, 60_000]
+    assert watched.received() == b""
+
+
+def test_the_death_of_a_program_is_not_waited_for(watched: Watched) -> None:
+    watched.publish(1)
+    watched.set(page.TOKEN, 5_000)
+    watched.watch._is_dead = True
+    watched.watch.run()
+    assert watched.received() == b"lLL"
+
+
+@pytest.mark.parametrize("event", ["lives", "dies", "is done"])
+def test_what_a_stall_sends_ends_when_the_program_is_back_or_gone(
+    watched: Watched, event: str
+) -> None:
+    watched.publish(1)
+    watched.set(page.TOKEN, 5_000)
+    holds: list[int] = []
+    happens: dict[str, Callable[[], object]] = {
+        "lives": lambda: watched.set(page.TOKEN, 5_310),
+        "dies": lambda: setattr(watched.watch, "_is_dead", True),
+        "is done": watched.end,
+    }
+    watched.events[1] = lambda: holds.append(watched.word(page.HOLD))
+    watched.events[3] = happens[event]
+    watched.events[4] = watched.end
+    watched.watch.run()
+    assert watched.received() == (b"nlLL" if event == "dies" else b"n")
+    assert holds == [page.FREE]
+
+
+@pytest.mark.parametrize(
+    ("token", "now", "age"),
+    [
+        (5_000, 5_299, 299),
+        (5_005, 5_000, 0),  # renewed since the clock was read
+        (5_999, 5_000, 0),
+        (0xFFFFFF9C, 200, 300),  # the word wraps after 49 days
+        (0, 0xFFFF0000, 0xFFFF0000),
+    ],
+)
+def test_the_age_of_a_token(watched: Watched, token: int, now: int, age: int) -> None:
+    watched.now = now
+    watched.set(page.TOKEN, token)
+    assert watched.watch._age() == (age, token)
+
+
+@pytest.mark.parametrize("generations", [(7, 8, 9), (0xFFFFFFFE, 0xFFFFFFFF, 0, 1), (0, 1, 2)])
+def test_the_newer_half_counts_whichever_it_is_and_when_the_number_wraps(
+    watched: Watched, generations: tuple[int, ...]
+) -> None:
+    for generation in generations:
+        watched.publish(generation, patience=600 + generation % 50)
+        watched.watch._refresh()
+        assert watched.watch._generation == generation
+        assert watched.watch._patience == 600 + generation % 50
+
+
+def test_an_older_half_and_junk_change_nothing(watched: Watched) -> None:
+    watched.publish(1)
+    watched.watch._refresh()
+    watched.publish(0xFFFFFFFF)
+    watched.watch._refresh()
+    assert watched.watch._generation == 1
+    os.pwrite(watched.page, b"junk", page.HALVES_AT + page.HALF_SIZE + 20)
+    watched.watch._refresh()
+    assert watched.watch._stalled == [(0, b"n"), (20, b"N"), (20, b"N")]
+    assert watched.watch._last == [(0, b"l"), (50, b"L"), (50, b"L")]
+
+
+@pytest.mark.parametrize(("unsent", "torn", "zeros"), [(0, 0, 0), (30, 0, 30), (5, 12, 12)])
+def test_a_torn_frame_is_completed_with_zeros(
+    watched: Watched, unsent: int, torn: int, zeros: int
+) -> None:
+    watched.set(page.UNSENT, unsent)
+    watched.watch._torn = torn
+    watched.watch._mend()
+    assert watched.received() == bytes(zeros)
+
+
+def test_no_frame_lacks_more_than_the_longest_has(watched: Watched) -> None:
+    """1023 bytes, the length field of ten bits; a word of junk may say anything."""
+    watched.set(page.UNSENT, 0xFFFFFFFF)
+    watched.watch._mend()
+    assert watched.received() == bytes(1023)
+
+
+def test_a_full_line_is_waited_for_and_what_was_cut_off_is_remembered(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page, "_ROOM_WITHIN_S", (0.0, 0.0))
+    taken = iter([3, BlockingIOError(), BlockingIOError(), 10])
+
+    def write(line: int, data: bytes) -> int:
+        del line, data
+        result = next(taken)
+        if isinstance(result, BlockingIOError):
+            raise result
+        return result
+
+    monkeypatch.setattr(os, "write", write)
+    watched.watch._write(bytes(10), is_last=False)
+    assert watched.watch._torn == 7, "three of ten went out"
+    watched.watch._write(bytes(20), is_last=True)
+    assert watched.watch._torn == 7, "nothing of that one did"
+    watched.watch._write(bytes(10), is_last=True)
+    assert watched.watch._torn == 0
+
+
+def test_a_line_is_waited_for_a_second_in_flight_and_30_at_the_end() -> None:
+    assert page._ROOM_WITHIN_S == (1.0, 30.0)
+
+
+@pytest.mark.parametrize(("said", "is_over"), [(page.WAKE, False), (page.OVER, True)])
+def test_the_words_of_the_program(listening: Watched, said: bytes, is_over: bool) -> None:
+    listening.program.send(said)
+    listening.listen(10_000)
+    assert (listening.watch._is_over, listening.watch._is_dead) == (is_over, False)
+
+
+def test_a_program_that_closes_its_socket_is_gone(listening: Watched) -> None:
+    listening.program.close()
+    listening.listen(10_000)
+    assert (listening.watch._is_over, listening.watch._is_dead) == (False, True)
+    began = time.monotonic()
+    listening.listen(30)  # what has ended does not wake it for ever
+    assert time.monotonic() - began >= 0.03
+
+
+def test_another_parent_is_the_end_of_the_program(
+    listening: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getppid", lambda: 1)
+    listening.listen(-5)
+    assert listening.watch._is_dead
+
+
+def test_a_process_that_ends_is_seen_though_a_child_holds_its_socket(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    child = os.fork()
+    if not child:
+        time.sleep(PATIENCE)
+        os._exit(0)
+    monkeypatch.setattr(os, "getppid", lambda: child)
+    with contextlib.closing(Watched(monkeypatch, is_waiting=False)) as there:
+        there.listen(0)
+        assert not there.watch._is_dead
+        os.kill(child, signal.SIGKILL)
+        there.listen(1000 * PATIENCE)
+        assert there.watch._is_dead
+    os.waitpid(child, 0)
+
+
+def test_time_passes_by_listening_and_for_a_dead_program_by_reading_its_line(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "monotonic", lambda: 100 + watched.now / 1000)
+    watched.let_pass(2.5)
+    assert watched.waits == pytest.approx([1000, 1000, 500])
+    read: list[float] = []
+
+    def drain(seconds: float) -> None:
+        read.append(seconds)
+        watched.now += 400
+
+    monkeypatch.setattr(watched.watch, "_drain", drain)
+    watched.watch._is_dead = True
+    watched.let_pass(1.0)
+    assert read == pytest.approx([1.0, 0.6, 0.2])
+
+
+def test_an_empty_line_is_looked_at_for_as_long_as_there_is_time(watched: Watched) -> None:
+    began = time.monotonic()
+    watched.watch._drain(0.03)
+    assert 0.03 <= time.monotonic() - began < 10.0
+
+
+def test_a_dead_programs_line_is_read_and_one_that_is_closed_ends_it(watched: Watched) -> None:
+    watched.aircraft.send(b"telemetry")
+    watched.watch._drain(1.0)
+    assert not select.select([watched.ends[0]], [], [], 0)[0]
+    watched.aircraft.close()
+    with pytest.raises(page.LineGone):
+        watched.watch._drain(1.0)
 
 
 # -- the process ----------------------------------------------------------------------------------
