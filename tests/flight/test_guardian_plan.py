@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections.abc import Awaitable, Callable
 
 import pytest
 
 from m100link import Control
-from m100link.flight.guardian_plan import NOTHING, GuardianPlan, Step, control_plan
+from m100link.flight.guardian_plan import (
+    NOTHING,
+    GuardianPlan,
+    Step,
+    control_plan,
+    virtual_rc_plan,
+)
 from m100link.flight.stop_path import StopPath
 from m100link.wire import Cipher, Frame, FrameDecoder
 from tests.flight.test_endings import long_way
@@ -87,6 +94,48 @@ async def test_the_release_waits_until_a_landing_is_over() -> None:
     assert landings[-1] >= 10_000, "a take-off that is under way refuses it for six seconds"
     assert releases[0] - landings[0] >= 60_000
     assert releases[-1] - releases[0] < 500
+
+
+async def test_of_a_landing_each_order_comes_when_the_stop_path_would_give_it() -> None:
+    """Eight landings 1.5 s apart, each twice; three releases 50 ms apart after 60 s."""
+    found = await planned("land", in_the_air)
+    first = 300  # behind fifteen neutrals 20 ms apart, from 0 on, and a pause
+    landings = [at for at, frame in found if frame.data[:2] == TASK]
+    assert landings == [first + each * 1520 + again * 20 for each in range(8) for again in range(2)]
+    releases = [at for at, frame in found if frame.data == AUTHORITY]
+    last = landings[-1] + 60_000 - 7 * 1500
+    assert releases == [last + each * 70 + again * 20 for each in range(3) for again in range(2)]
+
+
+async def test_a_stalled_program_has_fifteen_neutrals_and_nothing_is_ended() -> None:
+    async with rig(firmware="3.1") as flown:
+        async with flown.aircraft.control(stop="land") as control:
+            await in_the_air(control)
+            found = frames(flown, plan_of(flown, control).stalled)
+    assert [at for at, _ in found] == list(range(0, 300, 20))
+    assert {frame.data[:2] for _, frame in found} == {MOVE}
+    assert {frame.data[3:] for _, frame in found} == {bytes(16)}
+
+
+@pytest.mark.parametrize("falls_back", [True, False])
+async def test_a_virtual_remote_control_is_centred_and_switched_off_2_2_s_later(
+    falls_back: bool,
+) -> None:
+    """DJI's header: settings more often than every 2 s lock the aircraft. Channels of 1024 hover in
+    P, with the gear down; off is bit 0, and bit 1 says that the real one flies then."""
+    async with rig(firmware="3.1") as flown:
+        plan = virtual_rc_plan(flown.aircraft._commander, falls_back=falls_back)
+        stalled, last = frames(flown, plan.stalled), frames(flown, plan.last)
+    channels = [1024, 1024, 1024, 1024, 1324, 1024, 1552, *[1024] * 9]
+    centred = b"\x05\x01" + struct.pack("<16I", *channels)
+    off = b"\x05\x00" + bytes([2 * falls_back])
+    assert [(at, frame.data) for at, frame in stalled] == [
+        (at, centred) for at in range(0, 400, 100)
+    ]
+    assert [(at, frame.data) for at, frame in last] == [
+        *((at, centred) for at in range(0, 2300, 100)),
+        (2300, off),
+    ]
 
 
 async def test_a_mission_is_told_to_stop_before_anything_else() -> None:

@@ -352,13 +352,13 @@ def test_a_full_line_is_waited_for_and_what_was_cut_off_is_remembered(
     watched: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page, "_ROOM_WITHIN_S", (0.0, 0.0))
-    taken = iter([3, BlockingIOError(), BlockingIOError(), 10])
+    taken: Iterator[int | None] = iter([3, None, None, 10])
 
     def write(line: int, data: bytes) -> int:
         del line, data
         result = next(taken)
-        if isinstance(result, BlockingIOError):
-            raise result
+        if result is None:
+            raise BlockingIOError
         return result
 
     monkeypatch.setattr(os, "write", write)
@@ -408,10 +408,10 @@ def test_a_process_that_ends_is_seen_though_a_child_holds_its_socket(
     monkeypatch.setattr(os, "getppid", lambda: child)
     with contextlib.closing(Watched(monkeypatch, is_waiting=False)) as there:
         there.listen(0)
-        assert not there.watch._is_dead
+        before = there.watch._is_dead
         os.kill(child, signal.SIGKILL)
         there.listen(1000 * PATIENCE)
-        assert there.watch._is_dead
+        assert (before, there.watch._is_dead) == (False, True)
     os.waitpid(child, 0)
 
 

@@ -555,8 +555,8 @@ class Stand:
             half = math.radians(self.heading) / 2
             return Attitude(math.cos(half), 0.0, 0.0, math.sin(half))
         assert record is Position
-        place = map(math.radians, self.start.to_geodetic(*self.place))
-        return Position(*place, 400.0, self.height, 5)
+        latitude, longitude = map(math.radians, self.start.to_geodetic(*self.place))
+        return Position(latitude, longitude, 400.0, self.height, 5)
 
     def is_refused(self, check: Callable[[], None]) -> bool:
         try:
