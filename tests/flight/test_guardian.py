@@ -7,7 +7,9 @@ the order of what came, never when it came.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import mmap
 import os
 import random
 import select
@@ -20,23 +22,26 @@ import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 import m100link
 from m100link.errors import GuardianFailed, GuardianTookOver, PortBusy, UsageError
 from m100link.flight import guardian as guardian_module
-from m100link.flight.guardian import patience_of
+from m100link.flight import guardian_process as page
+from m100link.flight.guardian import Guardian, patience_of
+from m100link.flight.guardian_plan import GuardianPlan, Step
+from m100link.link import Link
 from tests.flight import foreign_aircraft as foreign
 from tests.flight.foreign_aircraft import ForeignAircraft, ForeignMatrice, foreign_aircraft
 from tests.flight.guarded_program import ENDS, guardian_of
 from tests.rig import NORTH
 from tests.waiting import PATIENCE, blocking_until
 
-pytestmark = [
-    pytest.mark.pty,
-    pytest.mark.skipif(sys.platform != "linux", reason="there is a guardian on Linux alone"),
-]
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="there is a guardian on Linux alone"
+)
 
 ROOT = Path(__file__).parent.parent.parent
 MODES = ("hover", "land", "mission")
@@ -148,6 +153,7 @@ def assert_ended_in_order(there: Foreign, mode: str) -> None:
 STOP = (0x12, b"\x01")
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("end", [*ENDS, *FROM_OUTSIDE])
 def test_the_flight_is_ended_whatever_becomes_of_the_program(end: str, mode: str) -> None:
@@ -157,6 +163,7 @@ def test_the_flight_is_ended_whatever_becomes_of_the_program(end: str, mode: str
         assert_ended_in_order(there, mode)
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("firmware", ["1.0", "2.3"])
 @pytest.mark.parametrize("mode", ["hover", "land"])
 def test_the_flight_is_ended_for_aircraft_of_every_firmware(firmware: str, mode: str) -> None:
@@ -164,6 +171,7 @@ def test_the_flight_is_ended_for_aircraft_of_every_firmware(firmware: str, mode:
         assert_ended_in_order(there, mode)
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("end", ["kill", "sleep", "execv"])
 def test_the_flight_is_ended_over_tcp(end: str, mode: str) -> None:
@@ -171,6 +179,7 @@ def test_the_flight_is_ended_over_tcp(end: str, mode: str) -> None:
         assert_ended_in_order(there, mode)
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("mode", MODES)
 def test_a_computer_that_slept_ends_the_flight_when_it_wakes(mode: str) -> None:
     """Both processes stand still, and the program is the first to go on."""
@@ -185,6 +194,7 @@ def test_a_computer_that_slept_ends_the_flight_when_it_wakes(mode: str) -> None:
         assert_ended_in_order(there, mode)
 
 
+@pytest.mark.pty
 def test_a_kill_at_any_moment_leaves_nothing_behind() -> None:
     """From before authority to the middle of the stop path."""
     seed = int(os.environ.get("M100LINK_SEED", "7"))
@@ -208,6 +218,7 @@ def kill_after(seconds: float) -> None:
         assert not speeds or speeds[-1] == 0.0, f"killed after {seconds:.3f} s"
 
 
+@pytest.mark.pty
 def test_a_landing_that_was_begun_by_the_stop_path_goes_on_when_the_program_is_killed() -> None:
     with foreign_aircraft("3.1") as there, flown(there, "land", "never") as process:
         process.send_signal(signal.SIGTERM)
@@ -216,6 +227,7 @@ def test_a_landing_that_was_begun_by_the_stop_path_goes_on_when_the_program_is_k
         assert_ended_in_order(there, "land")
 
 
+@pytest.mark.pty
 def test_the_next_program_is_told_who_has_the_port_and_to_leave_it_alone() -> None:
     async def come(name: str) -> None:
         with pytest.raises(PortBusy, match="m100link-guard") as caught:
@@ -229,6 +241,7 @@ def test_the_next_program_is_told_who_has_the_port_and_to_leave_it_alone() -> No
         asyncio.run(come(there.name))
 
 
+@pytest.mark.pty
 def test_the_pilot_who_took_the_aircraft_keeps_it() -> None:
     with foreign_aircraft("3.1") as there, flown(there, "land", "stopped"):
         there.leave_f()
@@ -247,6 +260,7 @@ async def connected(there: ForeignAircraft) -> AsyncIterator[m100link.Aircraft]:
         yield aircraft
 
 
+@pytest.mark.pty
 def test_a_program_that_comes_back_is_told_and_may_ask_for_control_again() -> None:
     async def fly(there: ForeignAircraft) -> None:
         async with connected(there) as aircraft:
@@ -271,6 +285,7 @@ def test_a_program_that_comes_back_is_told_and_may_ask_for_control_again() -> No
         asyncio.run(fly(there))
 
 
+@pytest.mark.pty
 def test_a_short_hang_costs_the_setpoint_and_not_the_flight() -> None:
     async def fly(there: ForeignAircraft) -> None:
         async with connected(there) as aircraft, aircraft.control(guardian=20.0) as control:
@@ -291,6 +306,7 @@ def test_a_short_hang_costs_the_setpoint_and_not_the_flight() -> None:
         asyncio.run(fly(there))
 
 
+@pytest.mark.pty
 def test_without_a_guardian_by_name_there_is_none() -> None:
     async def fly(there: ForeignAircraft) -> None:
         async with connected(there) as aircraft:
@@ -303,6 +319,7 @@ def test_without_a_guardian_by_name_there_is_none() -> None:
         asyncio.run(fly(there))
 
 
+@pytest.mark.pty
 def test_a_guardian_that_is_lost_is_told_and_the_flight_goes_on(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -324,6 +341,7 @@ def test_a_guardian_that_is_lost_is_told_and_the_flight_goes_on(
     assert "the guardian of this flight is gone" in caplog.text
 
 
+@pytest.mark.pty
 def test_a_block_leaves_no_process_and_no_descriptor() -> None:
     async def fly(there: ForeignAircraft) -> None:
         async with connected(there) as aircraft:
@@ -339,6 +357,7 @@ def test_a_block_leaves_no_process_and_no_descriptor() -> None:
         asyncio.run(fly(there))
 
 
+@pytest.mark.pty
 def test_a_guardian_that_cannot_start_is_an_error_and_nothing_was_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -358,6 +377,7 @@ def test_a_guardian_that_cannot_start_is_an_error_and_nothing_was_asked_for(
         asyncio.run(fly(there))
 
 
+@pytest.mark.pty
 def test_a_frozen_program_does_not_begin_a_second_time_as_its_own_guardian(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -373,6 +393,7 @@ def test_a_frozen_program_does_not_begin_a_second_time_as_its_own_guardian(
         asyncio.run(fly(there))
 
 
+@pytest.mark.pty
 def test_a_guardian_that_stands_still_itself_does_not_hold_up_the_program(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -402,3 +423,258 @@ def test_what_a_program_says_of_it(said: bool | float, seconds: float | None) ->
 def test_what_makes_no_sense_is_refused(said: float) -> None:
     with pytest.raises(UsageError):
         patience_of(said)
+
+
+# -- the program's side alone, by a clock of the test ----------------------------------------------
+
+
+class Handle:
+    """A timer that was set for so many seconds."""
+
+    def __init__(self, delay: float) -> None:
+        self.delay, self.is_cancelled = delay, False
+
+    def cancel(self) -> None:
+        self.is_cancelled = True
+
+
+class Program:
+    """A guardian without its process: the page and the words are seen by the test.
+
+    Attributes:
+        now: Milliseconds of both clocks.
+        wanted: What the aircraft needs if the program ends now.
+        told: The errors that say that it has taken over.
+        killed: How often its process was killed.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, patience_s: float | None = 2.0) -> None:
+        self.now, self.wanted = 10_000, "a"
+        self.told: list[GuardianTookOver] = []
+        self.killed = 0
+        self.descriptor: int | None = 7
+        self.gate: object = None
+        self.timers: list[Handle] = []
+        self.readers: list[object] = []
+        self.other: socket.socket
+        self.said = page.READY
+        monkeypatch.setattr(page, "milliseconds", lambda: self.now & 0xFFFFFFFF)
+        self.guardian = Guardian(
+            cast(Link, self), lambda: self.wanted, self.plan, self.told.append, patience_s
+        )
+        monkeypatch.setattr(self.guardian, "_spawn", self._spawn)
+
+    def plan(self, wanted: str) -> GuardianPlan:
+        frame = wanted.encode()
+        return GuardianPlan((Step(frame),), (Step(frame, 30, 2), Step(b"never", 1, 0)))
+
+    def _spawn(self, descriptor: int) -> None:
+        assert descriptor == 7
+        self.guardian._socket, self.other = socket.socketpair()
+        for one in (self.guardian._socket, self.other):
+            one.setblocking(False)
+        self.guardian._map = mmap.mmap(-1, page.PAGE_SIZE)
+        self.guardian._process = cast("subprocess.Popen[bytes]", self)
+
+    # A loop, and a process.
+    loop = property(lambda self: self)
+
+    async def sock_recv(self, _: socket.socket, size: int) -> bytes:
+        assert size == 1
+        return self.said
+
+    def add_reader(self, one: socket.socket, _: object) -> None:
+        self.readers.append(one)
+
+    def remove_reader(self, one: socket.socket) -> None:
+        self.readers.remove(one)
+
+    def call_later(self, delay: float, _: object) -> Handle:
+        self.timers.append(Handle(delay))
+        return self.timers[-1]
+
+    def time(self) -> float:
+        return self.now / 1000
+
+    def kill(self) -> None:
+        self.killed += 1
+
+    def wait(self, timeout: float) -> int:
+        assert timeout == 1.0
+        return 0
+
+    # What the test sees.
+    @property
+    def words(self) -> memoryview:
+        assert self.guardian._words is not None
+        return self.guardian._words
+
+    @property
+    def half(self) -> object:
+        """What the newer half says."""
+        shared, found = self.guardian._map, []
+        assert shared is not None
+        for number in range(2):
+            at = page.HALVES_AT + number * page.HALF_SIZE
+            found.append(page.opened(shared[at : at + page.HALF_SIZE]))
+        return max(half for half in found if half is not None)
+
+    def heard(self) -> bytes:
+        try:
+            return self.other.recv(64)
+        except BlockingIOError:
+            return b""
+
+    def renew(self, after: int) -> None:
+        self.now += after
+        self.guardian._renew()
+
+    def close(self) -> None:
+        self.guardian._tear_down()
+        if hasattr(self, "other"):
+            self.other.close()
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Program]:
+    with contextlib.closing(Program(monkeypatch)) as there:
+        asyncio.run(there.guardian.start())
+        yield there
+
+
+def test_it_begins_with_a_plan_a_token_and_the_gate(watched: Program) -> None:
+    assert watched.guardian.is_watching
+    assert watched.gate is watched.guardian
+    assert watched.words[page.TOKEN] == 10_000
+    assert watched.half == (1, 2000, [(0, b"a")], [(30, b"a")] * 2)
+    assert watched.heard() == page.WAKE
+    assert [timer.delay for timer in watched.timers] == [0.1, 0.1], "Ctrl-C can take one"
+
+
+def test_a_plan_is_published_when_it_changes_into_the_other_half(watched: Program) -> None:
+    watched.heard()
+    watched.guardian.update()
+    assert watched.heard() == b""
+    watched.wanted = "b"
+    watched.renew(100)
+    assert watched.half == (2, 2000, [(0, b"b")], [(30, b"b")] * 2)
+    assert watched.heard() == page.WAKE
+    assert watched.words[page.TOKEN] == 10_100
+    assert [timer.is_cancelled for timer in watched.timers] == [True, True, False, False]
+
+
+def test_bytes_count_as_missing_until_they_are_written(watched: Program) -> None:
+    assert watched.guardian.opens(30)
+    assert watched.guardian.opens(12)
+    assert watched.words[page.UNSENT] == 42
+    watched.guardian.wrote(5)
+    assert watched.words[page.UNSENT] == 5
+
+
+@pytest.mark.parametrize("hold", [page.MID_FRAME, page.TAKEN])
+def test_while_the_guardian_writes_the_program_does_not(watched: Program, hold: int) -> None:
+    watched.words[page.HOLD] = hold
+    assert not watched.guardian.opens(30)
+    assert watched.words[page.UNSENT] == 0
+
+
+@pytest.mark.parametrize("began", [10_000, 0xFFFFFFFF - 500])
+def test_a_program_that_stood_still_for_its_patience_writes_no_more(
+    watched: Program, began: int
+) -> None:
+    watched.now = watched.guardian._renewed = watched.words[page.TOKEN] = began
+    watched.heard()
+    watched.now += 1_999
+    assert watched.guardian.opens(1)
+    watched.now += 1
+    assert not watched.guardian.opens(1)
+    token = watched.words[page.TOKEN]
+    watched.renew(0)
+    assert watched.words[page.TOKEN] == token, "it does not take back what the guardian may do"
+    assert watched.heard() == page.WAKE
+    watched.renew(1_000)
+    assert watched.killed == 0
+    watched.renew(1)
+    assert watched.killed == 1, "a guardian that stands still itself is ended"
+    assert watched.told == []
+
+
+def test_it_is_told_once_that_the_guardian_has_taken_over(watched: Program) -> None:
+    watched.words[page.HOLD] = page.TAKEN
+    token = watched.words[page.TOKEN]
+    watched.renew(100)
+    watched.renew(100)
+    assert watched.words[page.TOKEN] == token
+    (error,) = watched.told
+    assert "more than 2 s" in error.seen
+
+
+def test_a_guardian_that_ended_is_heard_and_let_go(
+    watched: Program, caplog: pytest.LogCaptureFixture
+) -> None:
+    watched.guardian._on_word()
+    assert watched.guardian.is_watching, "nothing was said"
+    watched.other.close()
+    watched.guardian._on_word()
+    assert not watched.guardian.is_watching
+    assert (watched.gate, watched.readers) == (None, [])
+    assert all(timer.is_cancelled for timer in watched.timers)
+    assert "nobody ends it if this program cannot" in caplog.text
+    assert watched.guardian.opens(30), "the flight goes on"
+
+
+@pytest.mark.parametrize("is_taken", [False, True])
+def test_at_the_end_of_a_block_it_is_dismissed_unless_it_has_taken_over(
+    watched: Program, caplog: pytest.LogCaptureFixture, is_taken: bool
+) -> None:
+    if is_taken:
+        watched.words[page.HOLD] = page.TAKEN
+    watched.heard()
+
+    async def end() -> None:
+        ending = asyncio.ensure_future(watched.guardian.end())
+        await asyncio.sleep(0)
+        half = (1, 2000, [(0, b"a")], [(30, b"a")] * 2) if is_taken else (2, 2000, [], [])
+        assert watched.half == half
+        assert watched.heard() == (b"" if is_taken else page.WAKE + page.OVER)
+        assert not ending.done()
+        watched.other.close()
+        watched.guardian._on_word()
+        await ending
+
+    asyncio.run(end())
+    assert len(watched.told) == is_taken
+    assert caplog.text == "", "that is expected"
+
+
+def test_the_child_of_a_fork_has_no_part_in_it(watched: Program) -> None:
+    watched.guardian._pid += 1
+    watched.wanted = "b"
+    watched.renew(100)
+    watched.guardian.update()
+    asyncio.run(watched.guardian.end())
+    assert watched.words[page.TOKEN] == 10_000
+    assert watched.half == (1, 2000, [(0, b"a")], [(30, b"a")] * 2)
+
+
+@pytest.mark.parametrize("why", ["not asked for", "no descriptor"])
+def test_without_a_line_or_without_being_asked_for_there_is_none(
+    monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    patience_s = None if why == "not asked for" else 2.0
+    there = Program(monkeypatch, patience_s=patience_s)
+    there.descriptor = None if why == "no descriptor" else 7
+    asyncio.run(there.guardian.start())
+    assert not there.guardian.is_watching
+    assert there.guardian.opens(30)
+    there.guardian.update()
+    there.guardian.wrote(3)
+    asyncio.run(there.guardian.end())
+
+
+def test_one_that_says_another_word_did_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    with contextlib.closing(Program(monkeypatch)) as there:
+        there.said = b""
+        with pytest.raises(GuardianFailed, match="ended at once"):
+            asyncio.run(there.guardian.start())
+        assert (there.killed, there.gate) == (1, None)
