@@ -229,6 +229,61 @@ def test_far_from_the_circle_most_of_the_speed_leads_to_it() -> None:
         assert math.hypot(steering.north, steering.east) <= 5
 
 
+def turned(vector: tuple[float, float], angle: float) -> tuple[float, float]:
+    cos, sin = math.cos(angle), math.sin(angle)
+    return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos
+
+
+def test_a_circle_is_the_same_on_each_bearing_and_the_mirror_of_the_other_sense() -> None:
+    """No side is another one's: places, velocities and headings are turned or mirrored together."""
+    seed = Random().randrange(1 << 32)
+    chance = Random(seed)
+    for _ in range(20):
+        places = [(chance.uniform(7, 13), chance.uniform(-2, 2)) for _ in range(4)]
+        flown = [(chance.uniform(-2, 2), chance.uniform(-2, 2)) for _ in range(4)]
+        angle = chance.uniform(-3, 3)
+        circles = [
+            Orbit(radius=10, speed=3, turns=2, clockwise=clockwise, max_speed=8)
+            for clockwise in (True, True, False)
+        ]
+        for place, velocity in zip(places, flown, strict=True):
+            first, other, mirrored = (
+                circle.steer(*moved, None, 0.1)
+                for circle, moved in zip(
+                    circles,
+                    [
+                        (place, velocity),
+                        (turned(place, angle), turned(velocity, angle)),
+                        ((place[0], -place[1]), (velocity[0], -velocity[1])),
+                    ],
+                    strict=True,
+                )
+            )
+            asked = turned((first.north, first.east), angle)
+            assert (other.north, other.east) == pytest.approx(asked), f"seed {seed}"
+            assert (mirrored.north, mirrored.east) == pytest.approx((first.north, -first.east))
+            assert other.to_go_deg == pytest.approx(first.to_go_deg)
+            assert mirrored.to_go_deg == pytest.approx(first.to_go_deg)
+            assert math.remainder(mirrored.yaw_deg + first.yaw_deg, 360) == pytest.approx(0)
+
+
+def test_what_is_asked_for_leads_the_velocity_by_its_lag() -> None:
+    """0.65 s: while it speeds up by 0.8 m/s², and inwards by the centripetal acceleration."""
+    orbit = Orbit(radius=10, speed=3, turns=1, clockwise=True, max_speed=8)
+    began = orbit.steer((10.0, 0.0), (0.0, 0.0), 180.0, 0.1)
+    assert (began.north, began.east) == pytest.approx((0.0, 0.08 + 0.65 * 0.8))
+    for _ in range(40):
+        steady = orbit.steer((10.0, 0.0), (0.0, 3.0), 180.0, 0.1)
+    assert (steady.north, steady.east) == pytest.approx((-0.65 * 3 * 3 / 10, 3.0))
+    outward = orbit.steer((10.0, 0.0), (1.0, 3.0), 180.0, 0.1)
+    assert outward.north == pytest.approx(-0.65 * 3 * 3 / 10 - 0.5)
+    assert outward.east == pytest.approx(3.0 - 0.65 * 3 * 1 / 10)
+    outside = orbit.steer((11.0, 0.0), (0.0, 0.0), 180.0, 0.1)
+    assert (outside.north, outside.off_m) == pytest.approx((-1.2, 1.0))
+    again = orbit.steer((10.0, 0.0), (0.0, 3.0), 180.0, 0.0)
+    assert (again.north, again.east) == pytest.approx((steady.north, 3.0)), "in no time"
+
+
 async def test_what_is_refused_moves_nothing() -> None:
     async with rig() as flown, flown.aircraft.control() as control:
         await control.take_off()
