@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -132,6 +133,62 @@ def test_it_waits_for_a_height_that_it_does_not_have() -> None:
     path = Path([(0, 0, 20), (40, 0, 20)], speed=5.0, corner_radius=0, max_speed=10)
     assert path.steer((10, 0, 15), (0, 0), 1.0).north == pytest.approx(0)
     assert path.steer((10, 0, 19.5), (0, 0), 1.0).north > 0
+
+
+def turned(vector: tuple[float, float], angle: float) -> tuple[float, float]:
+    cos, sin = math.cos(angle), math.sin(angle)
+    return vector[0] * cos - vector[1] * sin, vector[0] * sin + vector[1] * cos
+
+
+@pytest.mark.parametrize("radius", [0.0, 3.0])
+def test_a_path_is_the_same_on_each_bearing_and_its_mirror_is_steered_mirrored(
+    radius: float,
+) -> None:
+    """No side is another one's, in legs and in bends, beside them and beyond their end."""
+    seed = random.randrange(1 << 32)
+    chance = random.Random(seed)
+    for _ in range(12):
+        angle, away = chance.uniform(-3, 3), (chance.uniform(-99, 99), chance.uniform(-99, 99))
+        flat = [(0.0, 0.0)]
+        for _ in range(3):
+            leg = turned((chance.uniform(8, 20), 0.0), chance.uniform(-3, 3))
+            flat.append((flat[-1][0] + leg[0], flat[-1][1] + leg[1]))
+        heights = [chance.uniform(3, 9) for _ in flat]
+
+        def moved(at: tuple[float, float]) -> tuple[float, float]:
+            north, east = turned(at, angle)  # noqa: B023 (called here)
+            return north + away[0], east + away[1]  # noqa: B023
+
+        def made(places: list[tuple[float, float]]) -> Path:
+            points = [(*at, height) for at, height in zip(places, heights, strict=True)]  # noqa: B023
+            return Path(points, speed=4.0, corner_radius=radius, max_speed=8.0)
+
+        path = made(flat)
+        other, mirrored = made([moved(at) for at in flat]), made([(n, -e) for n, e in flat])
+        assert other.length == pytest.approx(path.length)
+        assert mirrored.length == pytest.approx(path.length)
+        for start, end in pairwise(flat):
+            for share in (0.0, 0.3, 0.7, 1.0, 1.1):
+                at = (
+                    start[0] + share * (end[0] - start[0]) + chance.uniform(-1, 1),
+                    start[1] + share * (end[1] - start[1]) + chance.uniform(-1, 1),
+                )
+                flown = chance.uniform(-3, 3), chance.uniform(-3, 3)
+                height = chance.uniform(3, 9)
+                one = path.steer((*at, height), flown, 0.1)
+                two = other.steer((*moved(at), height), turned(flown, angle), 0.1)
+                three = mirrored.steer((at[0], -at[1], height), (flown[0], -flown[1]), 0.1)
+                asked = turned((one.north, one.east), angle)
+                assert (two.north, two.east) == pytest.approx(asked, abs=1e-6), f"seed {seed}"
+                assert (three.north, three.east) == pytest.approx(
+                    (one.north, -one.east), abs=1e-6
+                ), f"seed {seed}"
+                for same in (two, three):
+                    assert same.to_go_m == pytest.approx(one.to_go_m, abs=1e-6)
+                    assert same.off_m == pytest.approx(one.off_m, abs=1e-6)
+                    assert same.height == pytest.approx(one.height, abs=1e-6)
+                headed = math.remainder(two.ahead_deg - one.ahead_deg - math.degrees(angle), 360)
+                assert headed == pytest.approx(0, abs=1e-6), f"seed {seed}"
 
 
 def test_length_counts_the_rounded_corners() -> None:
