@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import inspect
 import json
 import math
@@ -26,7 +27,7 @@ import coverage
 import pytest
 
 from tests.mutation_changes import ROOT, Change, statement, text_of
-from tests.test_house import PACKAGE, TESTED_ELSEWHERE
+from tests.test_house import PACKAGE, TESTED_ELSEWHERE, name_of
 from tests.test_house import mirrored as place_of_test
 
 __all__ = ["ELSEWHERE", "Trials", "mirrored", "own_files"]
@@ -388,8 +389,7 @@ class ChangedModule(SourceFileLoader):
     """Loads one module with its change."""
 
     def __init__(self, change: Change) -> None:
-        name = change.module.removesuffix(".py").replace("/", ".")
-        super().__init__(name, str(ROOT / change.module))
+        super().__init__(name_of(ROOT / change.module), str(ROOT / change.module))
         self._code = compile(change.text(), self.path, "exec")
 
     def get_code(self, fullname: str) -> CodeType:
@@ -413,6 +413,7 @@ class Changed(MetaPathFinder):
 def changed_bodies(change: Change) -> dict[FunctionType, CodeType] | None:
     """The functions of the module and their bodies with the change; None if that is not all."""
     path = str(ROOT / change.module)
+    importlib.import_module(name_of(ROOT / change.module))  # or one that comes late stays unchanged
     gc.unfreeze()  # or those that were there when the tests had been collected are not named
     before = codes(compile(text_of(change.module), path, "exec"))
     after = codes(compile(change.text(), path, "exec"))
