@@ -8,7 +8,20 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 
-from m100link import AtEnd, BadPlan, Heading, Trace, TurnTo, Waypoint, WaypointPlan
+from m100link import (
+    AtEnd,
+    BadPlan,
+    GimbalPitch,
+    Heading,
+    StartVideo,
+    Stay,
+    StopVideo,
+    TakePhoto,
+    Trace,
+    TurnTo,
+    Waypoint,
+    WaypointPlan,
+)
 from m100link.missions.waypoint import WaypointAction
 from tests.missions.plans import plans
 from tests.missions.qgroundcontrol import file, survey, waypoint
@@ -99,6 +112,58 @@ PLAN = WaypointPlan(
     [Waypoint(47.3977, 8.5456, 30.0), Waypoint(47.399, 8.5456, 35.0, damping=3)],
     trace=Trace.COORDINATED_TURNS,
 )
+
+
+@pytest.mark.parametrize("heading", [Heading.BY_WAYPOINT, Heading.ALONG_PATH])
+@pytest.mark.parametrize("at_end", [AtEnd.LAND, AtEnd.GO_HOME, AtEnd.HOVER])
+def test_each_item_is_the_command_of_mavlink_with_its_parameters(
+    heading: Heading, at_end: AtEnd
+) -> None:
+    """common.xml: metres above home (frame 3), degrees, seconds; an item without a place has
+    frame 2, and a yaw that is not given is null."""
+    actions = [Stay(2.5), TakePhoto(), StartVideo(), StopVideo(), TurnTo(-90), GimbalPitch(-60)]
+    points = [
+        Waypoint(47.25, -8.5, 30.0, heading_deg=-45, actions=actions, turn_clockwise=False),
+        Waypoint(47.252, -8.501, 35.5, heading_deg=170, actions=[TurnTo(45)]),
+    ]
+    plan = WaypointPlan(points, speed=4.5, heading=heading, at_end=at_end)
+    document = json.loads(plan.to_qgroundcontrol())
+    yaws = (-45, 170) if heading is Heading.BY_WAYPOINT else (None, None)
+    ends = {
+        AtEnd.LAND: [(21, 3, [0, 0, 0, None, 47.252, -8.501, 0])],
+        AtEnd.GO_HOME: [(20, 2, [0] * 7)],
+        AtEnd.HOVER: [],
+    }
+    items = document["mission"]["items"]
+    assert [(item["command"], item["frame"], item["params"]) for item in items] == [
+        (178, 2, [1, 4.5, -1, 0, 0, 0, 0]),  # DO_CHANGE_SPEED: of the ground, m/s, no throttle
+        (16, 3, [0, 0, 0, yaws[0], 47.25, -8.5, 30.0]),
+        (93, 2, [2.5, -1, -1, -1, 0, 0, 0]),  # NAV_DELAY: seconds, no time of the day
+        (2000, 2, [0, 0, 1, 0, 0, 0, 0]),  # IMAGE_START_CAPTURE: one
+        (2500, 2, [0] * 7),
+        (2501, 2, [0] * 7),
+        (115, 2, [270, 0, -1, 0, 0, 0, 0]),  # CONDITION_YAW: 0 to 360°, -1 is anticlockwise
+        (205, 2, [-60, 0, 0, 0, 0, 0, 2]),  # DO_MOUNT_CONTROL: pitch, mode of angles
+        (16, 3, [0, 0, 0, yaws[1], 47.252, -8.501, 35.5]),
+        (115, 2, [45, 0, 1, 0, 0, 0, 0]),
+        *ends[at_end],
+    ]
+    assert [item["doJumpId"] for item in items] == list(range(1, len(items) + 1))
+    assert {item["autoContinue"] for item in items} == {True}
+    placed = [item for item in items if item["frame"] == 3]
+    assert [(item["Altitude"], item["AltitudeMode"]) for item in placed[:2]] == [(30, 1), (35.5, 1)]
+    mission = document["mission"]
+    assert (mission["firmwareType"], mission["vehicleType"]) == (12, 2)  # PX4, a quadrotor
+    assert (mission["cruiseSpeed"], mission["hoverSpeed"]) == (4.5, 4.5)
+    assert mission["plannedHomePosition"] == [47.25, -8.5, 0]
+
+
+@pytest.mark.parametrize(("speed", "written"), [(0, 1), (-3, 1), (0.5, 1), (1.5, 1.5)])
+def test_what_only_the_stick_moves_has_no_speed_of_its_own(speed: float, written: float) -> None:
+    document = json.loads(replace(PLAN, speed=speed).to_qgroundcontrol())
+    assert document["mission"]["cruiseSpeed"] == document["mission"]["hoverSpeed"] == written
+    commands = [item["command"] for item in document["mission"]["items"]]
+    assert commands == ([178] if speed > 0 else []) + [16, 16]
 
 
 def test_a_file_that_was_changed_is_read_by_its_items() -> None:
