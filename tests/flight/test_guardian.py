@@ -510,14 +510,19 @@ class Program:
         return self.guardian._words
 
     @property
-    def half(self) -> object:
-        """What the newer half says."""
+    def halves(self) -> list[tuple[object, ...]]:
+        """What the halves say that are written, the older one first."""
         shared, found = self.guardian._map, []
         assert shared is not None
         for number in range(2):
             at = page.HALVES_AT + number * page.HALF_SIZE
             found.append(page.opened(shared[at : at + page.HALF_SIZE]))
-        return max(half for half in found if half is not None)
+        return sorted(half for half in found if half is not None)
+
+    @property
+    def half(self) -> object:
+        """What the newer half says."""
+        return self.halves[-1]
 
     def heard(self) -> bytes:
         try:
@@ -561,6 +566,15 @@ def test_a_plan_is_published_when_it_changes_into_the_other_half(watched: Progra
     assert watched.heard() == page.WAKE
     assert watched.words[page.TOKEN] == 10_100
     assert [timer.is_cancelled for timer in watched.timers] == [True, True, False, False]
+
+
+def test_the_half_of_before_stays_whole_for_a_program_that_is_killed_while_it_writes(
+    watched: Program,
+) -> None:
+    for generation, wanted in enumerate("bcdef", start=2):
+        watched.wanted = wanted
+        watched.guardian.update()
+        assert [half[0] for half in watched.halves] == [generation - 1, generation]
 
 
 def test_bytes_count_as_missing_until_they_are_written(watched: Program) -> None:

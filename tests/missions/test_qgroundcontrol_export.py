@@ -129,7 +129,7 @@ def test_each_item_is_the_command_of_mavlink_with_its_parameters(
     plan = WaypointPlan(points, speed=4.5, heading=heading, at_end=at_end)
     document = json.loads(plan.to_qgroundcontrol())
     yaws = (-45, 170) if heading is Heading.BY_WAYPOINT else (None, None)
-    ends = {
+    ends: dict[AtEnd, list[tuple[int, int, list[float | None]]]] = {
         AtEnd.LAND: [(21, 3, [0, 0, 0, None, 47.252, -8.501, 0])],
         AtEnd.GO_HOME: [(20, 2, [0] * 7)],
         AtEnd.HOVER: [],
