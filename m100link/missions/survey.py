@@ -73,8 +73,9 @@ def survey(
         height: Of all waypoints above the take-off point, m.
         spacing: Between lines, m; they lie half of it from the edges, or nearer.
         angle_deg: Direction of the lines, ° clockwise from north.
-        photo_every: Metres between photographs along a line, which are waypoints with the camera
-            straight down; None takes none. A plan has 99 waypoints at most.
+        photo_every: Metres between photographs along a line at most, which are waypoints with the
+            camera straight down; None takes none. Where that would put waypoints nearer than 2 m,
+            there is one photograph less on the line. A plan has 99 waypoints at most.
         speed: Along the way, m/s.
         start: Where the aircraft comes from: the pattern begins at its end nearest to that.
         at_end: What happens after the last waypoint.
@@ -116,10 +117,13 @@ def survey(
 
 
 def _with_photographs(ends: Sequence[Place], every: float) -> list[Place]:
-    """Each line, which is two of the ends, with points at most so far apart."""
+    """Each line, which is two of the ends, with points at most so far apart, or hardly further."""
     found: list[Place] = []
     for here, there in zip(ends[::2], ends[1::2], strict=True):
-        parts = max(1, math.ceil(math.dist(here, there) / every - 1e-9))
+        length = math.dist(here, there)
+        # Points that are too near to each other would be left out, and with them photographs.
+        most = math.floor(length / NEAREST_M - 1e-6)
+        parts = max(1, min(math.ceil(length / every - 1e-9), most))
         if len(found) + parts > _MOST_POINTS:
             raise UsageError(
                 f"photographs every {every:g} m are more than {_MOST_POINTS}",

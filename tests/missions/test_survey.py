@@ -60,6 +60,36 @@ def test_photographs_are_waypoints_with_the_camera_down() -> None:
     assert {one.height for one in plan.waypoints} == {30.0}
 
 
+@pytest.mark.parametrize(
+    ("every", "apart"),
+    [(2.0, 60 / 29), (2.01, 60 / 29), (2.05, 60 / 29), (2.5, 2.5), (2.9, 60 / 21)],
+)
+def test_photographs_are_as_near_as_the_aircraft_takes_waypoints(
+    every: float, apart: float
+) -> None:
+    """A line of 60 m: at 2 m, every other photograph was missing."""
+    plan = survey(area(), height=30, spacing=40, photo_every=every)
+    way = [FRAME.to_local(one.latitude_deg, one.longitude_deg) for one in plan.waypoints]
+    found = [math.dist(*pair) for pair in pairwise(way)]
+    assert len(way) == round(60 / apart) + 1
+    assert (min(found), max(found)) == pytest.approx((apart, apart), abs=1e-4)
+
+
+@pytest.mark.parametrize(("length", "parts"), [(5.0, 2), (4.1, 2), (3.9, 1), (2.5, 1)])
+def test_a_short_line_has_a_photograph_at_each_end(length: float, parts: int) -> None:
+    field = area([(0, 0), (length, 0), (length, 5), (0, 5)])
+    plan = survey(field, height=30, spacing=5, photo_every=2.0)
+    way = [FRAME.to_local(one.latitude_deg, one.longitude_deg) for one in plan.waypoints]
+    assert len(way) == parts + 1
+    assert math.dist(way[0], way[-1]) == pytest.approx(length, abs=1e-3)
+
+
+def test_photographs_of_a_mistake_in_the_units_are_counted_not_made() -> None:
+    field = area([(0, 0), (3000, 0), (3000, 100), (0, 100)])
+    with pytest.raises(UsageError, match="every 2 m are more than 10000"):
+        survey(field, height=30, spacing=10, photo_every=2.0)
+
+
 def test_the_tip_of_a_triangle_has_no_points_too_near_to_each_other() -> None:
     plan = survey(area([(0, 0), (50, 0), (25, 40)]), height=20, spacing=3.9)
     places = [FRAME.to_local(one.latitude_deg, one.longitude_deg) for one in plan.waypoints]
@@ -69,6 +99,8 @@ def test_the_tip_of_a_triangle_has_no_points_too_near_to_each_other() -> None:
 def test_the_spacing_is_what_the_overlap_leaves_of_a_photograph() -> None:
     assert line_spacing(10.0, 0.0, 90.0) == pytest.approx(20.0)
     assert line_spacing(10.0, 0.75, 90.0) == pytest.approx(5.0)
+    assert line_spacing(10.0, 0.0, 60.0) == pytest.approx(20 / math.sqrt(3))
+    assert line_spacing(20.0, 0.5, 120.0) == pytest.approx(20 * math.sqrt(3))
 
 
 @pytest.mark.parametrize(
