@@ -124,6 +124,10 @@ def test_the_antimeridian_is_no_edge() -> None:
     latitude, longitude = frame.to_geodetic(0.0, 1000.0)
     assert -180.0 < longitude < -179.9
     assert frame.to_local(latitude, longitude) == pytest.approx((0.0, 1000.0), abs=1e-4)
+    westward = LocalFrame(10.0, -179.999)
+    latitude, longitude = westward.to_geodetic(0.0, -1000.0)
+    assert 179.9 < longitude < 180.0
+    assert westward.to_local(latitude, longitude) == pytest.approx((0.0, -1000.0), abs=1e-4)
 
 
 @pytest.mark.parametrize("latitude", [89.5, -90.0, math.nan, math.inf])
