@@ -182,6 +182,7 @@ class Looks(Held):
         self._ring: Inbox[Any] = ring
         self._take: Callable[[Any], None] = take
         self._found: deque[Any] = deque()  # taken from the ring, and not handed on yet
+        self._is_full = False  # the ring, when it was taken from: there is more
         self._is_open = True
         self._timer = self._loop.call_later(within, self._look)
 
@@ -189,7 +190,7 @@ class Looks(Held):
         until = perf_counter() + TURN
         if not self._found:
             self._found.extend(self._ring.take())
-        is_full = len(self._found) >= AT_ONCE
+            self._is_full = len(self._found) >= AT_ONCE
         while self._found and self._is_open:
             try:
                 self._take(self._found.popleft())
@@ -199,8 +200,8 @@ class Looks(Held):
             if perf_counter() >= until:
                 break
         if self._is_open:
-            # Of a ring that was full there is more: others have their turn, and then that.
-            pause = 0.0 if is_full or self._found else self._within
+            # Others have their turn, and then what is left or came meanwhile.
+            pause = 0.0 if self._is_full or self._found else self._within
             self._timer = self._loop.call_later(pause, self._look)
 
     def close(self) -> None:

@@ -117,17 +117,27 @@ class Channel:
         self.is_closed = True
 
 
-async def test_a_ring_is_looked_at_until_it_is_closed() -> None:
+@pytest.mark.parametrize("cost", [0.0, TURN / 100])
+async def test_a_ring_is_looked_at_until_it_is_closed(
+    monkeypatch: pytest.MonkeyPatch, cost: float
+) -> None:
+    """A ring that was full is looked at again at once, and after a part of several turns too."""
     channel, found = Channel(), list[int]()
+    clock = 0.0
+    monkeypatch.setattr(waiting, "perf_counter", lambda: clock)
 
     def take(one: int) -> None:
+        nonlocal clock
+        clock += cost
         if one == 3:
             raise ValueError("what one message leads to does not happen to the next one")
         found.append(one)
 
     looks = Looks(channel, Ring(channel, int, AT_ONCE, EOFError), take, 0.02)
     channel.has = list(range(2 * AT_ONCE))
-    await anyio.sleep(0.03)
+    await anyio.sleep(0.019)
+    assert found == []  # they wait for others
+    await anyio.sleep(0.002)
     assert found == [one for one in range(2 * AT_ONCE) if one != 3]
     channel.has = [7]
     looks.close()
