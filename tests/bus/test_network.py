@@ -21,6 +21,10 @@ from m100link.bus.network import fits
         ("a/**/c", "a/c", True),
         ("a/**/c", "a/b/d", False),
         ("*", "a/b", False),
+        ("**", "a", True),
+        ("a/**/c", "a/b/b/c", True),
+        ("a/**/c", "a/c/b", False),
+        ("a/b", "a/b/c", False),
     ],
 )
 def test_words_and_stars(pattern: str, key: str, does: bool) -> None:
