@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from m100link.doctor.listening import hear
 from m100link.link.uart import read_inverted
+from m100link.wire.frame import encode_frame
 from tests.doctor.bench import CONSOLE, GPS, TELEMETRY, mavlink
 
 
@@ -64,6 +65,90 @@ def test_noise_looks_like_nothing(seed: int) -> None:
 def test_a_wrong_baud_rate_looks_like_nothing() -> None:
     garbled = bytes((byte * 0x1D ^ 0xE6 ^ index * 7) & 0xFF for index, byte in enumerate(TELEMETRY))
     assert hear(garbled * 50).likeness() is None
+
+
+def name_of(data: bytes) -> str | None:
+    likeness = hear(data).likeness()
+    return None if likeness is None else likeness.name
+
+
+def text_of(share: float) -> bytes:
+    """A hundred bytes, so many of them printable, the others unlike each other."""
+    printable = round(100 * share)
+    return b"T" * printable + bytes(range(128, 228 - printable))
+
+
+@pytest.mark.parametrize(
+    ("least", "fewer"),
+    [
+        (TELEMETRY[:40] * 3 + TELEMETRY, TELEMETRY[:40] * 2 + TELEMETRY),
+        (text_of(0.90), text_of(0.89)),
+        (mavlink(0xFE, 8)[: 3 * 17], mavlink(0xFE, 8)[: 2 * 17]),
+        (mavlink(0xFD, 12)[: 3 * 21], mavlink(0xFD, 12)[: 2 * 21]),
+        (read_inverted(TELEMETRY) * 3, read_inverted(TELEMETRY) * 2),
+        (b"\x00\x00", b"\x00\x01"),
+    ],
+    ids=["cut", "text", "MAVLink 1", "MAVLink 2", "inverted", "held low"],
+)
+def test_how_much_of_it_is_enough(least: bytes, fewer: bytes) -> None:
+    """Three frames that are cut, of MAVLink or inverted, nine printable bytes of ten, one value."""
+    assert name_of(least) is not None
+    assert name_of(fewer) is None
+
+
+@pytest.mark.parametrize(
+    ("data", "seen", "cause"),
+    [
+        (bytes(7), "all 7 bytes are 00", "held low"),
+        (b"\xff" * 7, "all 7 bytes are ff", "repeats one byte"),
+        (TELEMETRY[:40] * 5 + TELEMETRY, "5 frames begin well", "another program reads"),
+        (b"SSH-2.0-OpenSSH_9.2p1 Debian\r\n", "'SSH-2.0-OpenSSH", "another program listens"),
+        (b"Ubuntu 24.04 tty1\r\nPassword: ", "'Ubuntu", "a login prompt"),
+        (b"T=23.5 RH=40\r\n" * 9, "'T=23.5", "another device that talks text"),
+        (mavlink(0xFE, 8), "it is MAVLink 1", "an autopilot"),
+        (b"\x01\x02" + mavlink(0xFD, 12), "it is MAVLink 2", "an autopilot"),
+        # Half a message at the end is no reason to doubt those before it.
+        (mavlink(0xFD, 12)[: 3 * 21 + 9], "it is MAVLink 2", "an autopilot"),
+        (read_inverted(TELEMETRY) * 4, "4 frames are in it", "RS-232"),
+    ],
+)
+def test_what_is_said_of_it(data: bytes, seen: str, cause: str) -> None:
+    likeness = hear(data).likeness()
+    assert likeness is not None
+    assert seen in likeness.seen
+    assert cause in likeness.causes[0]
+
+
+def test_frames_that_follow_each_other_are_not_cut() -> None:
+    """Of any length that a frame can have: ten bits of the header say it (document 1.3.1)."""
+    long = encode_frame(bytes([2, 0, *(n % 251 for n in range(700))]), session=0, sequence=1)
+    short = encode_frame(b"\x02\x00", session=0, sequence=2)
+    assert hear((long + short) * 5).cut_frames() == 0
+    assert hear(long[:600] + short + long).cut_frames() == 1
+    assert hear(long[:-1] + short).cut_frames() == 1
+
+
+def test_acks_are_no_packages() -> None:
+    package = bytes([2, 0, *range(9)])
+    heard = hear(
+        encode_frame(package, session=0, sequence=1)
+        + encode_frame(package, session=0, sequence=2, is_ack=True)
+        + encode_frame(bytes([2, 1]), session=0, sequence=3)
+    )
+    assert len(heard.frames) == 3
+    assert heard.count(bytes([2, 0])) == 1
+
+
+def test_nothing_at_all_is_no_damage() -> None:
+    assert hear(b"").damaged_share == 0.0
+    assert hear(b"").details() == {
+        "bytes": 0,
+        "frames": 0,
+        "discarded_bytes": 0,
+        "discards": {},
+        "first_bytes": "",
+    }
+    assert hear(bytes(range(200))).details()["first_bytes"] == bytes(range(64)).hex(" ")
 
 
 @given(st.binary(min_size=1, max_size=600))

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from m100link.doctor.findings import Finding, Stage, Verdict
 from m100link.doctor.machine import Machine, Permission, Process
-from m100link.doctor.port import look_at_latency, look_at_port
+from m100link.doctor.port import Ear, look_at_latency, look_at_port
+from m100link.sim.clock import virtual_clock_loop
 from tests.doctor.bench import FakeMachine
 
 
@@ -159,3 +161,89 @@ def test_four_milliseconds_are_the_most_that_an_adapter_may_collect(
         verdict,
         f"latency timer {latency} ms",
     )
+
+
+@pytest.mark.parametrize("latency", [0, 1, 4, 5, 16, 255])
+def test_more_than_four_milliseconds_are_late(
+    port: Port, machine: FakeMachine, latency: int
+) -> None:
+    machine.plug_in(port.name, latency=latency)
+    found = look_at_latency(port.path, machine)
+    assert (found.verdict is Verdict.GOOD) is (latency <= 4)
+    assert f"latency timer {latency} ms" in found.seen
+    assert found.details == ({} if latency <= 4 else {"latency_ms": latency})
+
+
+def test_an_adapter_without_a_timer_is_not_late(port: Port, machine: FakeMachine) -> None:
+    machine.plug_in(port.name, "cp210x", latency=None)
+    assert look_at_latency(port.path, machine).verdict is Verdict.GOOD
+
+
+def test_modem_manager_is_no_doubt_where_a_rule_keeps_it_away(
+    port: Port, machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine.run(7, "/usr/sbin/ModemManager")
+    machine.plug_in(port.name)
+    monkeypatch.setattr(machine, "is_left_alone", lambda _: True)
+    assert looked_at(port.path, machine)[-1].verdict is Verdict.GOOD
+
+
+class Line(asyncio.Transport):
+    """A line that ends when it is told to, or never."""
+
+    def __init__(self, ear: Ear, *, ends: bool) -> None:
+        super().__init__()
+        self.written: list[bytes] = []
+        self._ear, self._ends = ear, ends
+        ear.connection_made(self)
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.written.append(bytes(data))
+
+    def abort(self) -> None:
+        if self._ends:
+            self._ear.connection_lost(None)
+
+
+def on_virtual_time(work: Coroutine[Any, Any, None]) -> None:
+    with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
+        runner.run(work)
+
+
+@pytest.mark.parametrize(("ends", "took_s"), [(True, 0.0), (False, 1.0)])
+def test_an_ear_hears_what_is_new_and_gives_the_line_back(ends: bool, took_s: float) -> None:
+    """A line whose end nobody tells of is waited for one second."""
+
+    async def heard() -> None:
+        loop, ear = asyncio.get_running_loop(), Ear()
+        line = Line(ear, ends=ends)
+        await ear.open()
+        loop.call_later(0.3, ear.data_received, b"one")
+        loop.call_later(0.7, ear.data_received, b"two")
+        began = loop.time()
+        assert await ear.listen(0.5) == b"one"
+        assert loop.time() - began == pytest.approx(0.5)
+        assert await ear.listen(0.5) == b"two"
+        assert (bytes(ear.data), ear.is_lost, ear.lost) == (b"onetwo", False, None)
+        ear.say(b"?")
+        began = loop.time()
+        await ear.close()
+        assert loop.time() - began == pytest.approx(took_s)
+        assert line.written == [b"?"]
+
+    on_virtual_time(heard())
+
+
+def test_a_line_that_ends_is_not_listened_to_nor_spoken_on() -> None:
+    async def heard() -> None:
+        loop, ear = asyncio.get_running_loop(), Ear()
+        line, why = Line(ear, ends=True), OSError("unplugged")
+        loop.call_later(0.2, ear.connection_lost, why)
+        began = loop.time()
+        assert await ear.listen(5.0) == b""
+        assert loop.time() - began == pytest.approx(0.2)
+        assert (ear.is_lost, ear.lost) == (True, why)
+        ear.say(b"?")
+        assert line.written == []
+
+    on_virtual_time(heard())
