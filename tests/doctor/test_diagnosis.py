@@ -7,6 +7,7 @@ pseudo-terminal in tests/cli/test_doctor.py.
 from __future__ import annotations
 
 import json
+import random
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -21,9 +22,14 @@ from m100link.doctor import Finding, Stage, Verdict, diagnose
 from m100link.doctor.answers import _firmware
 from m100link.errors import BadURL, UsageError
 from m100link.protocol.firmware import PROFILES
+from m100link.doctor.line import look_at_line
+from m100link.errors import BadURL, UsageError
+from m100link.link.url import parse_url
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualAircraft
 from m100link.sim.orders.actions import perform
 from m100link.sim.ports.url import aircraft_of
+from m100link.wire.frame import encode_frame
+from tests.doctor.bench import Bench, FakeMachine
 from tests.doctor.setups import APP, OTHER_APP, SET_UPS, diagnosed, rows
 
 pytestmark = pytest.mark.anyio
@@ -171,3 +177,72 @@ def test_three_packages_that_do_not_fit_are_another_firmware(
     version = SimpleNamespace(profile=PROFILES["2.3"])
     told = _firmware(cast(Any, aircraft), cast(Any, version), is_forced=True)
     assert (told.stage, told.verdict) == (Stage.FIRMWARE, verdict)
+
+
+FRAME = encode_frame(bytes([2, 0, *range(1, 47)]), session=0, sequence=7)
+"""64 bytes of telemetry."""
+
+DAMAGED = FRAME[:-1] + bytes([FRAME[-1] ^ 0xFF])
+
+
+def noise(count: int) -> bytes:
+    """So many bytes that begin no frame."""
+    return bytes(one for one in random.Random(5).randbytes(2 * count + 9) if one != 0xAA)[:count]
+
+
+@pytest.mark.parametrize(
+    ("said", "stage", "verdict", "seen"),
+    [
+        # Three damaged frames are what opening a port in the middle of one makes.
+        (FRAME * 100 + DAMAGED * 3, Stage.FRAMES, Verdict.GOOD, "100 frames"),
+        (FRAME * 100 + DAMAGED * 4, Stage.FRAMES, Verdict.DOUBTFUL, "100 frames with good"),
+        # Of more frames, two of a hundred.
+        (FRAME * 300 + DAMAGED * 6, Stage.FRAMES, Verdict.GOOD, "300 frames"),
+        (FRAME * 300 + DAMAGED * 7, Stage.FRAMES, Verdict.DOUBTFUL, "and 7 damaged ones"),
+        # One byte of twenty may be part of none.
+        (FRAME * 95 + noise(320), Stage.FRAMES, Verdict.GOOD, "95 frames"),
+        (FRAME * 95 + noise(321), Stage.FRAMES, Verdict.DOUBTFUL, "321 of 6401 bytes"),
+        # Few frames among more noise may be older than the line.
+        (FRAME * 10 + noise(640), Stage.FRAMES, Verdict.DOUBTFUL, "640 of 1280 bytes"),
+        (FRAME * 10 + noise(641), Stage.FRAMES, Verdict.FAILED, "may have waited in the port"),
+        (FRAME * 128 + noise(9000), Stage.FRAMES, Verdict.FAILED, "the 128 that are valid"),
+        (FRAME * 129 + noise(9000), Stage.FRAMES, Verdict.DOUBTFUL, "129 frames"),
+        # A wire that is joined to nothing picks up little.
+        (
+            noise(199),
+            Stage.FRAMES,
+            Verdict.FAILED,
+            "199 bytes, and not one valid frame: an aircraft",
+        ),
+        (noise(200), Stage.FRAMES, Verdict.FAILED, "200 bytes, and not one valid frame"),
+        (FRAME * 5, Stage.TELEMETRY, Verdict.GOOD, "5 packages of telemetry"),
+        (
+            encode_frame(bytes([0, 0]), session=2, sequence=9, is_ack=True),
+            Stage.TELEMETRY,
+            Verdict.DOUBTFUL,
+            "answers come, and no telemetry",
+        ),
+        (
+            encode_frame(bytes([5, 1]), session=2, sequence=9) * 3,
+            Stage.TELEMETRY,
+            Verdict.DOUBTFUL,
+            "3 frames, and among them neither",
+        ),
+    ],
+)
+async def test_how_much_damage_is_a_doubt_and_how_much_a_failure(
+    monkeypatch: pytest.MonkeyPatch,
+    machine: FakeMachine,
+    said: bytes,
+    stage: Stage,
+    verdict: Verdict,
+    seen: str,
+) -> None:
+    once = iter([said])
+    Bench(monkeypatch, machine, "").speak(b"", lambda _: next(once, b""))
+    findings = await look_at_line(parse_url("tcp://127.0.0.1:7000"))
+    assert findings[1].seen == f"{len(said)} bytes in 2 s"
+    [found] = [one for one in findings if one.stage is stage]
+    assert found.verdict is verdict
+    assert seen in found.seen
+    assert (len(said) == 199) is ("an aircraft sends far more" in found.seen)
