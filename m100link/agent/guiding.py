@@ -23,6 +23,7 @@ from m100link.agent.preview import preview
 from m100link.errors import M100Error, NotObserved
 from m100link.flight.control import Control
 from m100link.flight.foresight import (
+    APPROACH_M_S,
     frame_at,
     seconds_around,
     seconds_climbing,
@@ -215,7 +216,8 @@ def _left(order: GuidedOrder, found: GuidanceProgress) -> tuple[float | None, fl
     if isinstance(order, FlyAround):
         turns = max(0.0, found.heading_error_deg) / 360.0
         far = found.distance_m + math.tau * order.radius * turns
-        return far, seconds_around(order.radius, order.speed, turns) + climbing
+        there = max(seconds_straight(found.distance_m, APPROACH_M_S), climbing)
+        return far, there + seconds_around(order.radius, order.speed, turns)
     if isinstance(order, ChangeHeight):
         return abs(found.height_error_m), climbing
     return None, seconds_turning(found.heading_error_deg)

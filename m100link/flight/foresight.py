@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
 __all__ = [
+    "APPROACH_M_S",
     "Foresight",
     "foresee_climb",
     "foresee_flight",

@@ -156,6 +156,48 @@ async def test_what_remains_is_told(pointing: Pointing) -> None:
     assert flying.guiding.told() is None
 
 
+@pytest.mark.parametrize(
+    ("order", "metres", "seconds"),
+    [
+        # On the circle already: one turn and a half of 2 pi 10 m at 3 m/s.
+        (("circle", 10.0, 0.0, {"radius": 10.0, "speed": 3.0, "turns": 1.5}), 94.2, 31.4),
+        # 50 m to it at 3 m/s, then a quarter of 2 pi 10 m at 4 m/s.
+        (("circle", 60.0, 0.0, {"radius": 10.0, "speed": 4.0, "turns": 0.25}), 65.7, 20.6),
+        (("height", 16.0), 6.0, None),
+        (("heading", 120.0), None, None),
+    ],
+)
+async def test_what_remains_is_told_at_the_beginning(
+    pointing: Pointing, order: tuple[Any, ...], metres: float | None, seconds: float | None
+) -> None:
+    wanted: GuidedOrder
+    match order:
+        case ("circle", north, east, how):
+            wanted = pointing.circle(north, east, **how)
+        case ("height", height):
+            wanted = ChangeHeight(height)
+        case (_, heading):
+            wanted = ChangeHeading(heading)
+    flight, guiding = pointing.begin(wanted), pointing.rig.holding.require().guiding
+    await pointing.rig.until(
+        lambda: (one := guiding.told()) is not None and one.seconds is not None
+    )
+    found = guiding.told()
+    assert found is not None
+    assert found.distance_m == (None if metres is None else pytest.approx(metres, rel=0.1, abs=0.7))
+    began, expected = pointing.rig.agent.now, found.seconds
+    assert await flight is None
+    took = pointing.rig.agent.now - began
+    assert expected == pytest.approx(took, rel=0.35, abs=2.0)
+    assert seconds is None or expected == pytest.approx(seconds, rel=0.35)
+
+
+async def test_who_flies_slowly_is_given_the_time_for_it(pointing: Pointing) -> None:
+    """Half a metre a second is a minute for thirty metres."""
+    await pointing.fly(pointing.place(30, 0, speed=0.5))
+    assert pointing.off(30, 0) < 1.0
+
+
 # -- ended by something else ----------------------------------------------------------------------
 
 
