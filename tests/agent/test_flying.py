@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable
 import anyio
 import pytest
 
+from m100link.agent.guided import ChangeHeight
 from m100link.errors import (
     BadSetpoint,
     GuardRefused,
@@ -221,3 +222,21 @@ async def test_stop_ends_the_way_to_the_ground_behind_a_mission(
     assert rig.aircraft.height == pytest.approx(height, abs=0.3)
     assert height > 2.0
     assert speed(rig) < 0.1
+
+
+async def test_a_guided_flight_begins_is_told_and_ends_for_a_program(rig: Rig) -> None:
+    await airborne(rig)
+    flying, began = rig.holding.require(), list[str]()
+    order = ChangeHeight(20.0)
+    flight = rig.agent.background.spawn(flying.guide(order, lambda: began.append("now")), "flight")
+    await rig.until(lambda: began == ["now"])
+    await anyio.sleep(0.5)
+    flown: object = rig.holding.guided_order
+    assert flown is order
+    rig.agent.start_pattern(rig.token, "east", go_east)
+    await anyio.sleep(0.5)
+    assert flight.done()
+    assert (rig.holding.guided_order, rig.holding.pattern, east(rig)) == (None, "east", 1.0)
+    height = rig.aircraft.height
+    await anyio.sleep(2.0)
+    assert rig.aircraft.height == pytest.approx(height, abs=0.3)

@@ -36,10 +36,14 @@ from m100link.agent.messages import (
     TakeOverOffered,
     Telemetry,
 )
+from m100link.agent.orders import Orders
 from m100link.agent.service import STATE_INTERVAL, Service
+from m100link.aircraft import AircraftCamera
+from m100link.errors import UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import Waypoint, WaypointPlan
+from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import FIRMWARE_3_1
@@ -477,6 +481,97 @@ async def test_a_plan_is_told_to_all_until_its_lease_ends() -> None:
         assert any("pilot uploaded a plan of 2" in one.text for one in watcher.all(Event))
         front.channel.close("gone")
         await rig.until(lambda: watcher.all(PlanTold)[-1] == PlanTold())
+
+
+class Asked:
+    """An agent that keeps what it is asked, and does nothing."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+        self.desk, self.now = self, 0.0
+
+    def check(self, token: str, now: float) -> None:
+        assert (token, now) == ("proof", 0.0)
+
+    def __getattr__(self, name: str) -> Any:
+        async def asked(*what: Any, **how: Any) -> Any:
+            self.calls.append((name, *what, *sorted(how.items())))
+            return what[-1] if name == "set_mission_speed" else None
+
+        return asked
+
+
+def orders(agent: Asked, plans: list[WaypointPlan] | None = None) -> Orders:
+    one: Any = agent
+    return Orders(one, ([] if plans is None else plans).append)
+
+
+def begun() -> None:
+    """The aircraft has begun."""
+
+
+# Speeds in mm/s, radii in mm, rates in thousandths of a degree per second.
+@pytest.mark.parametrize(
+    ("action", "number", "call"),
+    [
+        (Action.OBTAIN, 0, ("obtain", "proof")),
+        (Action.RELEASE, 0, ("release", "proof")),
+        (Action.TAKE_OFF, 0, ("fly", "proof", Task.TAKE_OFF, begun)),
+        (Action.LAND, 0, ("fly", "proof", Task.LAND, begun)),
+        (Action.GO_HOME, 0, ("fly", "proof", Task.GO_HOME, begun)),
+        (Action.STOP, 0, ("stop",)),
+        (Action.ARM, 0, ("switch_motors", "proof", ("on", True))),
+        (Action.DISARM, 0, ("switch_motors", "proof", ("on", False))),
+        (Action.HOTPOINT_RADIUS, 12_345, ("set_hotpoint", "proof", ("radius", 12.345))),
+        (Action.HOTPOINT_RATE, -7_525, ("set_hotpoint", "proof", ("rate", -7.525))),
+        (Action.HOTPOINT_HEADING, 9, ("set_hotpoint", "proof")),
+        (Action.MISSION_STOP, 0, ("order_mission", "proof", "stop")),
+        (Action.MISSION_PAUSE, 0, ("order_mission", "proof", "pause")),
+        (Action.MISSION_RESUME, 0, ("order_mission", "proof", "resume")),
+        (Action.MISSION_SPEED, 4_567, ("set_mission_speed", "proof", 4.567)),
+        (Action.TAKE_PHOTO, 0, ("use_camera", "proof", AircraftCamera.take_photo)),
+        (Action.START_VIDEO, 0, ("use_camera", "proof", AircraftCamera.start_video)),
+        (Action.STOP_VIDEO, 0, ("use_camera", "proof", AircraftCamera.stop_video)),
+    ],
+)
+async def test_what_is_asked_for_is_asked_of_the_agent_with_its_unit(
+    action: Action, number: int, call: tuple[Any, ...]
+) -> None:
+    agent = Asked()
+    done = await orders(agent).doing(Ask(1, action, 3, number), "proof", begun)
+    assert agent.calls == [call]
+    assert done == (("", 4_567) if action is Action.MISSION_SPEED else None)
+
+
+@pytest.mark.parametrize(
+    ("number", "take_off", "until"), [(0, False, False), (1, True, False), (2, False, True)]
+)
+async def test_a_plan_is_started_under_the_lease_that_it_came_under_and_no_other(
+    number: int, take_off: bool, until: bool
+) -> None:
+    """What somebody else left behind is not flown, and not added to."""
+    agent, plans = Asked(), list[WaypointPlan]()
+    one = orders(agent, plans)
+    plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.1003, 4.31, height=25)])
+    mission, points = plan.to_wire()
+    data = [points[0].value(FIRMWARE_3_1), points[1].value(FIRMWARE_3_1)]
+
+    async def ask(action: Action, fence: int, **fields: Any) -> None:
+        await one.doing(Ask(1, action, fence, **fields), "proof", begun)
+
+    await ask(Action.MISSION_PLAN, 3, data=mission.value(FIRMWARE_3_1))
+    await ask(Action.MISSION_POINT, 3, data=data[0])
+    with pytest.raises(UsageError, match="under this lease"):
+        await ask(Action.MISSION_POINT, 4, data=data[1])
+    assert plans == []
+    await ask(Action.MISSION_POINT, 3, data=data[1])
+    [whole] = plans
+    with pytest.raises(UsageError, match="under this lease"):
+        await ask(Action.MISSION_START, 4, number=number)
+    assert agent.calls == []
+    await ask(Action.MISSION_START, 3, number=number)
+    how = ("begun", begun if until else None), ("take_off", take_off)
+    assert agent.calls == [("fly_mission", "proof", whole, *how)]
 
 
 async def begin(flown: Flown, front: Front, fence: int) -> None:
