@@ -165,6 +165,17 @@ def test_a_sender_that_is_new_may_not_be_a_minute_old() -> None:
     assert taken(reader, signed(Signer(KEY), 1000), now=1000 + 6_000_001) == 0
 
 
+def test_of_more_senders_than_are_remembered_the_old_ones_give_way_after_a_minute() -> None:
+    """Times are in 10 µs. One that is heard first again is refused what it said before."""
+    reader, begin, minute = Signer(KEY), 10**9, 6_000_000
+    recorded = [signed(Signer(KEY, link=link), begin) for link in range(64)]
+    assert [taken(reader, one, begin) for one in recorded] == [1] * 64
+    late = [signed(Signer(KEY, link=64), begin + minute - back) for back in (1, 0)]
+    assert [taken(reader, late[0], begin + minute - 1), len(reader.newest)] == [0, 64]
+    assert [taken(reader, late[1], begin + minute), len(reader.newest)] == [1, 1]
+    assert [taken(reader, one, begin + minute) for one in recorded] == [0] * 64
+
+
 def test_the_key_is_not_shown() -> None:
     assert "\\x01" not in repr(Signer(KEY))
 

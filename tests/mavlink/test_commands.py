@@ -8,6 +8,7 @@ import anyio
 import pytest
 
 from m100link.geodesy import LocalFrame
+from m100link.mavlink.codec import LAYOUTS
 from m100link.mavlink.commands import COMMANDS
 from m100link.mavlink.modes import MODES, Mode
 from m100link.mavlink.numbers import Command, Result
@@ -247,3 +248,26 @@ async def test_the_altitude_of_a_circle_is_above_sea_level_whatever_its_frame_sa
     ground.send("COMMAND_INT", **fields, **around, frame=frame, z=rig.ground_altitude + 9.0)
     await rig.until(lambda: ground.mode is Mode.ORBIT)
     await rig.until(lambda: abs(rig.height - 9.0) < 0.5)
+
+
+@pytest.mark.parametrize("asked", [NAN, math.inf, -math.inf])
+async def test_a_message_without_a_number_is_denied(ground: Ground, asked: float) -> None:
+    assert await ground.ask(Command.REQUEST_MESSAGE, asked) is Result.DENIED
+
+
+@pytest.mark.parametrize(
+    ("asked_us", "told_us", "least", "most"),
+    [(40_000, 40_000, 24, 26), (500_000, 500_000, 2, 2), (-1, -1, 0, 0), (0, 50_000, 18, 21)],
+)
+async def test_an_interval_is_one_of_microseconds(
+    ground: Ground, asked_us: int, told_us: int, least: int, most: int
+) -> None:
+    """-1 is never, and 0 as often as by default: 20 a second."""
+    attitude = LAYOUTS["ATTITUDE"].number
+    assert await ground.ask(Command.SET_MESSAGE_INTERVAL, attitude, asked_us) is Result.ACCEPTED
+    known = len(ground.all("ATTITUDE"))
+    await anyio.sleep(1.0)
+    assert least <= len(ground.all("ATTITUDE")) - known <= most
+    assert await ground.ask(Command.GET_MESSAGE_INTERVAL, attitude) is Result.ACCEPTED
+    assert ground.last("MESSAGE_INTERVAL")["interval_us"] == told_us
+    assert ground.last("MESSAGE_INTERVAL")["message_id"] == attitude

@@ -123,6 +123,33 @@ async def test_an_upload_that_breaks_off_changes_nothing(rig: Rig, ground: Groun
     assert len(await Exchange(ground).download()) == 2
 
 
+async def test_what_does_not_come_is_asked_for_again_four_times_a_second(
+    rig: Rig, ground: Ground
+) -> None:
+    """As the protocol has it for items; after some seconds nobody is there any more."""
+    exchange = Exchange(ground)
+    exchange.send("MISSION_COUNT", count=2)
+    await anyio.sleep(2.1)
+    asked = list(exchange.heard("MISSION_REQUEST_INT", "MISSION_ACK"))
+    assert {(one.name, one["seq"]) for one in asked} == {("MISSION_REQUEST_INT", 0)}
+    assert 7 <= len(asked) <= 9
+    await rig.until(lambda: bool(ground.all("MISSION_ACK")), within=8.0)
+    assert MissionResult(ground.last("MISSION_ACK")["type"]) is MissionResult.OPERATION_CANCELLED
+    ended = list(exchange.heard("MISSION_REQUEST_INT"))
+    assert len(ended) >= 15
+    await anyio.sleep(2.0)
+    assert list(exchange.heard("MISSION_REQUEST_INT")) == []
+
+
+@pytest.mark.parametrize("kind", [3, 7, 254])
+async def test_a_list_of_a_kind_that_is_not_kept_is_refused(ground: Ground, kind: int) -> None:
+    exchange = Exchange(ground)
+    exchange.send("MISSION_COUNT", count=2, mission_type=kind)
+    told = list(exchange.heard("MISSION_ACK"))
+    assert [MissionResult(one["type"]) for one in told] == [MissionResult.UNSUPPORTED]
+    assert {one["mission_type"] for one in told} == {kind}
+
+
 async def test_a_second_upload_waits_for_the_first(rig: Rig, ground: Ground) -> None:
     other = Ground(rig, ("127.0.0.1", 7000), 246)
     other.beat()

@@ -254,6 +254,14 @@ async def test_the_version_has_its_numbers(ground: Ground) -> None:
     assert version["flight_custom_version"][7] < 100
 
 
+async def test_a_version_is_told_from_its_last_number_on(
+    ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("m100link.mavlink.vehicle.__version__", "3.17.203")
+    assert await ground.ask(Command.REQUEST_MESSAGE, number("AUTOPILOT_VERSION")) == 0
+    assert ground.last("AUTOPILOT_VERSION")["flight_custom_version"] == (0, 0, 0, 0, 0, 203, 17, 3)
+
+
 async def test_an_activation_that_is_refused_is_told(rig: Rig, ground: Ground) -> None:
     rig.aircraft.app.disconnect()
     assert await ground.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.TEMPORARILY_REJECTED
