@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import anyio
 import pytest
 
 from m100link.agent.connection import ConnectionState
+from m100link.agent.guided import ChangeHeight
 from m100link.agent.holding import HoldingState
 from m100link.agent.lease import LeaseChange, LeaseRefused
+from m100link.aircraft import Aircraft, AircraftCamera
 from m100link.errors import GuardRefused, M100Error, NoAuthority, NotObserved, UsageError
+from m100link.flight.control import Control
+from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.control import Task
+from m100link.protocol.commands.gimbal import GimbalAngle
+from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
 from tests.agent.conftest import Rig
 
 pytestmark = pytest.mark.anyio
 
 NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+HOTPOINT = HotpointStart(0.9, 0.07, altitude=20.0, radius=10.0, angular_rate=5.0)
+
+
+PLAN = WaypointPlan(
+    [Waypoint(52.0, 4.3, height=10.0), Waypoint(52.001, 4.3, height=10.0)], speed=5.0
+)
+
+
+async def no_program(control: Control, send: Callable[[Setpoint], None]) -> None:
+    """Flies nothing."""
 
 
 async def airborne(rig: Rig) -> None:
@@ -60,9 +80,20 @@ async def test_without_the_lease_nothing_moves(rig: Rig, token: str) -> None:
         rig.agent.fly(token, Task.LAND),
         rig.agent.send_to_mobile(token, b"x"),
         rig.agent.activate(token),
+        rig.agent.guide(token, ChangeHeight(5.0)),
+        rig.agent.switch_motors(token, on=False),
+        rig.agent.move_gimbal(token, GimbalAngle(yaw_deg=10.0)),
+        rig.agent.use_camera(token, AircraftCamera.take_photo),
+        rig.agent.fly_mission(token, PLAN),
+        rig.agent.fly_hotpoint(token, HOTPOINT),
+        rig.agent.set_hotpoint(token, radius=20.0),
+        rig.agent.order_mission(token, "stop"),
+        rig.agent.set_mission_speed(token, 3.0),
     ):
         with pytest.raises(LeaseRefused):
             await work
+    with pytest.raises(LeaseRefused):
+        rig.agent.start_pattern(token, "east", no_program)
     await anyio.sleep(0.1)
     assert list(rig.aircraft.autopilot.received_movements) == []
     assert rig.holding.has_authority
@@ -240,3 +271,43 @@ async def test_a_stop_ends_what_is_kept_for_nobody() -> None:
 async def test_authority_is_not_kept_for_ever(seconds: float) -> None:
     with pytest.raises(UsageError, match="cannot be kept"):
         Rig(keep_authority=seconds)
+
+
+async def test_a_lease_that_nobody_renews_ends_and_what_flies_by_it(rig: Rig) -> None:
+    await airborne(rig)
+    rig.renewing.cancel()
+    flight = rig.agent.background.spawn(rig.agent.guide(rig.token, ChangeHeight(50.0)), "flight")
+    await rig.until(lambda: rig.holding.guided_order is not None)
+    await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None, within=5.0)
+    await rig.until(lambda: rig.holding.guided_order is None, within=0.5)
+    await rig.until(flight.done, within=1.0)
+    await rig.until(lambda: not rig.holding.has_authority, within=5.0)
+
+
+@pytest.mark.parametrize(("rate", "is_clockwise"), [(0.5, True), (-0.5, False), (12.0, True)])
+async def test_a_circle_is_turned_the_way_of_its_sign(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, rate: float, is_clockwise: bool
+) -> None:
+    told: list[tuple[float, bool]] = []
+
+    class Circle:
+        async def set_rate(self, rate: float, *, clockwise: bool, wait: bool) -> None:
+            assert not wait
+            told.append((rate, clockwise))
+
+    await airborne(rig)
+    mission = rig.holding.require().mission
+    monkeypatch.setattr(type(mission), "flight", lambda self, kind: Circle())
+    await rig.agent.set_hotpoint(rig.token, rate=rate)
+    assert told == [(abs(rate), is_clockwise)]
+
+
+async def test_an_activation_that_fails_is_noted(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def refuse(*_: object, **__: object) -> None:
+        raise UsageError("the app has no internet")
+
+    monkeypatch.setattr(Aircraft, "activate", refuse)
+    with pytest.raises(M100Error) as caught:
+        await rig.agent.activate(rig.token)
+    last = list(rig.agent.journal.events)[-1]
+    assert (last.text, last.level) == (f"activation failed: {caught.value.seen}", "error")

@@ -8,6 +8,7 @@ import anyio
 import pytest
 
 from m100link.agent.guided import ChangeHeight
+from m100link.agent.lease import Flown
 from m100link.errors import (
     BadSetpoint,
     GuardRefused,
@@ -65,6 +66,23 @@ async def test_one_program_ends_another(rig: Rig) -> None:
     assert rig.holding.pattern == "second"
     told = [event.text for event in rig.agent.journal.events]
     assert "first ended: another one begins" in told
+
+
+async def test_a_program_that_is_over_says_so_and_makes_way(rig: Rig) -> None:
+    async def briefly(control: Control, send: Callable[[Setpoint], None]) -> None:
+        send(EAST)
+        await anyio.sleep(0.1)
+
+    await airborne(rig)
+    rig.agent.start_pattern(rig.token, "briefly", briefly)
+    await anyio.sleep(0.05)
+    assert rig.holding.require().flown is Flown.PROGRAM
+    await anyio.sleep(0.1)
+    assert rig.holding.pattern is None
+    assert [one.text for one in rig.agent.journal.events][-2:] == [
+        "briefly begins",
+        "briefly is done",
+    ]
 
 
 async def test_a_program_whose_setpoint_is_refused_ends_with_the_reason(rig: Rig) -> None:
@@ -233,6 +251,7 @@ async def test_a_guided_flight_begins_is_told_and_ends_for_a_program(rig: Rig) -
     await anyio.sleep(0.5)
     flown: object = rig.holding.guided_order
     assert flown is order
+    assert flying.flown is Flown.GUIDED
     rig.agent.start_pattern(rig.token, "east", go_east)
     await anyio.sleep(0.5)
     assert flight.done()

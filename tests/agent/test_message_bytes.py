@@ -6,13 +6,14 @@ import dataclasses
 import json
 import math
 import struct
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.agent.codec import MAX_BYTES, MAX_TEXT
+from m100link.agent.codec import MAX_BYTES, MAX_ENTRIES, MAX_PIECES, MAX_TEXT, BadValue, Fields
 from m100link.agent.fault import Fault, MessageError
 from m100link.agent.guided import (
     ChangeHeading,
@@ -270,3 +271,36 @@ def test_long_texts_are_cut() -> None:
     assert isinstance(found, Event)
     assert len(found.text) == MAX_TEXT
     assert found.text.endswith("…")
+
+
+FIELDS: list[tuple[str, Any, Any]] = [
+    ("text", "x" * MAX_TEXT, "x" * (MAX_TEXT + 1)),
+    ("payload", "AAAA" * (MAX_BYTES // 3), "AAAA" * (MAX_BYTES // 3 + 1)),
+    (
+        "details",
+        {str(n): n for n in range(MAX_ENTRIES)},
+        {str(n): n for n in range(MAX_ENTRIES + 1)},
+    ),
+    ("pieces", [""] * MAX_PIECES, [""] * (MAX_PIECES + 1)),
+    ("flag", True, 1),
+]
+
+
+@dataclasses.dataclass
+class Limited:
+    text: str = ""
+    payload: bytes = b""
+    details: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    pieces: tuple[bytes, ...] = ()
+    flag: bool = False
+
+
+@pytest.mark.parametrize(("name", "most", "more"), FIELDS, ids=lambda one: str(one)[:9])
+def test_a_field_has_a_greatest_size(name: str, most: Any, more: Any) -> None:
+    """2 kB of bytes, 4096 characters, 32 entries and 99 pieces, whatever the sender says."""
+    fields = Fields(Limited)
+    value = fields.write(Limited())
+    found = fields.read(value | {name: most})
+    assert getattr(found, name)
+    with pytest.raises(BadValue, match=name):
+        fields.read(value | {name: more})

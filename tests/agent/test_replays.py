@@ -18,7 +18,7 @@ from m100link.agent.carriers.memory import memory_channels
 from m100link.agent.client import AgentClient
 from m100link.agent.messages import Action
 from m100link.agent.replays import Replays
-from m100link.agent.service import Service
+from m100link.agent.service import STATE_INTERVAL, Service
 from m100link.errors import M100Error, OnlyRecorded, UsageError
 from m100link.log import recorder
 from m100link.sim import VirtualClockEventLoop
@@ -125,6 +125,37 @@ async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
                 await client.ask(Action.REPLAY, data=wrong.encode())
         texts = [event.text for event in agent.journal.events]
         assert "recorded: control authority held" in texts
+
+
+async def test_it_is_played_twice_and_half_as_fast_within_limits(path: Path) -> None:
+    async with station(f"replay://{path}") as (_, client):
+
+        async def speed(*orders: str) -> float:
+            for order in orders:
+                await client.ask(Action.REPLAY, data=order.encode())
+            await asyncio.sleep(0.3)
+            told = client.state.replay
+            assert told is not None
+            return told.speed
+
+        assert await speed("faster") == 2.0
+        assert await speed("slower", "slower") == 0.5
+        assert await speed(*["slower"] * 5) == 0.1
+        assert await speed("speed 80", "faster") == 100.0
+        assert await speed("speed 3") == 3.0
+
+
+async def test_that_its_place_moves_does_not_tell_the_state_more_often(path: Path) -> None:
+    async with station(f"replay://{path}") as (_, client):
+        told = set[float]()
+        for _ in range(400):
+            await asyncio.sleep(0.01)
+            told.add(client.state.at)
+        assert len(told) <= 4.0 / STATE_INTERVAL + 2
+        known = client.state.at
+        await client.ask(Action.REPLAY, data=b"pause")
+        await asyncio.sleep(0.01)
+        assert client.state.at > known, "what people change is told at once"
 
 
 async def test_an_aircraft_is_not_moved_in_time() -> None:

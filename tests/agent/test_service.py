@@ -313,6 +313,12 @@ async def test_notes_and_questions_are_bounded(rig: Rig, service: Service) -> No
     assert len(refused) == 1000 - 64
     front.send(Note("shout", "x"))
     assert rig.agent.journal.events[-1].level != "shout"
+    for seconds, more in ((1.0, 5), (100.0, 20)):  # five of each second, twenty at most
+        await anyio.sleep(seconds)
+        for _ in range(100):
+            front.send(Note("info", "note"))
+        later = [one for one in rig.agent.journal.events if one.text == "note"]
+        assert len(later) == {5: 5, 20: 25}[more]
 
 
 async def test_a_note_is_one_line_that_no_terminal_obeys(rig: Rig, service: Service) -> None:

@@ -8,7 +8,9 @@ import anyio
 import pytest
 
 from m100link.agent.connection import ConnectionState
+from m100link.agent.patterns import pattern
 from m100link.aircraft import Aircraft
+from m100link.errors import UsageError
 from m100link.protocol.commands.control import StartTask
 from m100link.sim.vehicle.mobile import MobileApp
 from m100link.station.ros.node_2015 import PRESS_LIFETIME, REPEAT_LIFETIME
@@ -393,6 +395,12 @@ async def test_other_simple_tasks_are_refused(rig: Rig, number: int | None) -> N
     await anyio.sleep(0.5)
     assert len(page.statuses()) == 1
     assert rig.agent.holding.pattern is None
+
+
+@pytest.mark.parametrize(("number", "why"), [(3, "random commands"), (7, "no simple task 7")])
+def test_why_a_simple_task_is_not_flown(number: int, why: str) -> None:
+    with pytest.raises(UsageError, match=why):
+        pattern(number)
 
 
 async def test_simple_tasks_5_and_6_activate_and_ask_for_the_version(rig: Rig) -> None:
