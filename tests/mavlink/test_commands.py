@@ -271,3 +271,15 @@ async def test_an_interval_is_one_of_microseconds(
     assert await ground.ask(Command.GET_MESSAGE_INTERVAL, attitude) is Result.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == told_us
     assert ground.last("MESSAGE_INTERVAL")["message_id"] == attitude
+
+
+async def test_capabilities_are_the_version(ground: Ground) -> None:
+    """MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, which older stations ask."""
+    assert not ground.all("AUTOPILOT_VERSION")
+    assert await ground.ask(520, 1.0) is Result.ACCEPTED
+    assert len(ground.all("AUTOPILOT_VERSION")) == 1
+
+
+@pytest.mark.parametrize("number", [-1.0, NAN, math.inf, -0.5])
+async def test_an_item_of_no_number_is_not_gone_on_from(ground: Ground, number: float) -> None:
+    assert await ground.ask(Command.DO_SET_MISSION_CURRENT, number) is Result.DENIED

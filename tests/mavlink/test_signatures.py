@@ -121,6 +121,20 @@ def test_a_memory_that_cannot_be_read_hides_nothing(tmp_path: Path, spoilt: str)
     assert not is_taken(started(tmp_path)[0], ping(NOW + SECOND), NOW)
 
 
+@pytest.mark.parametrize("beyond", [0, 1])
+def test_a_memory_has_a_greatest_time_and_a_greatest_size(tmp_path: Path, beyond: int) -> None:
+    """The last one that fits, and what the clock may be behind it; 64 kB."""
+    latest = LAST_SIGNATURE + AHEAD
+    for text in (
+        f'{{"sent": {latest + beyond}, "newest": {{}}}}',
+        f'{{"sent": 1, "newest": {{"1.1.1": {latest + beyond}}}}}',
+        '{"sent": 1, "newest": {}}'.ljust(65536 + beyond),
+    ):
+        memory = SignatureMemory(tmp_path, Signer(KEY))
+        memory.path.write_text(text)
+        assert ("cannot be read" in memory.recall(NOW)) is bool(beyond)
+
+
 def test_no_bit_of_it_turns_over_unnoticed(tmp_path: Path) -> None:
     """A time that became less would let in again what was recorded."""
     signer, memory = started(tmp_path)

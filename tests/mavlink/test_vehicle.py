@@ -266,3 +266,26 @@ async def test_an_activation_that_is_refused_is_told(rig: Rig, ground: Ground) -
     rig.aircraft.app.disconnect()
     assert await ground.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.TEMPORARILY_REJECTED
     assert not ground.armed()
+
+
+@pytest.mark.parametrize(
+    ("system", "component", "is_ours"),
+    [(1, 1, True), (1, 0, True), (0, 0, True), (2, 1, False), (255, 0, False), (1, 154, False)],
+)
+async def test_what_is_for_another_system_or_component_is_not_done(
+    ground: Ground, system: int, component: int, is_ours: bool
+) -> None:
+    """Zero is all of them. 154 is a gimbal."""
+    known = len(ground.heard)
+    ground.send("PARAM_REQUEST_LIST", target_system=system, target_component=component)
+    arm = {f"param{place}": 0.0 for place in range(1, 8)}
+    ground.send(
+        "COMMAND_LONG",
+        command=Command.COMPONENT_ARM_DISARM,
+        target_system=system,
+        target_component=component,
+        **arm,
+    )
+    await anyio.sleep(0.5)
+    heard = {one.name for one in ground.heard[known:]}
+    assert ("PARAM_VALUE" in heard, "COMMAND_ACK" in heard) == (is_ours, is_ours)
