@@ -8,8 +8,9 @@ import anyio
 import pytest
 
 from m100link.agent.actions import Action
+from m100link.agent.guided import FlyTo
 from m100link.agent.lease import LeaseHeld
-from m100link.agent.messages import Ask
+from m100link.agent.messages import Ask, Message
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
@@ -184,3 +185,35 @@ async def test_nonsense_in_the_place_of_a_renewal_ends_nothing_but_silence_does(
     other.close()
     assert 2.0 < anyio.current_time() - silent_since < 5.0
     assert one.height > 1.0
+
+
+async def test_each_verb_asks_for_what_it_says_under_its_lease(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of them is answered here: what was asked is looked at."""
+    asked: list[Message] = []
+    await rig.aircraft("a1")
+    pilot = await rig.pilot()
+    async with pilot["a1"].control() as control:
+        fence = control.fence
+
+        async def ask(message: Message, *_: object, **__: object) -> None:
+            asked.append(message)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(control._asker, "ask", ask)
+            await control.take_off()
+            await control.land()
+            await control.go_home()
+            await control.fly_to(
+                latitude_deg=52.1, longitude_deg=-4.3, height=7.5, speed=3.25, yaw_deg=-120.0
+            )
+            await control.stop()
+    assert fence > 0
+    assert asked == [
+        Ask(0, Action.TAKE_OFF, fence),
+        Ask(0, Action.LAND, fence),
+        Ask(0, Action.GO_HOME, fence),
+        FlyTo(52.1, -4.3, height=7.5, speed=3.25, yaw_deg=-120.0, fence=fence),
+        Ask(0, Action.STOP),
+    ]

@@ -425,4 +425,13 @@ def test_a_number_that_no_float_holds_is_damage(tmp_path: Path) -> None:
     path.write_text('{"flies": 7, "at": 1' + "0" * 400 + "}\n")
     ledger = opened(path, 1004.0, "boot", 10.0)
     assert ledger.damaged == 1
+
+
+async def test_nobody_else_reads_a_ledger_or_holds_its_lock(tmp_path: Path) -> None:
+    ledger = opened(tmp_path / "site" / "a1.jsonl", 1000.0, "boot", 50.0)
+    await ledger.begin("an order")
+    files = list((tmp_path / "site").iterdir())
+    assert files
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+    assert (tmp_path / "site").stat().st_mode & 0o777 == 0o700
     ledger.close()

@@ -5,12 +5,33 @@ from __future__ import annotations
 import anyio
 import pytest
 
+from m100link.agent.actions import Action, LeaseAction
+from m100link.agent.guided import FlyTo
+from m100link.agent.messages import Ask, LeaseAsk, Message
 from m100link.errors import M100Error
 from m100link.fleet.client import Fleet, FleetAircraft
+from m100link.fleet.orders import lands, renews
 from m100link.fleet.outcome import Outcome
 from tests.fleet.conftest import OnBoard, Rig
 
 pytestmark = pytest.mark.anyio
+
+
+@pytest.mark.parametrize(
+    ("message", "brings_down", "is_renewal"),
+    [
+        (Ask(1, Action.LAND), True, False),
+        (Ask(1, Action.TAKE_OFF), False, False),
+        (Ask(1, Action.STOP), False, False),
+        (LeaseAsk(1, LeaseAction.RENEW), False, True),
+        (LeaseAsk(1, LeaseAction.RELEASE), False, False),
+        (FlyTo(52.0, 4.3, 10.0), False, False),
+    ],
+)
+def test_which_words_land_and_which_let_a_lease_last(
+    message: Message, brings_down: bool, is_renewal: bool
+) -> None:
+    assert (lands(message), renews(message)) == (brings_down, is_renewal)
 
 
 async def take_off(pilot: Fleet, outcomes: list[Outcome]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import os
 import resource
 from collections.abc import Callable
 from io import FileIO
@@ -140,3 +141,22 @@ def test_what_was_closed_meanwhile_is_not_written(tmp_path: Path) -> None:
     part.close()
     with pytest.raises(UsageError, match="it is closed"):
         part.add(b"late")
+
+
+def test_a_log_has_its_name_when_it_is_on_the_disk_and_not_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a computer without power nobody may find half of one under its name."""
+    synced: list[tuple[bytes, bool]] = []
+    part = opened(tmp_path)
+    part.add(b"abcdef")
+
+    def fsync(handle: int) -> None:
+        assert os.path.samestat(os.fstat(handle), part.path.stat())
+        synced.append((part.path.read_bytes(), part.whole.exists()))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    part.finish()
+    part.close()
+    assert synced == [(b"abcdef", False)]
+    assert part.whole.read_bytes() == b"abcdef"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from itertools import pairwise
 
 import pytest
 
@@ -217,3 +218,26 @@ def test_strangers_do_not_fill_the_memory() -> None:
     for number in range(5000):
         ones.hear(by_speed("show", f"x{number}", 5.0, (900.0, 0, 4), (0, 0, 0)), 0.0)
     assert len(ones._heard) <= 1000
+
+
+def test_where_one_may_stand_is_each_tenth_of_a_second_of_its_way() -> None:
+    """Two metres a second for ten seconds: a hundred and one places, 0.2 m apart."""
+    ahead = by_speed("show", "a1", 5.0, (0.0, 1.0, 4.0), (2.0, 0.0, 0.0))
+    stands = ahead.stands()
+    assert len(stands) == 101
+    assert (stands[0], stands[-1]) == (ahead.places[0], ahead.places[-1])
+    apart = {round(math.dist(a, b), 3) for a, b in pairwise(stands)}
+    assert apart == {0.2}
+    assert ahead.way == pytest.approx(20.0, abs=0.01)
+
+
+def test_a_silent_one_is_looked_for_only_as_far_as_it_can_have_come() -> None:
+    """It flies from 100 s on; what comes later on its way is not where it stands now."""
+    ones = neighbours()
+    other = Ahead("show", "a2", 100.0, tuple((0.0, 2.0 * n, 4.0) for n in range(21)), 999.0)
+    ones.hear(other, 0.0)
+    here = tuple((0.0, 12.0, 4.0) for _ in range(21))
+    hovers = Ahead("show", "a1", 100.0 + SILENT_S + 0.1, here, 999.0)
+    silent = ones.near(hovers, SILENT_S + 0.1)
+    assert silent is not None
+    assert silent.at == pytest.approx(102.3, abs=0.5), "from 9 m on it is nearer than 3 m"
