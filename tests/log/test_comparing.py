@@ -58,3 +58,45 @@ def test_commands_and_alarms_differ_by_lines() -> None:
     assert found.commands == ["+ start_task task=land: no answer"]
     assert found.alarms == ["+ gps"]
     assert compare(first, first).commands == []
+
+
+def at_places(*places: tuple[float, float, float], ends: bool = True) -> Story:
+    """Takes off at 2 s, is at these places (time, north, east), and lands at 12 s or never."""
+    story = Story("flight.mcap", 0.0, 20.0)
+    story.phases = [Span("ground", 0.0, 2.0), Span("take-off", 2.0, 5.0)]
+    story.phases += [Span("flight", 5.0, 12.0)] + ([Span("ground", 12.0, 20.0)] if ends else [])
+    for place in places:
+        story.track.add(*place)
+    return story
+
+
+def test_how_far_apart_counts_north_and_east_each_with_its_sign() -> None:
+    first = at_places((2.0, 0.0, 0.0), (4.0, 3.0, -2.0))
+    second = at_places((2.0, 0.0, 0.0), (4.0, -1.0, 1.0))
+    found = compare(first, second)
+    assert [one.after_s for one in found.apart] == [step / 2 for step in range(21)]
+    assert {one.metres for one in found.apart[:4]} == {0.0}
+    assert {one.metres for one in found.apart[4:]} == {5.0}, "4 m north and 3 m east"
+    assert found.mean_apart_m == pytest.approx(17 * 5.0 / 21)
+    assert found.most_apart == (2.0, 5.0)
+    flies_on = compare(first, at_places((2.0, 0.0, 0.0), ends=False))
+    assert flies_on.apart[-1].after_s == 10.0, "until the first of them stands again"
+
+
+def test_values_are_the_second_less_the_first_in_their_units() -> None:
+    first, second = at_places((2.0, 0.0, 0.0)), at_places((2.0, 0.0, 0.0))
+    first.packages, second.packages = 2000, 500
+    first.discarded_bytes, second.discarded_bytes = 7, 3
+    first.repeats, second.repeats = 1, 12
+    for at, trip in ((1.0, 20.0), (2.0, 40.0)):
+        first.curves.round_trip_ms.add(at, trip)
+    second.curves.round_trip_ms.add(1.0, 75.0)
+    second.phases[1] = Span("take-off", 2.0, 4.5)
+    found = compare(first, second)
+    assert by(found, "packages") == -1500
+    assert by(found, "packages_per_s") == pytest.approx(-75.0)
+    assert (by(found, "discarded_bytes"), by(found, "repeats")) == (-4, 11)
+    assert by(found, "round_trip_ms") == pytest.approx(45.0)
+    assert (by(found, "take-off_s"), by(found, "ground_s")) == (-0.5, 0.0)
+    never = compare(Story("empty.mcap", 0.0, 0.0), second)
+    assert (by(never, "packages_per_s"), by(never, "round_trip_ms")) == (None, None)

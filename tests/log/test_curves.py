@@ -52,3 +52,22 @@ def test_who_stands_still_draws_no_noise() -> None:
         track.add(number / 100, 0.03 * (number % 2), 0.0)
     assert len(track.places()) == 1
     assert track.length_m == 0.0
+
+
+@pytest.mark.parametrize(("pause", "is_hole"), [(1.9, False), (2.0, False), (2.1, True)])
+def test_a_hole_is_longer_than_two_seconds_and_stands_in_its_middle(
+    pause: float, is_hole: bool
+) -> None:
+    curve = Curve(gap_s=2.0)
+    for at in (4.0, 4.0 + pause):
+        curve.add(at, -5.0)
+    holes = [at for at, value in curve.points() if math.isnan(value)]
+    assert holes == ([pytest.approx(4.0 + pause / 2)] if is_hole else [])
+
+
+def test_places_are_in_their_order_with_their_signs() -> None:
+    track = Track()
+    for place in ((0.0, 0.0, 0.0), (1.0, 3.0, -4.0), (2.0, 3.0, -4.0), (3.0, -3.0, 4.0)):
+        track.add(*place)
+    assert track.places() == [(0.0, 0.0, 0.0), (1.0, 3.0, -4.0), (3.0, -3.0, 4.0)]
+    assert track.length_m == pytest.approx(5.0 + 10.0)

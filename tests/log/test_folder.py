@@ -92,6 +92,24 @@ async def test_megabytes_are_counted_from_the_newest(tmp_path: Path) -> None:
     assert [path.exists() for path in paths] == [False, False, True]
 
 
+@pytest.mark.parametrize(
+    ("keep", "keep_mb", "left"),
+    [(3, 0, 3), (2, 0, 2), (1, 0, 1), (0, 2, 3), (0, 1, 2), (2, 2, 2), (0, 0, 4)],
+)
+async def test_as_many_are_kept_as_was_said(
+    tmp_path: Path, keep: int, keep_mb: int, left: int
+) -> None:
+    """Four logs; the three newest have two megabytes together, and the two newest one."""
+    paths = [await made(tmp_path, f"m100link-20260101-00000{n}.mcap", -n) for n in range(4)]
+    for path, size in zip(paths, (100_000, 1_000_000, 400_000, 600_000), strict=True):
+        stamp = path.stat().st_mtime
+        with path.open("ab") as stream:
+            stream.truncate(size)
+        os.utime(path, (stamp, stamp))
+    Flights(tmp_path, keep=keep, keep_mb=keep_mb, tell=Told()).make_room()
+    assert [path.exists() for path in paths] == [False] * (4 - left) + [True] * left
+
+
 async def test_each_connection_of_an_agent_gets_a_log(tmp_path: Path) -> None:
     told = Told()
     flights = Flights(tmp_path / "made" / "by us", tell=told)

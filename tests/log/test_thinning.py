@@ -59,3 +59,17 @@ def test_what_does_not_fit_is_passed_over() -> None:
     for value in (b"", b"\x01", b"\x01\x00", b"\xff\xff" + bytes(20)):
         assert thinning.hear(value, FIRMWARE_3_1, 0.0) is None
     assert thinning.hear(b"\x01\x00" + bytes(4), FIRMWARE_1_0, 0.0) is not None
+
+
+def test_a_row_comes_as_often_as_its_interval_and_not_more_often() -> None:
+    """Packages at 50 Hz whose clock is a hair early: each fifth of them is a row at 10 Hz."""
+    thinning, value = Thinning(0.1), b"\x01\x00" + bytes(4)
+    rows = [
+        number
+        for number in range(26)
+        if thinning.hear(value, FIRMWARE_1_0, 100.0 + number * 0.019_999) is not None
+    ]
+    assert rows == [0, 5, 10, 15, 20, 25]
+    told = Thinning(1.0).hear(value, FIRMWARE_1_0, 123.25)
+    assert told is not None
+    assert told[1]["received_at"] == 123.25
