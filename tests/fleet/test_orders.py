@@ -10,28 +10,34 @@ from m100link.agent.guided import FlyTo
 from m100link.agent.messages import Ask, LeaseAsk, Message
 from m100link.errors import M100Error
 from m100link.fleet.client import Fleet, FleetAircraft
-from m100link.fleet.orders import lands, renews
+from m100link.fleet.orders import acquires, lands, moves, renews, revokes, takes
 from m100link.fleet.outcome import Outcome
 from tests.fleet.conftest import OnBoard, Rig
 
 pytestmark = pytest.mark.anyio
 
 
+# What lands, revokes, moves, and takes, acquires or renews a lease: l, r, m, t, a, n.
 @pytest.mark.parametrize(
-    ("message", "brings_down", "is_renewal"),
+    ("message", "does"),
     [
-        (Ask(1, Action.LAND), True, False),
-        (Ask(1, Action.TAKE_OFF), False, False),
-        (Ask(1, Action.STOP), False, False),
-        (LeaseAsk(1, LeaseAction.RENEW), False, True),
-        (LeaseAsk(1, LeaseAction.RELEASE), False, False),
-        (FlyTo(52.0, 4.3, 10.0), False, False),
+        (Ask(1, Action.LAND), "lr"),
+        (Ask(1, Action.STOP), "r"),
+        (Ask(1, Action.HALT), "r"),
+        (Ask(1, Action.TAKE_OFF), "m"),
+        (Ask(1, Action.GO_HOME), "m"),
+        (Ask(1, Action.MISSION_START), "m"),
+        (FlyTo(52.0, 4.3, 10.0), "m"),
+        (LeaseAsk(1, LeaseAction.ACQUIRE), "ma"),
+        (LeaseAsk(1, LeaseAction.TAKE_OVER), "m"),
+        (LeaseAsk(1, LeaseAction.CONFIRM), "mt"),
+        (LeaseAsk(1, LeaseAction.RENEW), "n"),
+        (LeaseAsk(1, LeaseAction.RELEASE), ""),
     ],
 )
-def test_which_words_land_and_which_let_a_lease_last(
-    message: Message, brings_down: bool, is_renewal: bool
-) -> None:
-    assert (lands(message), renews(message)) == (brings_down, is_renewal)
+def test_what_a_message_does(message: Message, does: str) -> None:
+    asked = {"l": lands, "r": revokes, "m": moves, "t": takes, "a": acquires, "n": renews}
+    assert "".join(one for one, is_so in asked.items() if is_so(message)) == does
 
 
 async def take_off(pilot: Fleet, outcomes: list[Outcome]) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
+import pytest
+
 from m100link.fleet.show.checks import check
 from m100link.fleet.show.document import Show
 from m100link.fleet.show.picture import svg
@@ -49,3 +51,45 @@ def test_north_is_up_and_scales_are_equal() -> None:
 def test_names_are_words_and_no_markup() -> None:
     root = drawn(show_of(track("<b>&", (0, 0, 0, 5), (20, 30, 0, 5))))
     assert "<b>&" in words(root)
+
+
+def spots_of(line: ET.Element) -> list[tuple[float, float]]:
+    pairs = (pair.split(",") for pair in line.get("points", "").split())
+    return [(float(x), float(y)) for x, y in pairs]
+
+
+@pytest.mark.parametrize("far", [(200.0, 3.0), (3.0, 200.0), (0.2, 0.1)])
+def test_everything_is_inside_of_the_picture(far: tuple[float, float]) -> None:
+    """However long and narrow the show is; its tracks fill the map one way and leave an edge."""
+    first = track("a1", (0, 0, 0, 5), (60, far[0], far[1], 5))
+    second = track("a2", (0, 0, 9, 5), (60, far[0], far[1] + 9, 15))
+    root = drawn(show_of(first, second))
+    width, height = map(float, root.get("viewBox", "").split()[2:])
+    tracks = [spot for line in root.iterfind(f"{SVG}g/{SVG}polyline") for spot in spots_of(line)]
+    lines = [spot for line in root.iter(f"{SVG}polyline") for spot in spots_of(line)]
+    words = [(float(one.get("x", "")), float(one.get("y", ""))) for one in root.iter(f"{SVG}text")]
+    for x, y in [*lines, *words]:
+        assert 0 <= x <= width
+        assert 0 <= y <= height
+    assert min(x for x, _ in tracks) >= 8
+    assert min(y for _, y in tracks) >= 8
+    wide = max(x for x, _ in tracks) - min(x for x, _ in tracks)
+    tall = max(y for _, y in tracks) - min(y for _, y in tracks)
+    assert wide > 0.5 * width or tall > 0.25 * height
+
+
+def test_the_distance_is_drawn_from_its_first_to_its_last_second_and_upwards() -> None:
+    first = track("a1", (0, 0, 0, 5), (20, 30, 0, 5))
+    second = track("a2", (0, 30, 3, 5), (20, 0, 3, 5))
+    axes, needed, curve = (
+        spots_of(line) for line in drawn(show_of(first, second)).findall(f"{SVG}polyline")
+    )
+    (left, top), (_, bottom), (right, _) = axes
+    assert (curve[0][0], curve[-1][0]) == (left, right)
+    assert [x for x, _ in needed] == [left, right]
+    lowest = max(curve, key=lambda spot: spot[1])
+    assert lowest[0] == pytest.approx((left + right) / 2, abs=5), "they pass each other at 10 s"
+    metre = (bottom - lowest[1]) / 3.0  # and are 3 m apart then
+    assert bottom - needed[0][1] == pytest.approx(6.2 * metre, rel=0.03)
+    assert bottom - curve[0][1] == pytest.approx(30.15 * metre, rel=0.03)
+    assert top < curve[0][1] < bottom
