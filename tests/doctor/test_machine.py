@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,6 +15,7 @@ from tests.doctor.bench import FakeMachine
 from tests.waiting import blocking_until
 
 PORT = "/dev/ttyUSB9"
+STATE = SimpleNamespace(st_mode=0o020660, st_uid=0, st_gid=20)
 
 
 def test_an_adapter_on_usb_is_described(machine: FakeMachine) -> None:
@@ -88,6 +90,30 @@ def test_the_permission_is_that_of_the_device() -> None:
     assert (permission.mode, permission.is_granted) == ("crw-rw-rw-", True)
     with pytest.raises(FileNotFoundError):
         Machine().permission("/dev/there-is-no-such-port")
+
+
+@pytest.mark.parametrize(
+    ("own_group", "members", "is_member"),
+    [(20, [], True), (1000, ["pilot"], True), (1000, ["other"], False), (1000, [], False)],
+)
+def test_a_member_is_one_by_the_own_group_or_by_the_list(
+    monkeypatch: pytest.MonkeyPatch, own_group: int, members: list[str], is_member: bool
+) -> None:
+    """The list of the group tells of whoever was added and has not logged in again."""
+    asked: list[str] = []
+
+    def named(name: str) -> SimpleNamespace:
+        asked.append(name)
+        return SimpleNamespace(gr_mem=members)
+
+    user = SimpleNamespace(pw_gid=own_group, pw_name="pilot")
+    monkeypatch.setattr("pwd.getpwuid", lambda number: user)
+    monkeypatch.setattr("grp.getgrgid", lambda number: SimpleNamespace(gr_name="dialout"))
+    monkeypatch.setattr("grp.getgrnam", named)
+    monkeypatch.setattr("m100link.doctor.machine.Path.stat", lambda path: STATE)
+    permission = Machine().permission("/dev/null")
+    assert (permission.group, permission.is_member) == ("dialout", is_member)
+    assert set(asked) <= {"dialout"}
 
 
 @pytest.mark.pty
