@@ -224,6 +224,19 @@ async def test_a_code_works_once_and_for_a_while() -> None:
     assert third.status == 403
 
 
+def test_a_code_is_in_force_for_ten_minutes_and_one_of_the_last_sixteen() -> None:
+    clock = Clock()
+    access = Access(TOKEN, clock=clock)
+    codes = [access.new_code() for _ in range(17)]
+    assert len(set(codes)) == 17
+    assert [access.redeem(one) for one in codes] == [False] + [True] * 16
+    for age, is_in_force in ((599.9, True), (600.0, False)):
+        clock.now = 1000.0
+        code = access.new_code()
+        clock.now += age
+        assert access.redeem(code) is is_in_force
+
+
 @pytest.mark.parametrize("kind", ["websocket", "http"])
 async def test_a_code_opens_a_page_and_nothing_else(kind: str) -> None:
     access = Access(TOKEN)
