@@ -207,6 +207,7 @@ def noise(count: int) -> bytes:
         (FRAME * 10 + noise(641), Stage.FRAMES, Verdict.FAILED, "may have waited in the port"),
         (FRAME * 128 + noise(9000), Stage.FRAMES, Verdict.FAILED, "the 128 that are valid"),
         (FRAME * 129 + noise(9000), Stage.FRAMES, Verdict.DOUBTFUL, "129 frames"),
+        (FRAME + noise(100), Stage.FRAMES, Verdict.FAILED, "the 1 that are valid"),
         # A wire that is joined to nothing picks up little.
         (
             noise(199),
