@@ -208,7 +208,6 @@ class FileLedger:
         data = self._path.read_bytes() if self._path.exists() else b""
         read = words(data, os.pread(self._lock, 1000, 0))
         self.damaged, self._newest = read.damaged, read.newest
-        self._is_sure_who_flew = not read.damaged
         for number, kept in read.kept.items():
             if _is_fence(kept.get("flies")):
                 self._flown = kept
