@@ -237,6 +237,7 @@ def test_a_wish_over_a_take_off_whose_motors_stand(mode: Mode) -> None:
         assert flies(deck) is Running.TAKE_OFF
     assert deck.disarm(PEER) is Result.ACCEPTED
     assert deck.orders == [CallOff()], "once"
+    assert deck.mode is Mode.HOLD, "whoever disarms waits for no landing"
 
 
 @pytest.mark.parametrize("phase", Phase)
