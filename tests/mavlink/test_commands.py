@@ -11,8 +11,9 @@ from m100link.geodesy import LocalFrame
 from m100link.mavlink.codec import LAYOUTS
 from m100link.mavlink.commands import COMMANDS
 from m100link.mavlink.modes import MODES, Mode
-from m100link.mavlink.numbers import Command, Result
+from m100link.mavlink.numbers import Command, MissionResult, Result
 from tests.mavlink.conftest import Ground, Rig
+from tests.mavlink.test_missions import Exchange, waypoint
 
 pytestmark = pytest.mark.anyio
 
@@ -282,4 +283,7 @@ async def test_capabilities_are_the_version(ground: Ground) -> None:
 
 @pytest.mark.parametrize("number", [-1.0, NAN, math.inf, -0.5])
 async def test_an_item_of_no_number_is_not_gone_on_from(ground: Ground, number: float) -> None:
+    plan = [waypoint(10.0, 0.0), waypoint(20.0, 0.0)]
+    assert await Exchange(ground).upload(plan) is MissionResult.ACCEPTED
+    assert await ground.ask(Command.DO_SET_MISSION_CURRENT, 1.0) is Result.ACCEPTED
     assert await ground.ask(Command.DO_SET_MISSION_CURRENT, number) is Result.DENIED
