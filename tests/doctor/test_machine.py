@@ -39,6 +39,7 @@ def test_an_adapter_without_a_timer_keeps_nothing_back(machine: FakeMachine) -> 
     ("words", "is_one"),
     [
         (("/sbin/agetty", "-o", "-p -- \\u", "115200", "ttyUSB9", "vt100"), True),
+        (("/sbin/agetty", "ttyUSB9"), True),
         (("/sbin/agetty", "115200", "tty1", "linux"), False),
         (("/usr/bin/vim", "ttyUSB9"), False),
         # One that names itself anew has blanks between its words.

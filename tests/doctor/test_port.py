@@ -65,6 +65,19 @@ def test_there_is_no_such_port(machine: FakeMachine) -> None:
     assert found.commands[0] == "m100link ports"
 
 
+def test_a_folder_that_nobody_may_look_into_is_told(
+    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(path: str) -> bool:
+        raise PermissionError(13, "Permission denied", path)
+
+    monkeypatch.setattr(machine, "is_terminal_device", closed)
+    [found] = looked_at("/dev/private/ttyUSB0", machine)
+    assert (found.stage, found.verdict) == (Stage.PORT, Verdict.FAILED)
+    assert "Permission denied" in found.seen
+    assert found.commands[0] == "ls -ld /dev/private"
+
+
 def test_in_a_container_it_may_not_have_been_given(machine: FakeMachine) -> None:
     machine.write(".dockerenv", "")
     [found] = looked_at("/dev/ttyUSB99", machine)
