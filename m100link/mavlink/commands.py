@@ -336,7 +336,7 @@ class Commands:
         return Result.ACCEPTED
 
     def _speed_of(self, wanted: float) -> float:
-        if math.isfinite(wanted) and wanted > 0:
+        if wanted > 0:  # infinity is refused with its flight
             return wanted
         return self._parameters["MPC_XY_CRUISE"] if self._speed is None else self._speed
 

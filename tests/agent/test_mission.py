@@ -17,8 +17,11 @@ from m100link.flight.missions.events import (
     Started,
     Uploaded,
 )
+from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
+from m100link.protocol.commands.control import Task
+from tests.agent.conftest import Rig
 
 PLAN = WaypointPlan(
     [Waypoint(52.0 + index * 1e-4, 4.3, height=10 + index) for index in range(9)], speed=5
@@ -89,3 +92,22 @@ def test_what_djis_push_says_of_an_event(
     event: MissionEvent, push: tuple[int, bytes] | None
 ) -> None:
     assert push_of(event) == push
+
+
+@pytest.mark.anyio
+async def test_what_a_mission_reaches_is_told_to_people() -> None:
+    async with Rig(firmware="3.1").running() as rig:
+        await rig.agent.obtain(rig.token)
+        await rig.agent.fly(rig.token, Task.TAKE_OFF)
+        state = rig.agent.connection.require_aircraft().state.position
+        assert state is not None
+        frame = LocalFrame(state.latitude_deg, state.longitude_deg)
+        places = [Waypoint(*frame.to_geodetic(north, 0.0), height=6) for north in (5.0, 10.0)]
+        await rig.agent.fly_mission(rig.token, WaypointPlan(places, speed=5), begun=lambda: None)
+        told = [event.text for event in rig.agent.journal.events]
+        assert told[-4:] == [
+            "a mission of 2 waypoints begins",
+            "waypoint 0 reached",
+            "waypoint 1 reached",
+            "the mission of 2 waypoints is over",
+        ]

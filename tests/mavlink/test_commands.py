@@ -287,3 +287,20 @@ async def test_an_item_of_no_number_is_not_gone_on_from(ground: Ground, number: 
     assert await Exchange(ground).upload(plan) is MissionResult.ACCEPTED
     assert await ground.ask(Command.DO_SET_MISSION_CURRENT, 1.0) is Result.ACCEPTED
     assert await ground.ask(Command.DO_SET_MISSION_CURRENT, number) is Result.DENIED
+
+
+@pytest.mark.parametrize(
+    ("given", "least", "most"), [(2.0, 1.5, 2.2), (NAN, 3.0, 5.5), (-1.0, 3.0, 5.5)]
+)
+async def test_a_speed_that_is_none_is_that_of_the_parameter(
+    rig: Rig, ground: Ground, given: float, least: float, most: float
+) -> None:
+    """MPC_XY_CRUISE, 5 m/s; -1 says so by the definition, and so does what is no number."""
+    await ground.fly(5.0)
+    where = *place(60.0, 0.0), rig.ground_altitude + 5.0
+    assert await ground.ask(Command.DO_REPOSITION, math.inf, 1, 0, NAN, *where) is Result.DENIED
+    circle = 10.0, math.inf, 0.0, NAN
+    assert await ground.ask(Command.DO_ORBIT, *circle, *where) is Result.DENIED
+    assert await ground.ask(Command.DO_REPOSITION, given, 1, 0, NAN, *where) is Result.ACCEPTED
+    await anyio.sleep(5.0)
+    assert least <= rig.speed <= most

@@ -289,3 +289,21 @@ async def test_what_is_for_another_system_or_component_is_not_done(
     await anyio.sleep(0.5)
     heard = {one.name for one in ground.heard[known:]}
     assert ("PARAM_VALUE" in heard, "COMMAND_ACK" in heard) == (is_ours, is_ours)
+
+
+async def test_the_sticks_of_a_station_fly_for_that_station(rig: Rig, ground: Ground) -> None:
+    """MANUAL_CONTROL: 500 of 1000 forwards, throttle in the middle at 500."""
+    await ground.fly(5.0)
+    flown: list[float] = []
+
+    async def push() -> None:
+        for _ in range(100):
+            ground.send("MANUAL_CONTROL", target=1, x=500, y=0, z=500, r=0)
+            await anyio.sleep(0.05)
+            flown.append(rig.speed)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(push)
+        await anyio.sleep(0.2)
+        assert await ground.set_mode(Mode.POSCTL) is Result.ACCEPTED
+    assert max(flown) > 1.0
