@@ -281,6 +281,27 @@ async def test_without_a_mission_there_is_none_to_fly(rig: Rig, ground: Ground) 
     assert await ground.set_mode(Mode.MISSION) is Result.DENIED
 
 
+async def test_how_far_a_mission_is_has_the_numbers_of_the_definition(
+    rig: Rig, ground: Ground
+) -> None:
+    """MISSION_STATE: none 1, not started 2, active 3, paused 4, complete 5."""
+
+    async def told() -> tuple[int, int, int]:
+        await anyio.sleep(1.1)
+        found = ground.last("MISSION_CURRENT")
+        return found["mission_state"], found["seq"], found["total"]
+
+    assert await told() == (1, 0, 0)
+    assert await Exchange(ground).upload([waypoint(5.0, 5.0), waypoint(9.0, 5.0)]) == 0
+    assert await told() == (2, 0, 2)
+    assert await ground.ask(Command.DO_SET_MISSION_CURRENT, 1.0) is Result.ACCEPTED
+    assert await told() == (4, 1, 2)
+    missions = rig.vehicle._missions
+    assert missions.current_message(is_flying=True)["mission_state"] == 3
+    missions.over()
+    assert (await told())[0] == 5
+
+
 # -- fences ---------------------------------------------------------------------------------------
 
 

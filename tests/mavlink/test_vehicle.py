@@ -307,3 +307,14 @@ async def test_the_sticks_of_a_station_fly_for_that_station(rig: Rig, ground: Gr
         await anyio.sleep(0.2)
         assert await ground.set_mode(Mode.POSCTL) is Result.ACCEPTED
     assert max(flown) > 1.0
+
+
+@pytest.mark.parametrize(("asked_us", "told_us"), [(40_000, 40_000), (-1, -1), (0, 50_000)])
+async def test_an_interval_is_told_in_microseconds(
+    ground: Ground, asked_us: int, told_us: int
+) -> None:
+    """Never is -1; by default it comes 20 times a second."""
+    attitude = number("ATTITUDE")
+    assert await ground.ask(Command.SET_MESSAGE_INTERVAL, attitude, asked_us) is Result.ACCEPTED
+    assert await ground.ask(Command.GET_MESSAGE_INTERVAL, attitude) is Result.ACCEPTED
+    assert ground.last("MESSAGE_INTERVAL")["interval_us"] == told_us
