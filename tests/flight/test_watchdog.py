@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from typing import cast
 
 import pytest
@@ -13,18 +12,13 @@ from m100link.flight import suspension
 from m100link.flight.guards import Guards
 from m100link.flight.lifecycle import StopCause
 from m100link.flight.watchdog import TelemetryWatchdog
-from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.state import AircraftState
+from tests.flight.test_pacing import block
 
 pytestmark = pytest.mark.anyio
 
 LIMIT = 0.3
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"  # real time: a virtual clock is never late
 
 
 class State:
@@ -59,16 +53,11 @@ def watch(
     return watchdog, found
 
 
-def block() -> None:
-    """The program does not run for twice the limit."""
-    time.sleep(2 * LIMIT)
-
-
 async def test_telemetry_that_came_while_the_program_did_not_run_was_not_missing() -> None:
     state = State()
     watchdog, stalls = watch(state)
     await asyncio.sleep(0)
-    block()
+    block(2 * LIMIT)
     assert watchdog.is_quiet()  # the sending path may look first
     asyncio.get_running_loop().call_soon(state.arrive)  # what waited is read now
     await asyncio.sleep(0.15)
@@ -79,7 +68,7 @@ async def test_telemetry_that_came_while_the_program_did_not_run_was_not_missing
 async def test_telemetry_that_is_missing_then_too_is_a_stall() -> None:
     watchdog, stalls = watch(State())
     await asyncio.sleep(0)
-    block()
+    block(2 * LIMIT)
     await asyncio.sleep(0.3)
     assert len(stalls) == 1
     assert not watchdog.is_quiet()
@@ -94,31 +83,17 @@ async def test_without_a_block_nothing_is_forgiven() -> None:
     assert len(stalls) == 1
 
 
-def stalls_of_a_moment(*, is_stopped: bool) -> int:
-    """What is reported when telemetry has 50 ms left, on virtual time."""
-
-    async def watched() -> int:
-        state = State()
-        state.newest_at -= LIMIT - 0.05
-        watchdog, stalls = watch(state)
-        if is_stopped:
-            watchdog.stop()
-        await asyncio.sleep(0.07)
-        return len(stalls)
-
-    loop = VirtualClockEventLoop()
-    try:
-        return loop.run_until_complete(watched())
-    finally:
-        loop.close()
-
-
-def test_it_looks_again_when_the_newest_telemetry_would_be_too_old() -> None:
-    assert stalls_of_a_moment(is_stopped=False) == 1
-
-
-def test_once_stopped_it_looks_no_more() -> None:
-    assert stalls_of_a_moment(is_stopped=True) == 0
+@pytest.mark.parametrize("is_stopped", [False, True])
+async def test_it_looks_again_when_the_newest_telemetry_would_be_too_old_unless_stopped(
+    is_stopped: bool,
+) -> None:
+    state = State()
+    state.newest_at -= LIMIT - 0.05
+    watchdog, stalls = watch(state)
+    if is_stopped:
+        watchdog.stop()
+    await asyncio.sleep(0.07)
+    assert len(stalls) == (not is_stopped)
 
 
 NO_STALE, NO_INTEGRITY = Guards(stale_telemetry_s=None), Guards(integrity=False)
