@@ -72,9 +72,10 @@ class Terminal:
         os.close(self._main)
 
     def _read(self) -> bool:
+        has_ended = self._process.poll() is not None  # before the look: then it showed all
         ready, _, _ = select.select([self._main], [], [], 0.2)
         if not ready:
-            return self._process.poll() is None
+            return not has_ended
         try:
             data = os.read(self._main, 65536)
         except OSError:  # so Linux says that the other side was closed

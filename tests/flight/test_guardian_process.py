@@ -100,9 +100,10 @@ class Program:
         received = b""
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
+            has_ended = self.process.poll() is not None  # before the look: then it wrote all
             if select.select([self.master], [], [], 0.1)[0]:
                 received += os.read(self.master, 4096)
-            elif self.process.poll() is not None:
+            elif has_ended:
                 break
         self.aircraft.receive(received)
         return received
