@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 import os
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from m100link.cli.app import run
+from m100link.sim.clock import VirtualClockEventLoop
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from tests.waiting import PATIENCE
 
@@ -37,16 +39,18 @@ class Outcome(NamedTuple):
 
 
 class CommandLine:
-    """Runs commands inside the test's process."""
+    """Runs commands inside the test's process; at ``sim://`` on virtual time."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-        self._monkeypatch = monkeypatch
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
 
     def __call__(self, *arguments: str) -> Outcome:
-        self._monkeypatch.setattr(sys, "argv", ["m100link", *arguments])
-        with pytest.raises(SystemExit) as caught:
-            run()
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(sys, "argv", ["m100link", *arguments])
+            if any(word.startswith("sim://") for word in arguments):
+                patched.setattr(asyncio.events, "new_event_loop", VirtualClockEventLoop)
+            with pytest.raises(SystemExit) as caught:
+                run()
         captured = self._capsys.readouterr()
         status = caught.value.code
         assert isinstance(status, int)
@@ -74,7 +78,7 @@ def cli(
     monkeypatch.setenv("NO_COLOR", "1")
     logger = logging.getLogger("m100link")
     handlers, level = list(logger.handlers), logger.level
-    yield CommandLine(monkeypatch, capsys)
+    yield CommandLine(capsys)
     logger.handlers[:] = handlers
     logger.setLevel(level)
 
