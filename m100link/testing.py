@@ -214,7 +214,7 @@ class VirtualPort:
         async def run() -> Any:
             return getattr(self.aircraft, method)(*arguments, **options)
 
-        return asyncio.run_coroutine_threadsafe(run(), self._loop).result(timeout=5.0)
+        return asyncio.run_coroutine_threadsafe(run(), self._loop).result(timeout=60.0)
 
     def close(self) -> None:
         """Take the port away."""

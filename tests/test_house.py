@@ -351,3 +351,13 @@ def test_a_test_that_traces_puts_back_what_traced_before() -> None:
     away = re.compile(r"settrace\(None\)")
     found = [path.name for path in programs("tests") if away.search(path.read_text("utf-8"))]
     assert found == []
+
+
+def test_who_waits_for_a_process_has_patience() -> None:
+    """A number of seconds is the machine's: tests/waiting.py says how long is never."""
+    number = r"(?:timeout=)?[0-9.]+[,)]"
+    waits = re.compile(
+        rf"(?:communicate|process\.wait)\({number}|capture_output=True[^()]*timeout=[0-9.]+[,)]"
+    )
+    found = [path.name for path in programs("tests") if waits.search(path.read_text("utf-8"))]
+    assert found == []

@@ -53,7 +53,12 @@ class Site:
     def ask(self, *words: str) -> tuple[int, list[dict[str, Any]]]:
         command = [sys.executable, "-m", "m100link", "fleet", *words, "--json"]
         done = subprocess.run(
-            command, capture_output=True, text=True, env=self.environment, timeout=300, check=False
+            command,
+            capture_output=True,
+            text=True,
+            env=self.environment,
+            timeout=2 * PATIENCE,
+            check=False,
         )
         return done.returncode, [json.loads(line) for line in done.stdout.splitlines()]
 
@@ -149,7 +154,7 @@ def test_a_name_that_is_taken_ends_the_second_agent(site: Site) -> None:
 
 def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "m100link", "fleet", "list", "--connect", "tcp/127.0.0.1:9"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert "no router answered" in done.stderr
     assert "m100link fleet router" in done.stderr

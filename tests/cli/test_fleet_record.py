@@ -58,7 +58,7 @@ def test_each_connection_leaves_a_log_that_is_whole(site: Site, tmp_path: Path) 
     assert [card["connection"] for card in site.listed(2)] == ["connected"] * 2
     assert site.ask("takeoff", "a2")[0] == 0
     agent.send_signal(signal.SIGTERM)
-    assert agent.wait(60) == 0
+    assert agent.wait(PATIENCE) == 0
     for name in ("a1", "a2"):
         [path] = (tmp_path / "m100link/flights" / name).iterdir()
         assert read(path).summary().is_whole

@@ -46,7 +46,7 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
         [*COMMAND, *arguments],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE,
         env=clean | environment,
         check=False,
     )
@@ -136,7 +136,7 @@ async def test_the_process_of_the_fronts_serves_the_numbers() -> None:
         assert url.startswith("http://127.0.0.1:")
 
         def scrape() -> str:
-            with urllib.request.urlopen(url, timeout=20) as answer:
+            with urllib.request.urlopen(url, timeout=PATIENCE) as answer:
                 return str(answer.read(), "utf-8")
 
         async with asyncio.timeout(PATIENCE):
@@ -156,7 +156,7 @@ def test_without_the_package_it_says_what_to_install() -> None:
         ],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE,
         check=False,
     )
     assert done.returncode == 2
@@ -220,14 +220,14 @@ async def test_a_front_that_died_is_told_once_and_its_console_can_be_opened_agai
     first = json.loads(await process.stdout.readline())["console"]
     (child,) = children(process.pid)
     os.kill(child, signal.SIGKILL)
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE):
         second = json.loads(await process.stdout.readline())["console"]
     assert second != first
     browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
     with await asyncio.to_thread(browser.open, second) as answer:
         assert b"m100link" in answer.read()
     process.send_signal(signal.SIGTERM)
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE):
         _, talk = await process.communicate()
     assert talk.count(b"the fronts ended (SIGKILL)") == 1
 
@@ -263,7 +263,7 @@ async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
         while not await _takes_off(pilot):  # noqa: ASYNC110 - what is waited for has no event
             await asyncio.sleep(0.5)
     process.send_signal(signal.SIGTERM)
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE):
         assert await process.wait() == 0
 
 

@@ -30,6 +30,7 @@ from m100link.flight.signals import NUMBERS
 from tests.flight.foreign_aircraft import APP_ID, KEY
 from tests.flight.missions.foreign import plan
 from tests.rig import NORTH
+from tests.waiting import PATIENCE
 
 CREDENTIALS = m100link.Credentials(app_id=APP_ID, key=KEY)
 GUARDS = m100link.Guards(envelope=m100link.Envelope(max_radius_m=10_000.0))
@@ -189,7 +190,7 @@ async def main(port: str, flight: str, ending: str, loss: str) -> None:
     stop: Literal["hover", "land"] = "land" if flight == "land" else "hover"
     async with m100link.connect(port) as aircraft:
         await aircraft.activate(CREDENTIALS)
-        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=30)
+        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=PATIENCE)
         try:
             async with aircraft.control(stop=stop, guards=GUARDS) as control:
                 do = watch if flight == "mission" else fly
@@ -203,7 +204,7 @@ async def main(port: str, flight: str, ending: str, loss: str) -> None:
 def main_without_await(port: str, ending: str, loss: str) -> None:
     with sync.connect(port) as aircraft:
         aircraft.activate(CREDENTIALS)
-        aircraft.wait_for(lambda state: state.flight_status is not None, timeout=30)
+        aircraft.wait_for(lambda state: state.flight_status is not None, timeout=PATIENCE)
         try:
             with aircraft.control(guards=GUARDS) as control:
                 for tick in control.ticks():

@@ -12,6 +12,7 @@ from typing import Literal
 
 import m100link
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from tests.waiting import PATIENCE
 
 
 async def main(port: str, stop: str) -> None:
@@ -19,7 +20,7 @@ async def main(port: str, stop: str) -> None:
     north = m100link.Setpoint.velocity(north=2.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
     async with m100link.connect(port) as aircraft:
         await aircraft.activate(credentials)
-        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=30)
+        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=PATIENCE)
         # On a busy machine the test comes to look when it is far away.
         far = m100link.Guards(envelope=m100link.Envelope(max_radius_m=10_000.0))
         stopping: Literal["land", "hover"] = "land" if stop == "land" else "hover"

@@ -16,6 +16,7 @@ import m100link
 from tests.flight.foreign_aircraft import APP_ID, KEY
 from tests.flight.missions.foreign import plan
 from tests.rig import NORTH
+from tests.waiting import PATIENCE
 
 
 async def in_a_loop(aircraft: m100link.Aircraft) -> None:
@@ -123,7 +124,7 @@ PROGRAMS = {
 async def fly(program: str, port: str) -> None:
     async with m100link.connect(port) as aircraft:
         await aircraft.activate(m100link.Credentials(app_id=APP_ID, key=KEY))
-        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=5)
+        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=PATIENCE)
         await PROGRAMS[program](aircraft)
 
 

@@ -23,6 +23,7 @@ import m100link
 from tests.flight.foreign_aircraft import APP_ID, KEY
 from tests.flight.missions.foreign import plan
 from tests.rig import NORTH
+from tests.waiting import PATIENCE
 
 
 def guardian_of(process: int) -> int:
@@ -132,7 +133,7 @@ async def main(url: str, mode: str, end: str) -> None:
     far = m100link.Guards(envelope=m100link.Envelope(max_radius_m=10_000.0))
     async with m100link.connect(url) as aircraft:
         await aircraft.activate(m100link.Credentials(app_id=APP_ID, key=KEY))
-        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=30)
+        await aircraft.wait_for(lambda state: state.flight_status is not None, timeout=PATIENCE)
         stop: Literal["hover", "land"] = "land" if mode == "land" else "hover"
         async with aircraft.control(stop=stop, guards=far, guardian=end != "unguarded") as control:
             if mode == "mission":

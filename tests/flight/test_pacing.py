@@ -18,6 +18,7 @@ import pytest
 from m100link.errors import UsageError
 from m100link.flight.pacing import MAX_RATE_HZ, Alarm, Lead, Tick, Ticker
 from m100link.sim import VirtualClockEventLoop
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -292,7 +293,7 @@ class TestOnTheRealClock:
         try:
             loop.add_reader(ends[0], heard.set)
             os.write(ends[1], b"x")
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(PATIENCE):
                 await heard.wait()
             loop.remove_reader(ends[0])
         finally:

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from m100link.log import read
+from tests.waiting import PATIENCE
 
 SCRIPTS = Path(__file__).parent / "foxglove"
 MODULES = os.environ.get("FOXGLOVE_MODULES", "")
@@ -28,7 +29,7 @@ def told(place: Path, script: str, *arguments: str) -> Any:
     (place / "node_modules").symlink_to(Path(MODULES).resolve())
     shutil.copy(SCRIPTS / script, place)
     command = ["node", str(place / script), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout)
 

@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("starlette", reason="the extra `station` is not installed")
 
 from tests.interop.rosbridge_scenarios import SCENARIOS, WORLD, Seen, ours, theirs
+from tests.waiting import PATIENCE
 
 HERE = Path(__file__).parent
 MANUAL = HERE.parent.parent / "docs" / "reference" / "station.md"
@@ -42,7 +43,7 @@ def reference() -> dict[str, Seen]:
         env={**os.environ, "PYTHONPATH": LIBRARY},
         capture_output=True,
         text=True,
-        timeout=500,
+        timeout=4 * PATIENCE,
         check=False,
     )
     answers = [json.loads(line) for line in done.stdout.splitlines()]

@@ -20,6 +20,7 @@ from m100link import LinkClosed
 from m100link.flight.pacing import Alarm
 from m100link.flight.signals import SIGNALS
 from m100link.link import open_link
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.pty
 
@@ -70,7 +71,7 @@ def test_what_the_child_does_with_line_loop_and_timers_harms_nobody() -> None:
 
             assert in_a_child(misuse)
             began_at = loop.time()
-            async with asyncio.timeout(10.0):
+            async with asyncio.timeout(PATIENCE):
                 await alarm.sleep_until(began_at + 0.05)
                 assert link.is_open
                 assert link.push(b"\x01\x03" + bytes(17))

@@ -24,6 +24,7 @@ from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX, 
 from m100link.wire import encode_frame
 from tests.disk import Disk
 from tests.log.flight import APP_ID, KEY, URL, fly
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -195,7 +196,7 @@ async def test_a_disk_that_stands_still_delays_nothing_and_what_is_lost_is_count
     whole = Writer.add_message
 
     def add_message(self: Writer, *args: object, **more: object) -> None:
-        assert goes_on.wait(60)
+        assert goes_on.wait(PATIENCE)
         whole(self, *args, **more)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Writer, "add_message", add_message)

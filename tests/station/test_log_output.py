@@ -15,6 +15,7 @@ import pytest
 
 from m100link.station import log_output
 from m100link.station.log_output import LogOutput, in_force, log_of, tell_elsewhere, writing_log
+from tests.waiting import PATIENCE
 
 
 class Shown(io.StringIO):
@@ -87,7 +88,7 @@ def test_nobody_waits_for_who_does_not_read_and_what_was_left_out_is_counted(
     shown.goes_on.clear()
     with writing_log(LogOutput()):
         logger.warning("line 0")
-        assert shown.waits.wait(60)
+        assert shown.waits.wait(PATIENCE)
         for number in range(1, 10):
             logger.warning("line %d", number)
         shown.goes_on.set()

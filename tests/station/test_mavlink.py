@@ -16,6 +16,7 @@ from m100link.mavlink.bridge import signature_time
 from m100link.mavlink.codec import Message, Signer, write_frame
 from m100link.station.config import Settings
 from m100link.station.mavlink import open_mavlink, serving_mavlink
+from tests.waiting import PATIENCE
 
 KEY = bytes(range(32))
 PING = Message("PING", {}, component=190)
@@ -40,7 +41,7 @@ async def served(settings: Settings, *frames: bytes) -> int:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
             for frame in frames:
                 one.sendto(frame, bound.getsockname())
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(PATIENCE):
             while not signer.refused and before == signer.newest:  # noqa: ASYNC110 - a socket
                 await asyncio.sleep(0.01)
         return int(signer.refused)

@@ -11,6 +11,7 @@ from m100link import Finished, MissionProgress, MissionRunning, Reached, Uploadi
 from tests.flight.foreign_aircraft import APP_ID, KEY, ForeignAircraft, foreign_aircraft
 from tests.flight.missions.foreign import plan
 from tests.rig import NORTH
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.pty
 
@@ -20,7 +21,7 @@ SHORT = plan([(3.0, 0.0), (6.0, 0.0)], speed=10.0)
 def connect(there: ForeignAircraft) -> m100link.sync.Aircraft:
     aircraft = m100link.sync.connect(there.name)
     aircraft.activate(m100link.Credentials(app_id=APP_ID, key=KEY))
-    aircraft.wait_for(lambda state: state.flight_status is not None, timeout=5.0)
+    aircraft.wait_for(lambda state: state.flight_status is not None, timeout=PATIENCE)
     return aircraft
 
 

@@ -84,7 +84,7 @@ def test_what_a_callback_raises_cancels_the_call_and_comes_out(
 
     with pytest.raises(kind):
         portal.wait(endless)
-    assert ended.wait(10)
+    assert ended.wait(PATIENCE)
 
 
 def test_a_cancelled_call_is_not_taken_for_an_answer(portal: Portal) -> None:
@@ -173,7 +173,7 @@ def test_closing_in_the_thread_of_the_loop_is_refused_and_leaves_it_open(portal:
 
 def test_in_the_child_of_a_fork_a_call_is_refused_and_its_end_waits_for_nobody() -> None:
     run = subprocess.run(
-        [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=PATIENCE, check=True
     )
     assert run.stdout.split() == ["refused", "3", "closed"]
 
@@ -219,7 +219,7 @@ def test_a_program_that_closes_nothing_closes_at_its_end() -> None:
         [sys.executable, "-W", "error", "-c", PROGRAM],
         capture_output=True,
         text=True,
-        timeout=50,
+        timeout=PATIENCE,
         check=True,
     )
     assert ended.stdout.splitlines() == ["7", "closed in order", "over"]

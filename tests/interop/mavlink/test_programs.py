@@ -92,7 +92,7 @@ def started(*words: str, **more: Any) -> Iterator[subprocess.Popen[str]]:
             if process.poll() is None:
                 process.terminate()
                 try:
-                    process.wait(20.0)
+                    process.wait(PATIENCE)
                 except subprocess.TimeoutExpired:
                     process.kill()
 
@@ -258,7 +258,7 @@ def test_a_program_that_is_killed_leaves_a_hover(firmware: str) -> None:
 def test_a_bridge_that_is_ended_leaves_a_hover(number: signal.Signals) -> None:
     with site("1.0") as found, flying(found):
         found.bridge.send_signal(number)
-        found.bridge.wait(20.0)
+        found.bridge.wait(PATIENCE)
         found.assert_hovers()
 
 

@@ -25,9 +25,9 @@ from m100link.log.ros2_definitions import DEFINITIONS
 from m100link.ros2.flights import FLIGHTS
 from m100link.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.sim.orders.ctl import send_order
+from tests.waiting import PATIENCE
 
 HERE = Path(__file__).parent
-PATIENCE = 60.0
 KEY = bytes(range(32)).hex()
 PLACE = (47.3977419, 8.5455938)
 
@@ -48,7 +48,7 @@ def started(*words: str, **more: Any) -> Iterator[subprocess.Popen[str]]:
             if process.poll() is None:
                 process.terminate()
                 try:
-                    process.wait(20.0)
+                    process.wait(PATIENCE)
                 except subprocess.TimeoutExpired:
                     process.kill()
 
@@ -95,7 +95,7 @@ class Site:
 
     def sdk(self, what: str, *words: str, node: str = "") -> str:
         program = self.run("sdk.py", node or self.names[0], what, *words)
-        told, _ = program.communicate(timeout=120.0)
+        told, _ = program.communicate(timeout=PATIENCE)
         assert program.returncode == 0
         return told
 
@@ -184,7 +184,7 @@ def test_it_flies(firmware: str) -> None:
         site = Site(stack, firmware=firmware)
         program = site.run("sdk.py", site.names[0], "fly")
         site.until(lambda: site.speed() > 1.7)
-        told, _ = program.communicate(timeout=120.0)
+        told, _ = program.communicate(timeout=PATIENCE)
         assert told.split() == ["obtain_control", "True", "takeoff", "True", "land", "True"]
         site.until(lambda: not site.truth()["motors_on"])
         site.until(lambda: site.truth()["control"] == "rc")
@@ -305,7 +305,7 @@ def test_a_goal_is_flown_to_its_end(site: Site) -> None:
     site.up()
     place = LocalFrame(*PLACE).to_geodetic(15.0, 5.0)
     program = site.run("plain.py", "goal", site.names[0], *map(str, place))
-    told, _ = program.communicate(timeout=120.0)
+    told, _ = program.communicate(timeout=PATIENCE)
     assert "'status': 4" in told
     truth = site.truth()
     assert (truth["north"], truth["east"]) == pytest.approx((15.0, 5.0), abs=1.5)
@@ -329,7 +329,7 @@ def test_a_flood_of_junk_lands_nothing_and_stops_nothing(site: Site) -> None:
     truth = site.truth()
     assert truth["flight_status"] == "in_air"
     assert math.hypot(*truth["velocity"]) < 0.5
-    sent = sum(json.loads(flood.communicate(timeout=60.0)[0])["sent"] for flood in floods)
+    sent = sum(json.loads(flood.communicate(timeout=PATIENCE)[0])["sent"] for flood in floods)
     site.hovers(f"flood of {sent / 8:.0f} messages a second")
     assert memory(site.node.pid) < before + 60_000
     assert "land True" in site.sdk("call", "land")
@@ -367,7 +367,7 @@ def test_rosbags_reads_a_bag_of_what_came_by_the_wire(site: Site, tmp_path: Path
     from tests.interop.ros2.plain import store_of_types
 
     program = site.run("plain.py", "bag", "6", str(tmp_path / "bag"))
-    lines = [line.split() for line in program.communicate(timeout=60.0)[0].splitlines()]
+    lines = [line.split() for line in program.communicate(timeout=PATIENCE)[0].splitlines()]
     store = store_of_types()
     counted: dict[str, int] = {}
     with Reader(tmp_path / "bag") as reader:
@@ -406,7 +406,7 @@ def test_the_example_flies() -> None:
         [sys.executable, "-W", "error", str(program)],
         capture_output=True,
         text=True,
-        timeout=200.0,
+        timeout=2 * PATIENCE,
         check=True,
     )
     assert "m flown" in done.stdout

@@ -19,6 +19,7 @@ from starlette.websockets import WebSocket
 from m100link.station.console import tabs as module
 from m100link.station.console.tabs import Tabs
 from tests.station.conftest import Rig
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -193,6 +194,10 @@ asyncio.run(main())
 def test_the_oldest_page_whose_browser_never_came_gives_way_to_a_new_one() -> None:
     """A minute of them would hold up keys and STOP: the garbage collector walks through all."""
     done = subprocess.run(
-        [sys.executable, "-c", _UNHEARD], capture_output=True, text=True, timeout=90.0, check=False
+        [sys.executable, "-c", _UNHEARD],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
     )
     assert done.returncode == 0, done.stderr

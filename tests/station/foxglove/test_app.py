@@ -16,6 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from m100link.station.run import Running
 from tests.station.web.test_server import TOKEN, station
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -55,7 +56,7 @@ async def test_every_channel_brings_what_its_schema_says() -> None:
     async with (
         station(foxglove_port=0) as one,
         connect(url(one), subprotocols=SPOKEN) as socket,
-        asyncio.timeout(60),
+        asyncio.timeout(PATIENCE),
     ):
         assert socket.subprotocol == "foxglove.sdk.v1"
         channels = await advertised(socket)
@@ -96,7 +97,7 @@ async def test_who_has_no_business_is_refused_before_the_socket_is_accepted() ->
 async def test_one_that_does_not_read_delays_nobody() -> None:
     async with (
         station(foxglove_port=0) as one,
-        asyncio.timeout(60),
+        asyncio.timeout(PATIENCE),
         connect(url(one), subprotocols=SPOKEN, max_queue=1) as slow,
         connect(url(one), subprotocols=SPOKEN) as quick,
     ):
@@ -113,7 +114,7 @@ async def test_one_that_does_not_read_delays_nobody() -> None:
 async def test_who_publishes_is_told_and_who_talks_without_end_is_cut_off() -> None:
     async with (
         station(foxglove_port=0) as one,
-        asyncio.timeout(30),
+        asyncio.timeout(PATIENCE),
         connect(url(one), subprotocols=SPOKEN) as socket,
     ):
         await advertised(socket)

@@ -33,6 +33,7 @@ from m100link.station.web.metrics import DASHBOARD, StationMetrics
 from m100link.telemetry.state import AircraftState
 from tests import known
 from tests.station.web.test_server import TOKEN, address, station, until
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -54,7 +55,7 @@ def got(url: str, **headers: str) -> tuple[str, str]:
     """Content type and text of a page."""
     asked = urllib.request.Request(url, headers=headers)
     try:
-        with urllib.request.urlopen(asked, timeout=20) as answer:
+        with urllib.request.urlopen(asked, timeout=PATIENCE) as answer:
             return answer.headers["content-type"], answer.read().decode()
     except urllib.error.HTTPError as error:
         with error:
