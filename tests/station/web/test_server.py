@@ -431,9 +431,11 @@ async def test_a_socket_that_is_cut_stops_the_motion() -> None:
         assert one.virtual is not None
         moves = one.virtual.autopilot.received_movements
         await publish(client, "/sdk_request_ctrl", "geometry_msgs/Quaternion", x=-4)
-        await until(lambda: bool(moves) and moves[-1].pitch_or_y == -4)
-        cut_at = asyncio.get_running_loop().time()
+        await until(lambda: any(move.pitch_or_y == -4 for move in moves))
+        before = len(moves)
         client.transport.abort()
         await until(lambda: moves[-1].pitch_or_y == 0)
-        assert asyncio.get_running_loop().time() - cut_at < 2.0  # 0.1 s on an idle machine
+        # At 50 Hz the setpoint lasts 35 frames; the machine can only make fewer of them.
+        flown = [move for move in list(moves)[before:] if move.pitch_or_y == -4]
+        assert len(flown) <= 20
         await until(lambda: not one.agent.holding.has_authority)
