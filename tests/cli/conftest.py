@@ -17,6 +17,7 @@ import pytest
 from m100link.cli.app import run
 from m100link.sim.clock import VirtualClockEventLoop
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.station import log_output
 from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parent.parent.parent
@@ -76,6 +77,7 @@ def cli(
     # Wide enough that nothing is broken over lines.
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setattr(log_output, "_LAST_WORDS", PATIENCE)  # the machine may hold up the thread
     logger = logging.getLogger("m100link")
     handlers, level = list(logger.handlers), logger.level
     yield CommandLine(capsys)

@@ -13,7 +13,7 @@ import pytest
 from m100link import Aircraft
 from m100link.cli.outcome import ExitCode
 from m100link.errors import LinkError, LinkLost
-from m100link.log import read
+from m100link.log import read, recorder
 from tests.cli.conftest import ROOT, CommandLine
 from tests.waiting import PATIENCE
 
@@ -122,8 +122,9 @@ def test_typing_errors_are_told(cli: CommandLine, flight: Path, tmp_path: Path) 
 
 
 def test_each_verb_says_what_a_damaged_log_lacks_and_ends_with_1(
-    cli: CommandLine, tmp_path: Path
+    cli: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
     flight, bad = tmp_path / "flight.mcap", tmp_path / "bad.mcap"
     assert cli("record", "sim://", "-o", str(flight), "--duration", "1.6").status == ExitCode.OK
     data = bytearray(flight.read_bytes())

@@ -9,15 +9,18 @@ import pytest
 
 pytest.importorskip("cyclopts")
 
+from m100link.cli import serving
 from m100link.cli.serving import _MOST_UNTOLD, Teller
+from tests.waiting import PATIENCE
 
 
-def test_what_is_not_read_holds_up_nobody() -> None:
+def test_what_is_not_read_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "_LAST_WORDS", PATIENCE)  # the machine may hold up the thread
     told: list[int] = []
     stopped = threading.Event()
     with Teller() as teller:
         teller.do(lambda: told.append(1))
-        teller.do(partial(stopped.wait, 60))  # Ctrl-S
+        teller.do(partial(stopped.wait, PATIENCE))  # Ctrl-S
         for number in range(10 * _MOST_UNTOLD):
             teller.do(partial(told.append, number))
         stopped.set()
