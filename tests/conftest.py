@@ -7,7 +7,8 @@ import os
 import signal
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 pytest_plugins = [
     "m100link.testing",  # what users load, the suite loads, too
@@ -34,13 +35,24 @@ settings.register_profile("thorough", _COMMON, max_examples=2000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci" if "CI" in os.environ else "dev"))
 
 
+@settings(max_examples=5, database=None, derandomize=True)
+@given(st.lists(st.integers(), min_size=200, max_size=200))
+def draw_from_what_is_there(numbers: list[int]) -> None:
+    """Draw values of all kinds where the source is read for them: one of 20 is from there."""
+    assert numbers
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _state_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     """What is recorded without being asked for stays out of the home folder, of children too."""
     os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish(session: pytest.Session) -> None:
     """What was imported and collected stays: no search for garbage needs to pass through it."""
+    if any(item.get_closest_marker("hypothesis") for item in session.items):
+        # It parses all that was imported for values to draw: eight seconds in a new clone, which
+        # the first test would pay that uses it.
+        draw_from_what_is_there()
     gc.collect()
     gc.freeze()

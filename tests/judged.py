@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from _pytest.runner import runtestprotocol
 
-from tests.speeds import keeps_real_time, processor_time
+from tests.speeds import QUIET, keeps_real_time, taken_by_others
 from tests.waiting import kept_waiting
 
 STOOD_S = 0.25
@@ -26,8 +26,6 @@ STOOD_S = 0.25
 LOOK_S = 0.5
 ALLOWED = 0.02
 """Share of the tests in real time that may stay without a judgement on a quiet machine."""
-QUIET = 0.25
-"""A machine is quiet if others take less than this share of its processors."""
 
 
 class Machine(threading.Thread):
@@ -118,37 +116,11 @@ def pytest_report_teststatus(
 # -- how much of that a quiet machine may have ----------------------------------------------------
 
 _ran: dict[str, bool] = {}
-_workers_time = 0.0
-
-
-def busy() -> tuple[float, float]:
-    """Seconds of all processors: those in which they worked for anybody, and all."""
-    tick = os.sysconf("SC_CLK_TCK")
-    try:
-        counted = [int(n) / tick for n in Path("/proc/stat").read_text("ascii").split()[1:9]]
-    except OSError:
-        return 0.0, 0.0  # nobody counts here: quiet
-    return sum(counted) - counted[3] - counted[4], sum(counted)
-
-
-_begun = busy()
-
-
-def taken_by_others() -> float:
-    """The share of the processors that others took since this process began."""
-    worked, passed = (after - before for after, before in zip(busy(), _begun, strict=True))
-    return max(0.0, worked - processor_time() - _workers_time) / passed if passed else 0.0
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if getattr(report, "is_real", False):
         _ran[report.nodeid] = _ran.get(report.nodeid, False) or hasattr(report, "unjudged")
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node: object) -> None:
-    global _workers_time
-    _workers_time += getattr(node, "workeroutput", {}).get("processor_time", 0.0)
 
 
 def too_many() -> bool:
@@ -157,10 +129,11 @@ def too_many() -> bool:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]:
-    output = getattr(session.config, "workeroutput", None)
-    if output is not None:
-        output["processor_time"] = processor_time()
-    elif too_many() and session.exitstatus == pytest.ExitCode.OK:
+    if (
+        not hasattr(session.config, "workerinput")  # the process that began this one judges
+        and too_many()
+        and session.exitstatus == pytest.ExitCode.OK
+    ):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
     yield
 
