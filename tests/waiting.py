@@ -29,20 +29,27 @@ def again_and_again(within: float = PATIENCE) -> Iterator[None]:
         yield
 
 
-def kept_waiting(process: int | None = None) -> float:
+def kept_waiting(process: int | None = None, thread: int | None = None) -> float:
     """Seconds for which a thread was ready to run while others ran; 0 where nobody counts.
 
     What is left of a gap without them is what it would have been on a machine of its own.
 
     Args:
-        process: Whose main thread; by default it is this thread.
+        process: Whose thread; by default it is this thread.
+        thread: Which; by default the main thread of the process.
     """
-    thread = "thread-self" if process is None else f"{process}/task/{process}"
+    place = "thread-self" if process is None else f"{process}/task/{thread or process}"
     try:
-        counted = Path(f"/proc/{thread}/schedstat").read_text(encoding="ascii")
+        counted = Path(f"/proc/{place}/schedstat").read_text(encoding="ascii")
     except OSError:
         return 0.0
     return int(counted.split()[1]) / 1e9
+
+
+def kept_waiting_altogether(process: int) -> float:
+    """The same, added up over all threads of a process: one may have waited for another."""
+    threads = [int(place.name) for place in Path(f"/proc/{process}/task").glob("*")]
+    return sum(kept_waiting(process, thread) for thread in threads)
 
 
 def blocking_until(predicate: Callable[[], bool], within: float = PATIENCE) -> None:
