@@ -184,7 +184,7 @@ async def test_the_keyboard_alone_flies(console: Console) -> None:
     await tab_to(page, "#pad")
     await hold_key(page, "w", lambda: not is_still(console))
     await page.keyboard.up("w")
-    await until(lambda: is_still(console), within=20.0)
+    await until(lambda: is_still(console))
 
 
 async def test_markup_that_gets_into_the_page_runs_nothing(console: Console) -> None:

