@@ -52,6 +52,32 @@ def kept_waiting_altogether(process: int) -> float:
     return sum(kept_waiting(process, thread) for thread in threads)
 
 
+class Standing:
+    """For how long the running event loop stood still while a block ran.
+
+    Attributes:
+        total_s: Seconds altogether: what is left of a gap without them is no fault of the machine.
+    """
+
+    def __init__(self) -> None:
+        self.total_s = 0.0
+
+    async def __aenter__(self) -> Standing:
+        self._looking = asyncio.create_task(self._look())
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._looking.cancel()
+        await asyncio.wait([self._looking])
+
+    async def _look(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            due = loop.time() + 0.01
+            await asyncio.sleep(0.01)
+            self.total_s += loop.time() - due
+
+
 def blocking_until(predicate: Callable[[], bool], within: float = PATIENCE) -> None:
     """The same for tests without an event loop."""
     deadline = time.monotonic() + within

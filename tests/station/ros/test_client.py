@@ -449,7 +449,7 @@ def test_cbor_raw_has_the_bytes_of_ros() -> None:
     (frame,) = bench.output()
     assert (frame["op"], frame["topic"]) == ("publish", "/height")
     assert frame["msg"]["bytes"] == struct.pack("<f", 1.5)
-    assert abs(frame["msg"]["secs"] - time.time()) < 5
+    assert abs(frame["msg"]["secs"] - time.time()) < 60
 
 
 def test_an_answer_is_packed_as_the_call_asks() -> None:
@@ -499,6 +499,6 @@ def test_the_stamp_of_a_header_may_be_now() -> None:
     bench.graph.add_topic("/head", "std_msgs/Header", lambda _, message, __: taken.append(message))
     for msg in ({"stamp": "now"}, {"frame_id": "x"}):
         assert bench.send("publish", topic="/head", msg=msg) == []
-        assert abs(taken[-1]["stamp"]["secs"] - time.time()) < 5
+        assert abs(taken[-1]["stamp"]["secs"] - time.time()) < 60
     bench.send("publish", topic="/head", msg={"stamp": {"secs": 7}})
     assert taken[-1]["stamp"] == {"secs": 7, "nsecs": 0}
