@@ -75,7 +75,7 @@ def descendants(process: int) -> Iterator[int]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    if not keeps_real_time(item):
+    if not (keeps_real_time(item) or "anyio_backend" in getattr(item, "fixturenames", ())):
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     stood: list[float] = []
@@ -83,7 +83,8 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         with Machine() as machine:
             reports = runtestprotocol(item, nextitem=nextitem, log=False)
         stood.append(machine.stood_s)
-        if machine.stood_s < STOOD_S or not any(report.failed for report in reports):
+        is_real = any(getattr(report, "is_in_real_time", False) for report in reports)
+        if not is_real or machine.stood_s < STOOD_S or not any(one.failed for one in reports):
             break
         if len(stood) == 2:
             reports = [not_judged(report, stood) for report in reports]
@@ -119,7 +120,7 @@ _ran: dict[str, bool] = {}
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    if getattr(report, "is_real", False):
+    if getattr(report, "is_in_real_time", False):
         _ran[report.nodeid] = _ran.get(report.nodeid, False) or hasattr(report, "unjudged")
 
 
