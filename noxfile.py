@@ -8,18 +8,15 @@ the others.
 
 from __future__ import annotations
 
-import concurrent.futures
 import contextlib
-import json
 import os
 import re
 import shutil
 import signal
 import subprocess
-import tarfile
 import time
-import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -43,44 +40,15 @@ DOCS_OUTPUT = "docs/_build"
 LOCK = "requirements-dev.txt"
 # Lines and branches that `nox -s coverage` asks for, in percent: what a complete run has seen.
 COVERED = {
-    100: "wire session protocol errors",
-    99: "missions telemetry",
-    98: "link aircraft",
-    97: "flight agent fleet sim log",
-    96: "ros2 doctor",
-    95: "bus",
-    94: "mavlink",
-    90: "sync",
-    72: "station",
-    70: "cli",
+    "m100link": 90,
+    **{f"m100link/{room}": 100 for room in ("wire", "session", "protocol", "errors")},
 }
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
-ROSBRIDGE_SUITE, ROSBRIDGE_RELEASE = "https://github.com/RobotWebTools/rosbridge_suite", "0.11.17"
-ROS_PACKAGES = (
-    "python3-rospy python3-rosmaster python3-rosservice python3-rostopic python3-bson python3-pil "
-    "python3-std-msgs python3-std-srvs python3-sensor-msgs python3-geometry-msgs"
-)
-PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+GET_VERSION = "aa130001000000000500302e000000b493113d"  # a version query in a frame
 
-# A version query in a frame, and a short flight, for the wheel.
-GET_VERSION = "aa130001000000000500302e000000b493113d"
-FLIGHT = """
-import asyncio
-from m100link import *
-from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualClockEventLoop
 
-async def main():
-    async with connect("sim://") as aircraft:
-        await aircraft.activate(Credentials(app_id=DEMO_APP_ID, key=DEMO_KEY))
-        async with aircraft.control() as control:
-            await control.take_off()
-            await control.fly_to(north=2.0, east=0.0, up=0.0)
-            await control.land()
-        print(aircraft.state.flight_status, aircraft.state.position)
-
-with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
-    runner.run(main())
-"""
+Line = tuple[str, ...]
+Commands = dict[str, list[Line]]
 
 
 def group(*names: str) -> list[str]:
@@ -88,12 +56,7 @@ def group(*names: str) -> list[str]:
     return list(nox.project.dependency_groups(PYPROJECT, *names))
 
 
-def existing(*names: str) -> list[str]:
-    """Those of the paths that exist."""
-    return [name for name in names if Path(name).exists()]
-
-
-def workers(count: int) -> tuple[str, ...]:
+def workers(count: int) -> Line:
     """Options of pytest for so many processes; none of them keeps a cache that another writes."""
     return "-n", str(count), "--dist", "worksteal", "-p", "no:cacheprovider"
 
@@ -111,12 +74,12 @@ class Kind:
     """
 
     about: str
-    commands: dict[str, list[tuple[str, ...]]]
+    commands: Commands
     groups: tuple[str, ...] = ()
     package: bool = True
 
 
-def pytest(*arguments: str) -> tuple[str, ...]:
+def pytest(*arguments: str) -> Line:
     """A run of pytest on the installed package.
 
     Appending the tree to the path instead of prepending it leaves `import m100link` to that one.
@@ -124,16 +87,16 @@ def pytest(*arguments: str) -> tuple[str, ...]:
     return "pytest", "--import-mode=append", *arguments
 
 
-def sphinx(builder: str) -> tuple[str, ...]:
+def sphinx(builder: str) -> Line:
     """A build of the manual in which every warning is an error; both builders read it once."""
     options = ("--nitpicky", "--fail-on-warning", "--keep-going", "--quiet")
     places = ("-d", f"{DOCS_OUTPUT}/doctrees", "docs", f"{DOCS_OUTPUT}/{builder}")
     return "sphinx-build", *options, "-b", builder, *places
 
 
-def marked(mark: str, folder: str = "tests") -> list[str]:
+def marked(mark: str) -> list[str]:
     """Files with tests of a mark: to read all of them would take each process ten seconds."""
-    files = sorted(Path(folder).rglob("test_*.py"))
+    files = sorted(Path("tests").rglob("test_*.py"))
     return [str(path) for path in files if f"pytest.mark.{mark}" in path.read_text("utf-8")]
 
 
@@ -143,9 +106,8 @@ def elsewhere(*folders: str) -> list[str]:
 
 
 MAVLINK, ROS2 = "tests/interop/mavlink", "tests/interop/ros2"
-ROSBRIDGE = "tests/interop/test_rosbridge_library.py"  # needs a library that no index has
 VIRTUAL = elsewhere("tests/interop", "tests/browser")
-CHECKED = existing("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
+CHECKED = ("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
 # The longest flight begins first.
 PROGRAMS = sorted(
     (*(str(path) for path in Path("examples").glob("*.py")), "examples/mavlink/square.py"),
@@ -197,36 +159,16 @@ KINDS = {
         {program: [("python", "-W", "error", program)] for program in PROGRAMS},
     ),
     "interop": Kind(
-        "What others wrote: roslibpy, roslib where node is, Wireshark's tshark where that is.",
-        {"interop": [pytest(*elsewhere(ROSBRIDGE, MAVLINK, ROS2), "tests/interop")]},
+        "Programs of others, where they are: roslibpy, roslib, rosbridge_suite, Foxglove, tshark.",
+        {"interop": [pytest("-rs", *elsewhere(MAVLINK, ROS2), "tests/interop")]},
         groups=("test", "interop"),
     ),
 }
 # What takes longest begins first.
 DEFAULT = ("quick", "types", "docs", "lint")
 FULL = ("tests", "types", "docs", "lint", "browser", "examples", "interop")
-
-
-@dataclass(frozen=True)
-class Lane:
-    """Commands that go the same way through the machine; lanes go side by side.
-
-    Attributes:
-        titles: In the order in which they begin; none: those that no other lane has.
-        width: How many of them run at once.
-    """
-
-    titles: tuple[str, ...]
-    width: int
-
-
-LANES = (
-    # Each of these takes what it can get: one after another.
-    Lane(("smoke tests", "tests (pty)", "browser"), 1),
-    # One flight each.
-    Lane((*PROGRAMS, "interop"), 2),
-    Lane((), 1 + (os.cpu_count() or 1)),
-)
+# What flies in real time, and how many at once. Each of the first takes what it can get.
+LANES = ((("smoke tests", "tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
 
 
 @nox.session
@@ -260,14 +202,6 @@ def affected(session: nox.Session) -> None:
         session.run(*pytest(*workers(2), *files))
 
 
-@nox.session(default=False)
-def slow(session: nox.Session) -> None:
-    """Measure which tests are slow, and write tests/slow.txt; on a quiet machine."""
-    install(session, PACKAGE, *group("test"))
-    measured = pytest(*workers(2), "-m", "not pty", *VIRTUAL)
-    session.run(*measured, env={"M100LINK_WRITE_SLOW": "1"})
-
-
 def of_kind(name: str) -> Callable[[nox.Session], None]:
     """The session of one kind of check, which gives pytest what the command line adds."""
 
@@ -286,51 +220,94 @@ for _name in KINDS:
     nox.session(name=_name, default=False)(of_kind(_name))
 
 
-@nox.session(name="interop-mavlink", default=False)
-def interop_mavlink(session: nox.Session) -> None:
-    """MAVSDK in both its kinds and pymavlink fly through the bridge; 30 min, real time."""
-    install(session, PACKAGE, *group("test", "interop-mavlink"))
-    session.run(*pytest(MAVLINK, *session.posargs))
+def tool(name: str, about: str, *lines: str | Line, groups: str = "", **env: str) -> None:
+    """A session of programs that run alone, for minutes or hours.
+
+    Args:
+        name: Of the session.
+        about: What `nox --list` says of it.
+        lines: Commands, or modules to run; the command line adds its arguments to the first.
+        groups: Dependency groups that they need beside those of the tests.
+        env: Variables of their environment.
+    """
+
+    def session_of_it(session: nox.Session) -> None:
+        # This one is in no group: it has wheels for few systems.
+        rare = ["atheris>=3"] if "atheris" in session.posargs else []
+        install(session, PACKAGE, *group("test", *groups.split()), *rare)
+        for line in lines:
+            command = ("python", "-m", line) if isinstance(line, str) else line
+            session.run(*command, *(session.posargs if line is lines[0] else ()), env=env)
+
+    session_of_it.__doc__ = about
+    nox.session(name=name, default=False)(session_of_it)
 
 
-@nox.session(name="interop-ros2", default=False)
-def interop_ros2(session: nox.Session) -> None:
-    """zenoh-ros2-sdk and plain zenoh fly the node, and are killed in flight; 10 min, real time."""
-    install(session, PACKAGE, *group("test", "interop-ros2"))
-    session.run(*pytest(ROS2, *session.posargs))
+tool(
+    "slow",
+    "Measure which tests are slow, and write tests/slow.txt; on a quiet machine.",
+    pytest(*workers(2), "-m", "not pty", *VIRTUAL),
+    M100LINK_WRITE_SLOW="1",
+)
+tool(
+    "interop-mavlink",
+    "MAVSDK in both its kinds and pymavlink fly through the bridge; 30 min, real time.",
+    pytest(MAVLINK),
+    groups="interop-mavlink",
+)
+tool(
+    "interop-ros2",
+    "zenoh-ros2-sdk and plain zenoh fly the node, and are killed in flight; 10 min, real time.",
+    pytest(ROS2),
+    groups="interop-ros2",
+)
+tool(
+    "uvloop",
+    "The tests of the link on real ports and sockets, on uvloop's event loop.",
+    pytest("-m", "pty", "tests/link"),
+    groups="uvloop",
+    M100LINK_TESTS_ON_UVLOOP="1",
+)
+MUTATION = "Changes to the code that no test notices; minutes to hours. `-- wire` for one room."
+FAULTS = "What bad lines make of reliable commands, as a table; an hour. `-- --commands 1000` less."
+ORDERS = "Orders to a fleet in bad weather, and over cut cables to an agent that is killed."
+FUZZ = "Mutated inputs for whatever reads bytes of others; half an hour. `-- --engine atheris`."
+SOAK = "A simulated day, a real hour, a thousand connections: nothing grows. `-- --seconds 600`."
+THOUSAND = "A thousand aircraft of a fleet for ten minutes, real time. `-- --seconds 60` less."
+BENCH = "The benchmarks, beside their rivals on the same machine; `-- frames` for one program."
+BUILD = "Source archive, wheel (the same bit by bit when built again), and its bill of materials."
+tool("mutation", MUTATION, "tests.mutation", groups="mutation")
+tool("faults", FAULTS, "tests.faults.matrix")
+tool("orders", ORDERS, "tests.faults.fleet_orders", "tests.faults.fleet_kills")
+tool("fuzz", FUZZ, "tests.fuzz.run")
+tool("soak", SOAK, "tests.soak.run")
+tool("thousand", THOUSAND, "tests.soak.fleet")
+tool("bench", BENCH, "benchmarks", groups="bench browser uvloop")
+# What Sphinx needs is here, so that the manual in the wheel has every table and class.
+tool("build", BUILD, "tests.release", groups="release docs")
 
 
-@nox.session(default=False)
+@nox.session(python="3.14" if shutil.which("python3.14") else None, default=False)
 def coverage(session: nox.Session) -> None:
-    """The test suite with branch coverage, which takes twice as long, and whether it suffices."""
-    install(session, PACKAGE, *group("test"))
-    counted = ("--cov", "--cov-report=", *session.posargs)
-    session.run(*pytest(*workers(2), "-m", "not pty", *VIRTUAL, *counted))
-    session.run(*pytest(*workers(5), "-m", "pty", *marked("pty"), *counted, "--cov-append"))
-    session.run("coverage", "combine", "--append", success_codes=[0, 1])  # 1: pytest has done it
-    session.run("coverage", "report", "--fail-under=90")
-    for percent, rooms in COVERED.items():
-        for room in rooms.split():
-            place = f"*/m100link/{room}/*"
-            session.run("coverage", "report", f"--include={place}", f"--fail-under={percent}")
+    """All tests with their branches counted, which takes twice as long before Python 3.14."""
+    try:
+        run_kinds(session, "tests", "browser", "interop", under=("coverage", "run", "-m"))
+    finally:
+        session.run("coverage", "combine", "--quiet")
+        low = []
+        for folder, floor in COVERED.items():
+            asked = ("report", "--format=total", "--precision=2", f"--include=*/{folder}/*")
+            seen = float(str(session.run("coverage", *asked, silent=True)))
+            session.log(f"{seen:6.2f} % of {folder}, at least {floor}")
+            low += [folder] if seen < floor else []
+        if low:
+            session.error(f"covered less than before: {', '.join(low)}")
 
 
 @nox.session(python=PYTHONS, default=False)
 def pythons(session: nox.Session) -> None:
-    """The test suite on other Pythons, where they are installed."""
-    install(session, PACKAGE, *group("test"))
-    run_all(session, KINDS["quick"].commands)
-
-
-@nox.session(python=PYTHONS, default=False)
-def wheel(session: nox.Session) -> None:
-    """The wheel in an environment with nothing else: names, command line, a flight."""
-    install(session, ".[cli]")
-    session.chdir(session.create_tmp())  # what is imported here, is installed
-    session.run("m100link", "--version")
-    session.run("m100link", "docs", "safety", silent=True)
-    session.run("m100link", "decode", GET_VERSION)
-    session.run("python", "-W", "error", "-c", FLIGHT)
+    """What nox tests, on other Pythons, where they are installed."""
+    run_kinds(session, "quick")
 
 
 @nox.session(default=False)
@@ -338,8 +315,29 @@ def minimum(session: nox.Session) -> None:
     """The test suite on the lowest versions that pyproject.toml allows."""
     declared = [*PYPROJECT["project"]["dependencies"], *(one for e in EXTRAS.values() for one in e)]
     lowest = [re.sub(r">=\s*", "==", requirement) for requirement in declared]
-    install(session, PACKAGE, *group("test"), *lowest, locked=False)
-    run_all(session, KINDS["tests"].commands)
+    run_kinds(session, "tests", also=lowest, locked=False)
+
+
+@nox.session(python=PYTHONS, default=False)
+def wheel(session: nox.Session) -> None:
+    """The wheel in an environment with nothing else: names, command line, a flight."""
+    install(session, ".[cli]")
+    flight = Path("examples/first_flight.py").resolve()
+    session.chdir(session.create_tmp())  # what is imported here, is installed
+    session.run("m100link", "--version")
+    session.run("m100link", "docs", "safety", silent=True)
+    session.run("m100link", "decode", GET_VERSION)
+    session.run("python", "-W", "error", str(flight))
+
+
+@nox.session(default=False)
+def audit(session: nox.Session) -> None:
+    """Known vulnerabilities of what package and tests install; says so without a database."""
+    install(session, PACKAGE, *group("audit", "test", "docs"))
+    told = session.run("python", "-m", "tests.audit", *session.posargs, silent=True)
+    if "nothing was audited" in str(told):
+        session.skip(str(told).strip())
+    session.log(str(told).strip())
 
 
 class Outcome(NamedTuple):
@@ -350,13 +348,27 @@ class Outcome(NamedTuple):
     taken_s: float
 
 
-def run_kinds(session: nox.Session, *names: str, locked: bool = True) -> None:
-    """Kinds of checks, side by side in one environment; all end, whichever of them fails."""
+def run_kinds(
+    session: nox.Session,
+    *names: str,
+    also: Iterable[str] = (),
+    locked: bool = True,
+    under: Line = (),
+) -> None:
+    """Kinds of checks, side by side in one environment; all end, whichever of them fails.
+
+    Args:
+        names: Of the kinds.
+        also: What is installed besides.
+        locked: In the versions of the lock.
+        under: The command that runs every command.
+    """
     kinds = [KINDS[name] for name in names]
     groups = sorted({name for kind in kinds for name in kind.groups})
     package = [PACKAGE] if any(kind.package for kind in kinds) else []
-    install(session, *package, *group(*groups), locked=locked)
-    run_all(session, {title: lines for kind in kinds for title, lines in kind.commands.items()})
+    install(session, *package, *group(*groups), *also, locked=locked)
+    commands = {title: lines for kind in kinds for title, lines in kind.commands.items()}
+    run_all(session, {t: [(*under, *line) for line in commands[t]] for t in commands})
 
 
 def install(session: nox.Session, *requirements: str, locked: bool = True) -> None:
@@ -384,58 +396,45 @@ def install(session: nox.Session, *requirements: str, locked: bool = True) -> No
         session.install(*requirements, *(("--constraint", str(versions)) if locked else ()))
 
 
-def run_all(session: nox.Session, commands: dict[str, list[tuple[str, ...]]]) -> None:
+def run_all(session: nox.Session, commands: Commands) -> None:
     """Run commands and print what each said when it ends; fail at the end.
 
     What computes comes first and is over before anything flies in real time: beside a type checker
     a flight came to stand for half a second, which its guards end.
     """
-    flying = {title for lane in LANES for title in lane.titles}
-    ended: dict[str, Outcome] = {}
-    for flies in (False, True):
-        chosen = {title: c for title, c in commands.items() if (title in flying) is flies}
-        ended |= run_in_lanes(session, chosen)
+    lanes = [({t: commands[t] for t in titles if t in commands}, width) for titles, width in LANES]
+    computing = {t: commands[t] for t in commands if not any(t in lane for lane, _ in lanes)}
+    ended = side_by_side(session, (computing, 1 + (os.cpu_count() or 1)))
+    ended |= side_by_side(session, *lanes)
     session.log("            on the clock, of the processors")
     for title, (is_good, lasted, taken) in ended.items():
         session.log(f"{'passed' if is_good else 'FAILED'} {lasted:8.0f} s {taken:8.0f} s  {title}")
-    failed = [title for title, outcome in ended.items() if not outcome.is_good]
-    if failed:
+    if failed := [title for title, outcome in ended.items() if not outcome.is_good]:
         session.error(f"failed: {', '.join(failed)}")
 
 
-def run_in_lanes(
-    session: nox.Session, commands: dict[str, list[tuple[str, ...]]]
-) -> dict[str, Outcome]:
-    """Run commands in their lanes: how each ended, by title."""
-    laid = {title for lane in LANES for title in lane.titles}
-    ended: dict[str, Outcome] = {}
+def side_by_side(session: nox.Session, *lanes: tuple[Commands, int]) -> dict[str, Outcome]:
+    """Run commands in lanes, so many of each at once: how each ended, by title."""
     started: list[subprocess.Popen[str]] = []
     with contextlib.ExitStack() as stack:
-        running: dict[concurrent.futures.Future[Outcome], str] = {}
-        pools: list[concurrent.futures.ThreadPoolExecutor] = []
-        for lane in LANES:
-            pool = stack.enter_context(concurrent.futures.ThreadPoolExecutor(lane.width))
-            pools.append(pool)
-            for title in lane.titles or [title for title in commands if title not in laid]:
-                if title in commands:
-                    work = pool.submit(run_lines, session, started, commands[title])
-                    running[work] = title
+        pools = [stack.enter_context(ThreadPoolExecutor(width)) for _, width in lanes]
+        running = {
+            title: pool.submit(run_lines, session, started, lines)
+            for pool, (commands, _) in zip(pools, lanes, strict=True)
+            for title, lines in commands.items()
+        }
         try:
-            for done in concurrent.futures.as_completed(running):
-                ended[running[done]] = done.result()
+            return {title: work.result() for title, work in running.items()}
         except BaseException:  # Ctrl-C above all: nothing stays behind
             for pool in pools:
                 pool.shutdown(wait=False, cancel_futures=True)
             for process in started:
                 process.send_signal(signal.SIGINT)  # pytest ends what its tests have begun
             raise
-    return ended
 
 
 def run_lines(
-    session: nox.Session,
-    started: list[subprocess.Popen[str]],
-    lines: list[tuple[str, ...]],
+    session: nox.Session, started: list[subprocess.Popen[str]], lines: list[Line]
 ) -> Outcome:
     """Run programs of the session's environment."""
     begun, taken = time.monotonic(), 0.0
@@ -460,204 +459,3 @@ def run_lines(
         session.log(f"{' '.join(line)}: exit status {process.returncode}\n{output.rstrip()}")
         is_good &= process.returncode == 0
     return Outcome(is_good, time.monotonic() - begun, taken)
-
-
-@nox.session(default=False)
-def foxglove(session: nox.Session) -> None:
-    """Foxglove's reader of logs and its client of live flights, both by npm."""
-    if not (shutil.which("npm") and shutil.which("node")):
-        session.skip("node and npm are not installed")
-    place = Path(session.create_tmp())
-    packages = ("ws-protocol", "wasm-zstd")
-    wanted = ("ws", "@mcap/core", "@mcap/nodejs", *(f"@foxglove/{one}" for one in packages))
-    session.run("npm", "install", "--silent", "--prefix", str(place), *wanted, external=True)
-    install(session, PACKAGE, *group("test"))
-    modules = {"FOXGLOVE_MODULES": str(place / "node_modules")}
-    session.run(*pytest("tests/interop/test_foxglove.py"), env=modules)
-
-
-@nox.session(default=False)
-def rosbridge(session: nox.Session) -> None:
-    """The station beside rosbridge_suite's own library. Needs a Python with rospy: ROS_PYTHON.
-
-    ROSBRIDGE_LIBRARY names the folder that holds the package `rosbridge_library`; without it the
-    release is fetched by git.
-    """
-    python = os.environ.get("ROS_PYTHON", "/usr/bin/python3")
-    modules = "rospy, rosmaster, rosservice, rostopic, bson, PIL, std_msgs, std_srvs, sensor_msgs"
-    needed = [python, "-c", f"import {modules}, geometry_msgs, rosgraph_msgs"]
-    if not Path(python).exists() or subprocess.run(needed, check=False).returncode:
-        session.skip(f"{python} does not import {modules}, …: on Debian {ROS_PACKAGES}")
-    library = os.environ.get("ROSBRIDGE_LIBRARY", "")
-    if not library:
-        there = Path(session.create_tmp()) / "rosbridge_suite"
-        if not there.exists():
-            clone = ("git", "clone", "--quiet", "--depth", "1", "--branch", ROSBRIDGE_RELEASE)
-            session.run(*clone, ROSBRIDGE_SUITE, str(there), external=True)
-        library = str((there / "rosbridge_library" / "src").resolve())
-    install(session, PACKAGE, *group("test"))
-    session.run(
-        *("pytest", "--import-mode=append", "tests/interop/test_rosbridge_library.py"),
-        *session.posargs,
-        env={"ROSBRIDGE_LIBRARY": library, "ROS_PYTHON": python},
-    )
-
-
-@nox.session(default=False)
-def mutation(session: nox.Session) -> None:
-    """Changes to the code that no test notices; takes minutes to hours. `-- wire` for one room."""
-    session.install(PACKAGE, *group("test", "mutation"))
-    session.run("python", "-m", "tests.mutation", *session.posargs)
-
-
-@nox.session(default=False)
-def faults(session: nox.Session) -> None:
-    """What bad lines make of reliable commands, as a table; an hour. `-- --commands 1000` less."""
-    install(session, PACKAGE, *group("test"))
-    session.run("python", "-m", "tests.faults.matrix", *session.posargs)
-
-
-@nox.session(default=False)
-def orders(session: nox.Session) -> None:
-    """Orders to a fleet in bad weather, and over cables that are cut to an agent that is killed."""
-    install(session, PACKAGE, *group("test"))
-    session.run("python", "-m", "tests.faults.fleet_orders", *session.posargs)
-    session.run("python", "-m", "tests.faults.fleet_kills")
-
-
-@nox.session(default=False)
-def fuzz(session: nox.Session) -> None:
-    """Mutated inputs for whatever reads bytes of others; an hour. `-- --engine atheris`."""
-    install(session, PACKAGE, *group("test"))
-    if "atheris" in session.posargs:
-        session.install("atheris>=3")  # in no group: it has wheels for few systems
-    session.run("python", "-m", "tests.fuzz.run", *session.posargs)
-
-
-@nox.session(default=False)
-def soak(session: nox.Session) -> None:
-    """A simulated day, a real hour, a thousand connections: nothing grows. `-- --seconds 600`."""
-    install(session, PACKAGE, *group("test"))
-    session.run("python", "-m", "tests.soak.run", *session.posargs)
-
-
-@nox.session(default=False)
-def thousand(session: nox.Session) -> None:
-    """A thousand aircraft of a fleet for ten minutes, real time. `-- --seconds 60` less."""
-    install(session, PACKAGE, *group("test"))
-    session.run("python", "-m", "tests.soak.fleet", *session.posargs)
-
-
-@nox.session(default=False)
-def uvloop(session: nox.Session) -> None:
-    """The tests of the link on real ports and sockets, on uvloop's event loop."""
-    session.install(PACKAGE, *group("test", "uvloop"))
-    on_uvloop = {"M100LINK_TESTS_ON_UVLOOP": "1"}
-    session.run(
-        *("pytest", "--import-mode=append", "-m", "pty", "tests/link"),
-        *session.posargs,
-        env=on_uvloop,
-    )
-
-
-@nox.session(default=False)
-def bench(session: nox.Session) -> None:
-    """The benchmarks, beside their rivals on the same machine; `-- frames` for one program."""
-    session.install("-e", PACKAGE, *group("bench", "browser", "uvloop"))
-    session.run("python", "-m", "benchmarks", *session.posargs)
-
-
-@nox.session(default=False)
-def audit(session: nox.Session) -> None:
-    """Known vulnerabilities of what package and tests install; says so without a database."""
-    install(session, PACKAGE, *group("audit", "test", "docs"))
-    asked = ("pip-audit", "--local", "--skip-editable", "--progress-spinner", "off", "-f", "json")
-    done = subprocess.run(
-        [Path(session.bin) / asked[0], *asked[1:], *session.posargs],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    try:
-        packages = json.loads(done.stdout)["dependencies"]
-    except ValueError:
-        session.log(done.stderr.strip())
-        packages = []
-    # Of a package that its database does not answer for it says so and ends with 0 all the same.
-    audited = [package for package in packages if "vulns" in package]
-    if not any(package["name"] == "cryptography" for package in audited):
-        session.skip("the database of vulnerabilities cannot be reached here: nothing was audited")
-    session.log(f"{len(audited)} packages audited, {len(packages) - len(audited)} skipped")
-    found = [
-        f"{package['name']} {package['version']}: {one['id']}"
-        for package in audited
-        for one in package["vulns"]
-    ]
-    if found:
-        session.error("known vulnerabilities: " + ", ".join(found))
-
-
-def built(session: nox.Session, output: Path) -> tuple[Path, Path]:
-    """Wheel and source archive, made afresh in a folder."""
-    for old in output.glob("m100link-*"):
-        old.unlink()
-    made_at = subprocess.run(
-        ("git", "log", "-1", "--format=%ct"), capture_output=True, text=True, check=False
-    ).stdout.strip()
-    session.run(
-        *("python", "-m", "build", "--no-isolation", "--outdir", str(output)),
-        silent=True,
-        env={"SOURCE_DATE_EPOCH": os.environ.get("SOURCE_DATE_EPOCH", made_at or "1700000000")},
-    )
-    (wheel,) = output.glob("*.whl")
-    (archive,) = output.glob("*.tar.gz")
-    return wheel, archive
-
-
-def bill_of_materials(session: nox.Session, wheel: Path) -> None:
-    """A CycloneDX bill of what an installation of the wheel with all extras consists of."""
-    place = wheel.parent / "installed"
-    session.run("python", "-m", "venv", "--clear", "--without-pip", str(place))
-    python = str(place / "bin" / "python")
-    wanted = f"{wheel}[{','.join(EXTRAS)}]"
-    session.run("python", "-m", "pip", "--quiet", "--python", python, "install", wanted)
-    bill = wheel.with_suffix(".cdx.json")
-    session.run(
-        *("cyclonedx-py", "environment", python, "--pyproject", "pyproject.toml"),
-        *("--output-reproducible", "--output-format", "JSON", "--output-file", str(bill)),
-    )
-    shutil.rmtree(place)
-    components = json.loads(bill.read_text("utf-8"))["components"]
-    names = {component["name"].lower() for component in components}
-    missing = {"anyio", "cryptography", "pyserial-asyncio"} - names
-    if missing:
-        session.error(f"the bill of materials lacks {missing}")
-    session.log(f"{bill.name}: {len(components)} components")
-
-
-@nox.session(default=False)
-def build(session: nox.Session) -> None:
-    """Source archive, wheel (the same bit by bit when built again), and its bill of materials."""
-    # What Sphinx needs is here, so that the manual in the wheel has every table and class.
-    session.install(PACKAGE, *group("release", "docs", "test"))
-    output = Path(session.create_tmp()) / "dist"
-    wheel, archive = built(session, output)
-    again, _ = built(session, output.with_name("again"))
-    if wheel.read_bytes() != again.read_bytes():
-        session.error("the wheel was another one when it was built again")
-    bill_of_materials(session, wheel)
-    with zipfile.ZipFile(wheel) as packed:
-        in_wheel = packed.namelist()
-    with tarfile.open(archive) as tarred:
-        in_archive = [name.partition("/")[2] for name in tarred.getnames()]
-    strangers = [n for n in in_wheel if not re.match(r"m100link(-[^/]+\.dist-info)?/", n)]
-    if "m100link/py.typed" not in in_wheel:
-        session.error("the wheel has no py.typed")
-    if strangers:
-        session.error(f"the wheel holds more than the package: {strangers}")
-    if "m100link/manual/explanation/safety.txt" not in in_wheel:
-        session.error("the wheel has no manual, or one that Sphinx did not make")
-    missing = {"LICENSE", "README.md", "noxfile.py", *PAGES} - set(in_archive)
-    if missing:
-        session.error(f"the source archive lacks {missing}")
-    session.log(f"{wheel.name}: {len(in_wheel)} files; {archive.name}: {len(in_archive)} entries")

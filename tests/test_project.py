@@ -78,8 +78,10 @@ def test_sessions_and_groups_that_contributors_are_told_of_exist() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     program = (ROOT / "noxfile.py").read_text(encoding="utf-8")
     commands = "\n".join(code_blocks(text, "sh"))
-    sessions = set(re.findall(r"^def (\w+)\(session: nox", program, re.MULTILINE)) | kinds(program)
-    assert set(re.findall(r"nox -s (\w+)", commands)) <= sessions
+    functions = set(re.findall(r"^def (\w+)\(session: nox", program, re.MULTILINE))
+    tools = set(re.findall(r'^tool\(\s*"([\w-]+)"', program, re.MULTILINE))
+    named = set(re.findall(r"nox -s ([\w-]+)", commands))
+    assert {"affected", "soak", "lint"} <= named <= functions | tools | kinds(program)
     assert set(re.findall(r"--group (\w+)", commands)) <= set(PYPROJECT["dependency-groups"])
     for path in re.findall(r"pytest (tests/\S+)", commands):
         assert (ROOT / path).exists(), path

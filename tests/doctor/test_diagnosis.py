@@ -20,11 +20,10 @@ from m100link import Aircraft, Credentials
 from m100link.cli.doctor import exit_status
 from m100link.doctor import Finding, Stage, Verdict, diagnose
 from m100link.doctor.answers import _firmware
-from m100link.errors import BadURL, UsageError
-from m100link.protocol.firmware import PROFILES
 from m100link.doctor.line import look_at_line
 from m100link.errors import BadURL, UsageError
 from m100link.link.url import parse_url
+from m100link.protocol.firmware import PROFILES
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualAircraft
 from m100link.sim.orders.actions import perform
 from m100link.sim.ports.url import aircraft_of

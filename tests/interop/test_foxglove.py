@@ -1,13 +1,13 @@
-"""Foxglove's own programs, where npm has them: see the session ``foxglove`` of the noxfile."""
+"""Foxglove's own programs, where npm has them: its reader of logs, its client of live flights."""
 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +17,16 @@ from m100link.log import read
 from tests.waiting import PATIENCE
 
 SCRIPTS = Path(__file__).parent / "foxglove"
-MODULES = os.environ.get("FOXGLOVE_MODULES", "")
+PACKAGES = ("ws", "@mcap/core", "@mcap/nodejs", "@foxglove/ws-protocol", "@foxglove/wasm-zstd")
 RUN = (sys.executable, "-m", "m100link")
 
-pytestmark = pytest.mark.skipif(
-    not MODULES or shutil.which("node") is None, reason="nox -s foxglove brings what it needs"
-)
+
+@pytest.fixture
+def place(npm: Callable[..., Path]) -> Path:
+    return npm(*PACKAGES)
 
 
 def told(place: Path, script: str, *arguments: str) -> Any:
-    (place / "node_modules").symlink_to(Path(MODULES).resolve())
     shutil.copy(SCRIPTS / script, place)
     command = ["node", str(place / script), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
@@ -34,21 +34,21 @@ def told(place: Path, script: str, *arguments: str) -> Any:
     return json.loads(done.stdout)
 
 
-def test_the_reader_inside_foxglove_counts_as_we_do(tmp_path: Path) -> None:
+def test_the_reader_inside_foxglove_counts_as_we_do(place: Path, tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     subprocess.run([*RUN, "record", "sim://", "-o", path, "--duration", "2"], check=True)
     counts = Counter(message.topic for message in read(path).messages())
-    assert told(tmp_path, "reader.mjs", str(path))["counts"] == dict(counts)
+    assert told(place, "reader.mjs", str(path))["counts"] == dict(counts)
 
 
 @pytest.mark.parametrize("protocol", ["foxglove.sdk.v1", "foxglove.websocket.v1"])
-def test_the_client_of_foxglove_reads_a_station(tmp_path: Path, protocol: str) -> None:
+def test_the_client_of_foxglove_reads_a_station(place: Path, protocol: str) -> None:
     serve = [*RUN, "serve", "--sim", "--port", "0", "--foxglove", "0", "--json"]
     with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True) as station:
         try:
             assert station.stdout is not None
             url = json.loads(station.stdout.readline())["foxglove"]
-            counts = told(tmp_path, "viewer.mjs", url, protocol)["counts"]
+            counts = told(place, "viewer.mjs", url, protocol)["counts"]
         finally:
             station.terminate()
     assert counts["/m100/telemetry"] >= 50

@@ -16,8 +16,8 @@ from io import FileIO
 from pathlib import Path
 
 from m100link.errors import UsageError
-from m100link.keyfile import keep_names
 from m100link.errors.texts import read_path
+from m100link.keyfile import keep_names
 
 __all__ = ["Part"]
 
