@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import pytest
 
-from m100link import Aircraft, Credentials
+from m100link import Credentials
 from m100link.cli.doctor import exit_status
 from m100link.doctor import Finding, Stage, Verdict, diagnose
 from m100link.doctor.answers import _firmware
@@ -247,14 +247,3 @@ async def test_how_much_damage_is_a_doubt_and_how_much_a_failure(
     assert seen in found.seen
     assert (len(said) == 199) is ("an aircraft sends far more" in found.seen)
     assert "rates_tried" not in found.details, "the number behind a host is no baud rate"
-
-
-@pytest.mark.parametrize(("mismatches", "verdict"), [(2, Verdict.GOOD), (3, Verdict.FAILED)])
-async def test_three_packages_that_do_not_fit_are_another_firmware(
-    monkeypatch: pytest.MonkeyPatch, mismatches: int, verdict: Verdict
-) -> None:
-    monkeypatch.setattr(Aircraft, "telemetry_mismatches", property(lambda _: mismatches))
-    report = await diagnose("sim://", credentials=APP)
-    [found] = [one for one in report.findings if one.stage is Stage.FIRMWARE]
-    assert found.verdict is verdict
-    assert found.details["mismatches"] == mismatches
