@@ -19,27 +19,28 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parent.parent
 
 
-def outcome(folder: Path, text: str, *options: str, **environment: str) -> tuple[int, str]:
+def outcome(folder: Path, text: str, *options: str, under: tuple[str, ...] = ()) -> tuple[int, str]:
     """Run pytest on a file with both hooks; its exit status, and what it printed."""
-    (folder / "test_it.py").write_text(f"import os, time, pytest\nfrom tests import judged\n{text}")
+    imports = "import os, time, pytest\nfrom tests import judged, speeds"
+    (folder / "test_it.py").write_text(f"{imports}\n{text}")
     (folder / "pytest.ini").write_text("[pytest]\nmarkers =\n pty:\n slow:\n smoke:\n")
     hooks = ("-p", "tests.speeds", "-p", "tests.judged", "-p", "no:cacheprovider")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", *hooks, "-q", *options, str(folder)],
+        [sys.executable, *under, "-m", "pytest", *hooks, "-q", *options, str(folder)],
         capture_output=True,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
         cwd=folder,
         check=False,
     )
     return done.returncode, done.stdout
 
 
+# So long on a quiet machine, whatever takes the processors of this one.
 DEAR = """
 def test_it():
-    begun = time.process_time()
-    while time.process_time() < begun + 3.2:
-        pass
+    for _ in range(round({0} / speeds.WORK_S)):
+        speeds.work()
 """
 
 
@@ -53,6 +54,34 @@ def test_what_is_dear_and_not_called_slow_fails_the_run_on_a_quiet_machine(
     assert "SLOW test_it.py::test_it: 3." in told
     assert ("Not judged: others took 90 %" in told) is bool(others)
     assert outcome(tmp_path, f"{machine}@pytest.mark.slow" + DEAR)[0] == 0
+
+
+def test_what_is_dear_and_not_called_slow_fails_the_run(tmp_path: Path) -> None:
+    status, told = outcome(tmp_path, DEAR.format(1.3))
+    assert (status, "1 passed" in told) == (1, True)
+    assert "SLOW test_it.py::test_it: 1." in told
+    assert outcome(tmp_path, "@pytest.mark.slow" + DEAR.format(1.3))[0] == 0
+
+
+def test_what_the_list_would_just_not_name_passes_on_a_busy_machine(tmp_path: Path) -> None:
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    try:
+        status, told = outcome(tmp_path, DEAR.format(speeds.MARKED_S))
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    assert (status, "1 passed" in told) == (0, True), told
+
+
+def test_an_import_is_not_charged_to_the_first_that_needs_it(tmp_path: Path) -> None:
+    (tmp_path / "dear.py").write_text(f"from tests import speeds{DEAR.format(1.3)}\ntest_it()")
+    assert outcome(tmp_path, "def test_it(): import dear")[0] == 0
+
+
+def test_nothing_is_dear_while_lines_are_counted(tmp_path: Path) -> None:
+    counted = ("-m", "coverage", "run", f"--data-file={tmp_path / 'lines'}")
+    assert outcome(tmp_path, DEAR.format(1.3), under=counted)[0] == 0
 
 
 def test_what_keeps_real_time_is_left_out_but_for_smoke_tests(tmp_path: Path) -> None:
