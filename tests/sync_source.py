@@ -273,7 +273,7 @@ def names_in(module: str) -> dict[str, Any]:
     names = dict(vars(sys.modules[module]))
     for node in ast.parse(inspect.getsource(sys.modules[module])).body:
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            exec(compile(ast.Module(node.body, []), module, "exec"), names)
+            exec(compile(ast.Module(node.body, []), f"<{module}>", "exec"), names)
     return names
 
 
