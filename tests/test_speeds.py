@@ -25,11 +25,12 @@ def outcome(folder: Path, text: str, *options: str, under: tuple[str, ...] = ())
     (folder / "test_it.py").write_text(f"{imports}\n{text}")
     (folder / "pytest.ini").write_text("[pytest]\nmarkers =\n pty:\n slow:\n smoke:\n")
     hooks = ("-p", "tests.speeds", "-p", "tests.judged", "-p", "no:cacheprovider")
+    plain = {name: os.environ[name] for name in os.environ if not name.startswith("COVERAGE")}
     done = subprocess.run(
         [sys.executable, *under, "-m", "pytest", *hooks, "-q", *options, str(folder)],
         capture_output=True,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=plain | {"PYTHONPATH": str(ROOT)},
         cwd=folder,
         check=False,
     )
