@@ -2,14 +2,17 @@
 
 A test file is touched if it changed, or if it imports a module that did, at any distance. The
 conftest.py of its folders is imported by it; a string that is the name of a module, of a verb's
-module as the command line has it, or of the program counts as an import of that.
+module as the command line has it, or of the program counts as an import of that. What is no module,
+as a page or a table, touches the tests that name its file, or a pattern like ``*.md``, in a string.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+from fnmatch import fnmatch
 from functools import cache
 
 from tests.test_house import ROOT, name_of, programs, tree
@@ -23,10 +26,12 @@ def changed(since: str) -> set[str]:
     """Paths of files that are not as they were in a commit, or that no commit has."""
     asked = (("diff", "--name-only", since), ("ls-files", "--others", "--exclude-standard"))
     told = [
-        subprocess.run(("git", *words), cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        subprocess.run(("git", *words), cwd=ROOT, capture_output=True, text=True, check=False)
         for words in asked
     ]
-    return set("".join(told).split())
+    if why := "".join(one.stderr for one in told):
+        sys.exit(why)
+    return set("".join(one.stdout for one in told).split())
 
 
 @cache
@@ -49,6 +54,17 @@ def named(module: str) -> frozenset[str]:
     return frozenset(found & MODULES.keys())
 
 
+@cache
+def files(module: str) -> frozenset[str]:
+    """Names of files, and patterns of them, in the strings of a module."""
+    texts = (
+        node.value.rpartition("/")[2]
+        for node in ast.walk(tree(MODULES[module]))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
+    return frozenset(text for text in texts if re.fullmatch(r"[\w*-]*\.?[\w*-]+\.\w+", text))
+
+
 def reached(module: str) -> set[str]:
     """Modules that are imported by a module, or by what it imports; and itself."""
     found, waiting = {module}, [module]
@@ -63,11 +79,16 @@ def affected(paths: set[str]) -> list[str]:
     """Test files that a change of these paths can touch."""
     tests = sorted(name for name in MODULES if name.split(".")[-1].startswith("test_"))
     names = {name for name, path in MODULES.items() if str(path.relative_to(ROOT)) in paths}
+    others = {path.rpartition("/")[2] for path in paths} - {MODULES[name].name for name in names}
     is_everywhere = bool(paths & {*EVERYWHERE})
+
+    def is_touched(test: str) -> bool:
+        there = reached(test)
+        read = {text for module in there if module.startswith("tests.") for text in files(module)}
+        return bool(names & there) or any(fnmatch(one, text) for one in others for text in read)
+
     return [
-        str(MODULES[test].relative_to(ROOT))
-        for test in tests
-        if is_everywhere or names & reached(test)
+        str(MODULES[test].relative_to(ROOT)) for test in tests if is_everywhere or is_touched(test)
     ]
 
 

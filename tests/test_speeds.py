@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests import judged, speeds
-from tests.affected import affected
+from tests.affected import affected, changed
 from tests.judged import Machine, descendants
 
 # Each runs pytest in a process, or reads the whole house.
@@ -191,6 +191,14 @@ def test_the_list_has_functions_with_their_seconds() -> None:
         ("m100link/mavlink/manual.py", "tests/mavlink/test_commands.py", "tests/ros2/test_node.py"),
         ("m100link/cli/demo.py", "tests/cli/test_demo.py", "tests/flight/test_path.py"),
         ("tests/log/flight.py", "tests/log/test_reading.py", "tests/wire/test_crc.py"),
+        ("noxfile.py", "tests/test_project.py", "tests/wire/test_crc.py"),
+        ("docs/index.md", "tests/test_project.py", "tests/flight/test_path.py"),
+        (
+            "tests/interop/foxglove/reader.mjs",
+            "tests/interop/test_foxglove.py",
+            "tests/test_house.py",
+        ),
+        ("tests/slow.txt", "tests/test_speeds.py", "tests/interop/test_foxglove.py"),
     ],
 )
 def test_affected_are_those_that_import_what_changed(changed: str, touched: str, left: str) -> None:
@@ -201,4 +209,9 @@ def test_affected_are_those_that_import_what_changed(changed: str, touched: str,
 
 def test_a_change_of_what_all_stand_on_affects_all() -> None:
     assert len(affected({"pyproject.toml"})) > 400
-    assert affected({"docs/index.md"}) == []
+    assert affected({"LICENSE"}) == []
+
+
+def test_a_commit_that_does_not_exist_ends_it_with_the_words_of_git() -> None:
+    with pytest.raises(SystemExit, match="nonsense"):
+        changed("nonsense")
