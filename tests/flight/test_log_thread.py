@@ -206,8 +206,10 @@ def run(program: str) -> tuple[str, str]:
     head += "from m100link.flight.log_thread import LOG_THREAD as thread\n"
     head += "def log(text, name='m100link.x', level=logging.WARNING):\n"
     head += "    logging.getLogger(name).log(level, text)\n"
+    # Python 3.12 and later warn of the fork beside threads that is asked for here.
+    quiet = "-Wignore:This process:DeprecationWarning"
     done = subprocess.run(
-        [sys.executable, "-c", head + program],
+        [sys.executable, quiet, "-c", head + program],
         capture_output=True,
         text=True,
         check=True,
