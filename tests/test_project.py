@@ -80,7 +80,10 @@ def test_sessions_and_groups_that_contributors_are_told_of_exist() -> None:
     commands = "\n".join(code_blocks(text, "sh"))
     functions = set(re.findall(r"^def (\w+)\(session: nox", program, re.MULTILINE))
     tools = set(re.findall(r'^tool\(\s*"([\w-]+)"', program, re.MULTILINE))
-    named = set(re.findall(r"nox -s ([\w-]+)", commands))
+    folders = (ROOT / name for name in ("docs", "m100link", "tests"))
+    pages = [*ROOT.glob("*.md"), *(page for place in folders for page in place.rglob("*.[mp][dy]"))]
+    told = "".join(page.read_text("utf-8") for page in pages if "_build" not in page.parts)
+    named = set(re.findall(r"nox -s ([a-z][a-z0-9-]*)", told))
     assert {"affected", "soak", "lint"} <= named <= functions | tools | kinds(program)
     assert set(re.findall(r"--group (\w+)", commands)) <= set(PYPROJECT["dependency-groups"])
     for path in re.findall(r"pytest (tests/\S+)", commands):
