@@ -262,7 +262,7 @@ def prepare() -> None:
     """Import what every try needs but the project, and make chance repeat itself."""
     for name in ("anyio", "cryptography.hazmat.primitives.ciphers", "serial_asyncio", "uvicorn"):
         __import__(name)
-    speeds.SHARED = math.inf  # what a test costs here says nothing about the test
+    speeds.LIMIT_S = math.inf  # what a test costs here says nothing about the test
     # No test may pass by luck where it failed before, and a failure need not be made small.
     phases = (Phase.explicit, Phase.generate)
     settings.register_profile(

@@ -36,10 +36,6 @@ MARKED_S = 0.7
 """The list names those that take longer than this: what is left between the two is for chance."""
 WAITS_S = 2.0
 """So long they may wait besides, on the quiet machine on which the list is written."""
-SHARED = 3.0
-"""A run fails at so many times the limit, and on a quiet machine only: on a processor that others
-use the same work takes up to twice the time. The first test that uses a library pays for its
-import."""
 QUIET = 0.25
 """A machine is quiet if others take less than this share of its processors."""
 WORK_S = 0.0036
@@ -84,9 +80,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("slow")
 
 
-# -- what others take of the machine ---------------------------------------------------------------
-
-_workers_time = 0.0
 def work() -> float:
     """What the fixed piece of work takes now, in seconds of the processor: it is like the tests."""
     begun = time.process_time()
@@ -134,17 +127,12 @@ class Clock:
         return seconds * WORK_S / ((before + self._work_s) / 2)
 
 
-_clock = Clock()
-_began: dict[str, float] = {}
-_costs: dict[str, float] = defaultdict(float)
-_waits: dict[str, float] = defaultdict(float)
-_slow: set[str] = set()
-_real: set[str] = set()
-
-
 def processor_time() -> float:
     """Seconds that this process and the children that it waited for have taken."""
     return sum(os.times()[:4])
+
+
+_workers_time = 0.0
 
 
 def busy() -> tuple[float, float]:
@@ -172,8 +160,9 @@ def pytest_testnodedown(node: object) -> None:
     _workers_time += getattr(node, "workeroutput", {}).get("processor_time", 0.0)
 
 
-# -- what each test costs --------------------------------------------------------------------------
+# -- what each test costs -------------------------------------------------------------------------
 
+_clock = Clock()
 _began: dict[str, float] = {}
 _costs: dict[str, float] = defaultdict(float)
 _waits: dict[str, float] = defaultdict(float)
